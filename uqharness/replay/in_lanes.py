@@ -179,9 +179,8 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
 
 def _controls_of(job: ReplayJob, shape: Shape) -> Array:
     """Controls of every run, one array for all jobs that have them in common."""
-    segment, acting = job.segment, job.segment.at_commands()
-    targets = None if acting.targets is None else acting.targets.tobytes()
-    content = (acting.controls.tobytes(), targets, segment.dt_s, segment.per_row, shape)
+    segment = job.segment
+    content = (segment.at_commands().controlled, segment.dt_s, segment.per_row, shape)
     key = (job.model.identity, frozenset(job.model.measured), content, job.late_s, job.unseen)
     if key not in _controls:
         _, places = job.model.fed()

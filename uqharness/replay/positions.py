@@ -71,10 +71,10 @@ def surface_positions(
 
 def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[object, ...]:
     """What positions depend on: of a whole aircraft its identity and where it begins, of a chain that chain."""
-    controls = segment.at_commands().controls.tobytes()
+    controls = segment.at_commands().controlled
     if chain is None:
-        began = (segment.time_s, segment.start, np.array([segment.altitude_m, segment.h_m]))
-        return (asked.model.identity, controls, *(a.tobytes() for a in began), asked.names, *asked.servos.items())
+        began = (segment.time_s.tobytes(), segment.start.tobytes(), segment.altitude_m, segment.h_m)
+        return (asked.model.identity, controls, *began, asked.names, *asked.servos.items())
     model = asked.model
     servos = [(name, value) for name, value in asked.servos.items() if name in chain.reads]
     feeding = repr((model.controls, model.measured, model.lagging, model.factor, model.throws, set_by(model)))

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.digests import sha256_hex
+
 Array = NDArray[np.float64]
 
 
@@ -59,6 +61,12 @@ class Segment:
     def command_s(self) -> float:
         """Time between two commands [s]."""
         return self.dt_s / self.per_row
+
+    @cached_property
+    def controlled(self) -> str:
+        """Digest of controls and targets, by which whatever is made of them is remembered."""
+        known = self.controls if self.targets is None else np.hstack([self.controls, self.targets])
+        return sha256_hex(known.tobytes())
 
     def at_commands(self) -> Segment:
         """The same piece with a row for each command."""
