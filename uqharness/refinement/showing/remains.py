@@ -78,12 +78,14 @@ def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[
     effects = [judged.found.effects[k] for k, _, _ in candidates]
     return place | {
         "channel_on_train": now,
-        "candidates": [_candidate(e, t, leaves) for e, (_, t, leaves) in zip(effects, candidates, strict=True)],
+        "candidates": [
+            {**label(e), "name": e.name, "t": t, "leaves": leaves} for e, (_, t, leaves) in zip(effects, candidates, strict=True)
+        ],
         "would_tell": would_tell(None if goes is None else goes.state, effects, _loudest_manoeuvre(both, place)),
     }
 
 
-def nowhere(reason: str) -> dict[str, Any]:
+def no_place(reason: str) -> dict[str, Any]:
     """The place of nothing."""
     names = ("flights", "flight", "manoeuvre", "channel", "from_s", "to_s", "from_Hz", "to_Hz", "rms_over_noise", "share_of_excess")
     empty: dict[str, Any] = dict.fromkeys((*names, "p", "state", "channel_on_train", "would_tell"))
@@ -93,13 +95,14 @@ def nowhere(reason: str) -> dict[str, Any]:
 def series_of(flights: str, setup: Setup, shown: Shown, controls: Sequence[Array]) -> list[Series]:
     """Every channel of every segment of one side's flights."""
     return [
-        Series(flights, s.flight, s.label.split(",")[0], c, w[:, k], s.time_s, states)
-        for s, w, states in zip(setup.segments, shown.white, _states(shown.flown, controls), strict=True)
+        Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
+        for s, w, states in zip(setup.segments, shown.white, states_along(shown.flown, controls), strict=True)
         for k, c in enumerate(setup.outputs)
     ]
 
 
-def _states(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+def states_along(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+    """States and controls by name, each (n,), one mapping a segment."""
     return [
         {n: x[:, i] for i, n in enumerate(_STATES)} | {n: u[:, i] for i, n in enumerate(_CONTROLS)}
         for x, u in zip(flown.x, controls, strict=True)
@@ -114,7 +117,7 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None
     alike = [s for s in series if (s.flights, s.channel) == (best.flights, best.channel)]
     goes = goes_with([s.white for s in alike], [s.states for s in alike])
     p = 1.0 if burst is None else min(1.0, burst.p * len(found))
-    named = nowhere("") | {"flights": best.flights, "channel": best.channel, "p": p, **_state(goes)}
+    named = no_place("") | {"flights": best.flights, "channel": best.channel, "p": p, **_state(goes)}
     named["rms_over_noise"] = rms(np.concatenate([s.white for s in alike]))
     if burst is None or p > BY_CHANCE:
         return named | {"reason": f"no stretch and no band stands above the noise by more than chance gives (p {p:.2g})"}, goes
@@ -181,10 +184,10 @@ def _where_asked(
     segment, d = setup.segments[s], np.nan_to_num(trace[s][:, k])
     start, stop = densest(d**2)
     low, high = band_of(d, 1.0 / segment.dt_s)
-    goes = goes_with([e[:, k] for e in trace], _states(flown, controls), certain=True)
+    goes = goes_with([e[:, k] for e in trace], states_along(flown, controls), certain=True)
     mine = [e for e in series if e.channel == setup.outputs[k]]
     return {
-        "flights": "train", "flight": segment.flight, "manoeuvre": segment.label.split(",")[0], "channel": setup.outputs[k],
+        "flights": "train", "flight": segment.flight, "manoeuvre": segment.kind, "channel": setup.outputs[k],
         "from_s": float(segment.time_s[start]), "to_s": float(segment.time_s[stop - 1]), "from_Hz": low, "to_Hz": high,
         "rms_over_noise": rms(np.concatenate([e.white for e in mine])),
         "share_of_excess": float(np.sum(d[start:stop] ** 2) / power[:, k].sum()), "p": None, **_state(goes), "reason": None,
@@ -198,9 +201,10 @@ def _state(goes: With | None) -> dict[str, Any]:
     return {"state": state, "state_reason": None}
 
 
-def _candidate(effect: Effect, t: float, leaves: float) -> dict[str, Any]:
+def label(effect: Effect) -> dict[str, str]:
+    """An effect's coefficient or subsystem, and its term."""
     where = {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
-    return {**where, "term": effect.term, "name": effect.name, "t": t, "leaves": leaves}
+    return {**where, "term": effect.term}
 
 
 def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tuple[str, float]:

@@ -225,27 +225,6 @@ def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:
     return {c: ljung_box([r[:, k] for r in residual], 20) for k, c in enumerate(setup.outputs)}
 
 
-def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
-    """States in which regions are looked for, one mapping a segment."""
-    out = []
-    for x, u in zip(flown.x, controls, strict=True):
-        out.append(
-            {
-                "V_mps": x[:, 0],
-                "alpha_rad": x[:, 1],
-                "beta_rad": x[:, 2],
-                "abs_p_radps": np.abs(x[:, 3]),
-                "abs_q_radps": np.abs(x[:, 4]),
-                "abs_r_radps": np.abs(x[:, 5]),
-                "elevator_deg": u[:, 0],
-                "aileron_deg": u[:, 1],
-                "rudder_deg": u[:, 2],
-                "throttle_pct": u[:, 3],
-            }
-        )
-    return out
-
-
 def write_bytes_tree(source: Path, target: Path) -> None:
     """Copy a folder beside its place and put it there at once; an earlier one is replaced."""
     beside = target.with_name(f".{target.name}.part")
