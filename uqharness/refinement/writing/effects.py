@@ -113,11 +113,8 @@ def write_effects(aircraft: Aircraft, effects: Sequence[Written], estimates: Map
 def reference_of(aircraft: Aircraft) -> Reference:
     """Area and lengths of the aircraft's card."""
     given = aircraft.card.reference
-    return Reference(
-        None if given.S_m2 is None else given.S_m2 / FT_M**2,
-        None if given.b_m is None else given.b_m / FT_M,
-        None if given.c_m is None else given.c_m / FT_M,
-    )
+    sizes = ((given.S_m2, FT_M**2), (given.b_m, FT_M), (given.c_m, FT_M))
+    return Reference(*(None if size is None else size / unit for size, unit in sizes))
 
 
 def _with_switch(w: Written, aircraft: Aircraft) -> Written:
