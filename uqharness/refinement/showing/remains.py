@@ -9,13 +9,13 @@ again beside each.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Effect, Evidence, scores
+from sysid.effects import Effect, scores
 from sysid.estimation import rms
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, evidence_of
@@ -72,9 +72,8 @@ def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[
     if any(left.values()):
         place, goes = where_loudest([s for s in both if s.channel in left[s.flights]])
     else:
-        place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], shown.flown, controls, asked[0])
-    gone = {c.key for c in judged.withdrawn}
-    candidates, now = nearest.leaving(place["channel"], gone)
+        place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], asked[0])
+    candidates, now = nearest.leaving(place["channel"], {c.key for c in judged.withdrawn})
     effects = [judged.found.effects[k] for k, _, _ in candidates]
     return place | {
         "channel_on_train": now,
@@ -138,9 +137,8 @@ class Nearest:
 
     def __init__(self, found: Found) -> None:
         self.found = found
-        self.evidence: Evidence = evidence_of(found, found.gusts, list(found.effects))
-        effects = {*found.effects}
-        self.free = [n for n in self.evidence.names if n not in effects] + [c.key for c in found.selection.chosen]
+        self.evidence = evidence_of(found, found.gusts, list(found.effects))
+        self.free = [n for n in self.evidence.names if n not in found.effects] + [c.key for c in found.selection.chosen]
         rest = [e for e in found.effects.values() if e.key not in self.free]
         # What flew and does not stand is among the columns of the fit, beside which nothing of it would be left.
         flew = [e.key for e in rest if e.key in found.flown]
@@ -172,24 +170,24 @@ class Nearest:
         return rms(np.concatenate([e[:, k] for e in self.residual(*more)]))
 
 
-def _where_asked(
-    nearest: Nearest, series: Sequence[Series], flown: Flown, controls: Sequence[Array], key: str
-) -> tuple[dict[str, Any], With | None]:
-    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency."""
-    setup = nearest.found.setup
-    trace = nearest.trace(key)
+def _where_asked(nearest: Nearest, series: Sequence[Series], key: str) -> tuple[dict[str, Any], With | None]:
+    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency.
+
+    series: those of the train flights
+    """
+    setup, trace = nearest.found.setup, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
     s = int(np.argmax(power[:, k]))
-    segment, d = setup.segments[s], np.nan_to_num(trace[s][:, k])
+    alike = [e for e in series if e.channel == setup.outputs[k]]
+    best, d = alike[s], np.nan_to_num(trace[s][:, k])
     start, stop = densest(d**2)
-    low, high = band_of(d, 1.0 / segment.dt_s)
-    goes = goes_with([e[:, k] for e in trace], states_along(flown, controls), certain=True)
-    mine = [e for e in series if e.channel == setup.outputs[k]]
+    low, high = band_of(d, 1.0 / setup.segments[s].dt_s)
+    goes = goes_with([e[:, k] for e in trace], [e.states for e in alike], certain=True)
     return {
-        "flights": "train", "flight": segment.flight, "manoeuvre": segment.kind, "channel": setup.outputs[k],
-        "from_s": float(segment.time_s[start]), "to_s": float(segment.time_s[stop - 1]), "from_Hz": low, "to_Hz": high,
-        "rms_over_noise": rms(np.concatenate([e.white for e in mine])),
+        "flights": "train", "flight": best.flight, "manoeuvre": best.manoeuvre, "channel": best.channel,
+        "from_s": float(best.time_s[start]), "to_s": float(best.time_s[stop - 1]), "from_Hz": low, "to_Hz": high,
+        "rms_over_noise": rms(np.concatenate([e.white for e in alike])),
         "share_of_excess": float(np.sum(d[start:stop] ** 2) / power[:, k].sum()), "p": None, **_state(goes), "reason": None,
     }, goes  # fmt: skip
 
@@ -197,8 +195,7 @@ def _where_asked(
 def _state(goes: With | None) -> dict[str, Any]:
     if goes is None:
         return {"state": None, "state_reason": "no state and no control explains more of it than chance does"}
-    state = {"state": goes.state, "low": goes.low, "high": goes.high, "share": goes.share, "of": goes.by, "p": goes.p}
-    return {"state": state, "state_reason": None}
+    return {"state": asdict(goes), "state_reason": None}
 
 
 def label(effect: Effect) -> dict[str, str]:
@@ -209,10 +206,7 @@ def label(effect: Effect) -> dict[str, str]:
 
 def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tuple[str, float]:
     """Kind of manoeuvre in which the channel's residual is largest, and its rms over noise there."""
-    kinds: dict[str, list[Array]] = {}
-    for s in series:
-        if (s.flights, s.channel) == (place["flights"], place["channel"]):
-            kinds.setdefault(s.manoeuvre, []).append(s.white)
-    sizes = {kind: rms(np.concatenate(parts)) for kind, parts in kinds.items()}
-    loud = max(sizes, key=lambda kind: sizes[kind])
-    return loud, sizes[loud]
+    mine = [s for s in series if (s.flights, s.channel) == (place["flights"], place["channel"])]
+    kinds = dict.fromkeys(s.manoeuvre for s in mine)
+    sizes = {kind: rms(np.concatenate([s.white for s in mine if s.manoeuvre == kind])) for kind in kinds}
+    return max(sizes.items(), key=lambda size: size[1])

@@ -53,14 +53,14 @@ class Burst:
 @dataclass(frozen=True)
 class With:
     """The range [low, high] of a state with which a series goes, the share of its variance that the state explains, and the p-value
-    of that share among the states tried. by: "mean" where its mean changes with the state, "size" where its square does."""
+    of that share among the states tried. of: "mean" where its mean changes with the state, "size" where its square does."""
 
     state: str
     low: float
     high: float
     share: float
+    of: str
     p: float
-    by: str
 
 
 def loudest(white: Array, rate_hz: float) -> Burst | None:
@@ -180,7 +180,7 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
     kept = [e[k] for e, k in zip(series, known, strict=True)]
     if sum(len(e) for e in kept) <= 2 * TENTHS:
         return None
-    for by, values in (("mean", kept), ("size", [e**2 for e in kept])):
+    for of, values in (("mean", kept), ("size", [e**2 for e in kept])):
         mean = float(np.mean(np.concatenate(values)))
         pieces = [v - mean for v in values if len(v)]
         y = np.concatenate(pieces)
@@ -196,7 +196,7 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
         _, name, (share, p, low, high) = max(found, key=lambda f: f[0])
         p = min(1.0, p * 2 * len(found))
         if certain or p < BY_CHANCE:
-            return With(name, low, high, share, p, by)
+            return With(name, low, high, share, of, p)
     return None
 
 
