@@ -77,8 +77,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, side.measured, side.ideal) as bench:
-        setup = with_sensors_of(setup, aircraft)
-        plain = replace(setup, active=(), carriers={})
+        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
         cut = [_as_felt(s, f, side.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
@@ -88,23 +87,23 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
         found = [(demand - said, change) for demand, said, change in gaps]
         if gusts is None:
-            flown = _replayed(bench.model, plain, start, map_)
+            flown = _replayed(bench.model, setup, start, map_)
             residual = _residual(setup, flown)
             white = [r / setup.noise for r in residual]
             cost = flown.cost
             logdet = [0.0] * len(white)
         else:
             try:
-                gust = gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, gusts, known=True)
+                gust = gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
                 reached, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
                 deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
-                reached, rows = unfiltered(bench.model, bench.straight, plain, start, map_, gusts)
+                reached, rows = unfiltered(bench.model, bench.straight, setup, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
-            white = _as_recorded(plain, reached.point, rows)
+            white = _as_recorded(setup, reached.point, rows)
             residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
             noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
             cost = float(sum(np.nansum(r**2) for r in white))
@@ -170,11 +169,10 @@ def air_of(
     """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
     follows the flights with such a model."""
     with Bench(aircraft, measured, ideal) as bench:
-        setup = with_sensors_of(setup, aircraft)
-        plain = replace(setup, active=(), carriers={})
+        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         try:
-            return gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, near, iterations=2).gusts
+            return gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
             speeds = [float(np.nanmean(c["V_mps"])) for c in setup.channels]
             return near.in_other(speeds, [s.flight for s in setup.segments])
