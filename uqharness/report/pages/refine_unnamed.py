@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.refinement.showing import smooth_says
 from uqharness.replay import shown_channel
 from uqharness.report.pages.compare import in_shown_unit
 from uqharness.report.pages.refine_effects import capital
+from uqharness.report.pages.refine_words import smooth_says
 from uqharness.report.parts import Figure, Figures, Say, Section, Table, Words, shown
 from uqharness.report.svg import Chart, scale
 

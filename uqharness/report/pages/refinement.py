@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.refinement.showing import Refinement, carried_by, left_over, nowhere, place_says, test_says
+from uqharness.refinement.showing import Refinement
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import in_shown_unit, ratio_figure
 from uqharness.report.pages.refine_effects import capital, effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
 from uqharness.report.pages.refine_unnamed import RMS, smooth_lines, smooth_sections
+from uqharness.report.pages.refine_words import carried_by, left_over, nowhere, place_says, test_says
 from uqharness.report.parts import (
     Block,
     Bullets,

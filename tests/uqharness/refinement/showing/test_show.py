@@ -31,9 +31,9 @@ from uqharness.refinement.showing.mission import Model, campaign_for, fly_missio
 from uqharness.refinement.showing.pboxes import both_boxes
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
-from uqharness.refinement.showing.words import left_over, nowhere
 from uqharness.refinement.types import Point, Side
 from uqharness.replay.flights import prepare, read_flights
+from uqharness.report.pages.refine_words import left_over, nowhere
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import find_aircraft
