@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.refinement.showing import Refinement
+from uqharness.refinement_document import Refinement
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import in_shown_unit, ratio_figure

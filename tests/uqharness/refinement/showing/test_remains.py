@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.remains import NOTHING, Series, no_place, where_loudest
 from uqharness.refinement.showing.words import would_tell
+from uqharness.refinement_document import Place
 from uqharness.report.pages.refine_words import place_says
 
 RATE = 50.0

@@ -1,1 +1,0 @@
-from .content import Refinement as Refinement
