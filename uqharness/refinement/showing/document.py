@@ -10,32 +10,14 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import (
-    CERTAIN_T,
-    DIFFERENT,
-    Alternative,
-    Choice,
-    Disagreement,
-    Effect,
-    Refusal,
-    dependence,
-    disagreements,
-)
+from sysid.effects import CERTAIN_T, DIFFERENT, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
 from sysid.estimation import NOISE_FLOOR
 from uqharness.refinement.find import Found, chosen_interval
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, label, no_place, place_of, states_along
 from uqharness.refinement.showing.show import Shown, gap_document, left_in
-from uqharness.refinement.showing.words import (
-    another_form,
-    contradicted,
-    moments_left,
-    separating_manoeuvre,
-    still_asked,
-    unnamed,
-    why,
-)
+from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
 from uqharness.refinement.types import Bent, Setup
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.simulator import Actuator, Aircraft
@@ -174,19 +156,24 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
 
 def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
     """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
-    found = zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False)
-    return {
-        rate: {"coefficient": c, "twice_log_likelihood": float(gain), "words": moments_left(axis, float(gain))}
-        for (rate, c, axis), gain in found
-        if gain > CERTAIN_T**2 and rate in chosen.setup.outputs
-    }  # fmt: skip
+    rows = {}
+    for (rate, c, axis), gain in zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False):
+        if gain > CERTAIN_T**2 and rate in chosen.setup.outputs:
+            gains = f"allowing for them gains {gain:.0f} in twice the log likelihood"
+            words = f"moments act about the {axis} axis that no effect explains: {gains}"
+            rows[rate] = {"coefficient": c, "twice_log_likelihood": float(gain), "words": words}
+    return rows
 
 
 def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
-    depends = [{"state": s} for s in form.states]
+    """A curve in effects' own states that shows that they have not the form of what is missing."""
+    words = (
+        f"what is missing in {form.coefficient} does not have the form of {' and '.join(e.name for e in instead)}: beside "
+        f"{'them' if len(instead) > 1 else 'it'} a {form.name} gains {form.gain:.0f} in twice the log likelihood"
+    )
     return {
-        "coefficient": form.coefficient, "depends_on": depends, "twice_log_likelihood": form.gain, "p": form.p,
-        "words": another_form(form, instead),
+        "coefficient": form.coefficient, "depends_on": [{"state": s} for s in form.states], "twice_log_likelihood": form.gain,
+        "p": form.p, "words": words,
     }  # fmt: skip
 
 

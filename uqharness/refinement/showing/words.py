@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sysid.effects import Choice, Effect
-from uqharness.refinement.types import Bent
 
 _EXCITES = {
     "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",
@@ -107,22 +106,6 @@ def unnamed(effect: Effect, choice: Choice) -> str:
     )
 
 
-def another_form(form: Bent, instead: Sequence[Effect]) -> str:
-    """What is said where a curve in an effect's own states shows that the effect has not the form of what is missing."""
-    names = " and ".join(e.name for e in instead)
-    return (
-        f"what is missing in {form.coefficient} does not have the form of {names}: beside {'them' if len(instead) > 1 else 'it'} a "
-        f"{form.name} gains {form.gain:.0f} in twice the log likelihood"
-    )
-
-
 def still_asked(effect: Effect, t: float) -> str:
     """What is said of a candidate that the flights still ask for beside the effects that were chosen."""
     return f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
-
-
-def moments_left(axis: str, gain: float) -> str:
-    """What is said where a filter in turbulence needs moments about an axis that no effect explains."""
-    return (
-        f"moments act about the {axis} axis that no effect explains: allowing for them gains {gain:.0f} in twice the log likelihood"
-    )
