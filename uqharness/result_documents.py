@@ -1,4 +1,5 @@
-"""What the documents of results must hold for a page to be written from them: fit.json, compare.json, refinement.json and others.
+"""What the documents of results must hold for a page to be written from them: fit.json, compare.json and others; refinement.json
+in `refinement_document`.
 
 Folders of results are passed on, edited and damaged. A page is written from a document that has passed here, so that a missing key
 or a text in place of a number is told of the file. Keys that no page reads may be anything.

@@ -11,7 +11,7 @@ from typing import Any
 from sysid.digests import file_sha256
 from uqharness.campaign.folder import read_complete
 from uqharness.errors import BadInputError
-from uqharness.refinement.showing import Refinement
+from uqharness.refinement_document import Refinement
 from uqharness.replay import HISTORIES, History, read_histories
 from uqharness.result_documents import Bounds, Compare, Coverage, Fit, Part, Study, read_document
 

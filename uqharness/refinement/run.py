@@ -34,7 +34,7 @@ from uqharness.refinement.showing.intervals import (
 )
 from uqharness.refinement.showing.notebook import refinement_view
 from uqharness.refinement.showing.pboxes import FOLDER as PBOX
-from uqharness.refinement.showing.pboxes import MissionResult, no_pbox
+from uqharness.refinement.showing.pboxes import no_pbox
 from uqharness.refinement.showing.show import air_of, write_bytes_tree
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
@@ -75,7 +75,6 @@ class Refinement:
     chosen: Found
     judged: Judged
     intervals: tuple[Intervals, Intervals]
-    mission: MissionResult
     aircraft: Aircraft
     given: Aircraft
 
@@ -164,7 +163,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     document = _document(request, document, intervals, mission)
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
-    return Refinement(document, chosen, judged, intervals, mission, target, aircraft)
+    return Refinement(document, chosen, judged, intervals, target, aircraft)
 
 
 def _read(request: Request, paths: Sequence[Path]) -> _Flights:
@@ -290,7 +289,7 @@ def _controls(aircraft: Aircraft, train: _Flights) -> list[Any]:
 
 def _mission(
     request: Request, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
-) -> MissionResult:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     if not request.pbox:
         return no_pbox("left out (--no-pbox)")
     lacking = [name for name in models if name not in forms]
@@ -305,11 +304,11 @@ def _mission(
 
 
 def _document(
-    request: Request, document: dict[str, Any], intervals: tuple[Intervals, Intervals], mission: MissionResult
+    request: Request, document: dict[str, Any], intervals: tuple[Intervals, Intervals], mission: dict[str, Any]
 ) -> dict[str, Any]:
     gap = document["gap"]
-    gap["test"] |= {"intervals": intervals_document(*intervals), "pbox": mission.document}
-    gap["train"] |= {"pbox": no_pbox("a mission belongs to no flight: see gap.test").document}
+    gap["test"] |= {"intervals": intervals_document(*intervals), "pbox": mission}
+    gap["train"] |= {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}
     return document | {
         "model": f"aircraft/{request.aircraft.folder.name}/{request.aircraft.xml.name}",
         "train": [p.name for p in request.train],

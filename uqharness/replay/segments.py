@@ -48,6 +48,11 @@ class Segment:
     commands: Commands | None = None
 
     @property
+    def kind(self) -> str:
+        """Kind of the manoeuvre: its label without the speed behind a comma."""
+        return self.label.split(",")[0]
+
+    @property
     def dt_s(self) -> float:
         """Mean time between rows [s]."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)

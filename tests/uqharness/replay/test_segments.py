@@ -49,3 +49,8 @@ def test_straight_lines_between_rows_have_the_area_of_what_is_known_at_each_comm
     np.testing.assert_allclose(made.on_rows(np.full(5 * k + 1, 3.0)), 3.0)
     # Values at the rows alone would have lost it.
     assert k == 1 or fine[::k].sum() == 0.0
+
+
+def test_the_kind_of_a_manoeuvre_is_its_label_without_the_speed():
+    made = Segment("roll doublet, 22 m/s", "f", 0.02 * np.arange(6), np.zeros((6, 1)), np.zeros(9), 100.0, 0.0)
+    assert made.kind == "roll doublet"

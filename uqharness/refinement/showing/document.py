@@ -10,35 +10,16 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import (
-    CERTAIN_T,
-    DIFFERENT,
-    Alternative,
-    Choice,
-    Disagreement,
-    Effect,
-    Refusal,
-    dependence,
-    disagreements,
-)
+from sysid.effects import CERTAIN_T, DIFFERENT, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
 from sysid.estimation import NOISE_FLOOR
 from uqharness.refinement.find import Found, chosen_interval
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
-from uqharness.refinement.showing.remains import NOTHING, nowhere, place_of
-from uqharness.refinement.showing.show import Shown, gap_document, left_in, state_ranges
-from uqharness.refinement.showing.words import (
-    another_form,
-    contradicted,
-    moments_left,
-    separating_manoeuvre,
-    still_asked,
-    unnamed,
-    why,
-)
+from uqharness.refinement.showing.remains import NOTHING, label, no_place, place_of, states_along
+from uqharness.refinement.showing.show import Shown, gap_document, left_in
+from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
 from uqharness.refinement.types import Bent, Setup
 from uqharness.refinement.writing.effects import switch_of
-from uqharness.replay import Segment
 from uqharness.simulator import Actuator, Aircraft
 
 MOST_SAID = 3
@@ -49,47 +30,69 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
     because held commands and gusts have their share there; then what it leaves is what is allowed."""
-    quiet = all(settled.channel_rms(k) <= NOISE_FLOOR * float(settled.noise[k]) for k in range(len(setup.outputs)))
-    together: dict[str, list[Any]] = {}
-    for s, g in zip(setup.segments, settled.coefficients, strict=True):
-        together.setdefault(kind_of(s), []).append(g)
-    by_kind = {kind: np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) for kind, parts in together.items()}
-    allowed = [
-        np.broadcast_to(np.maximum(settled.floor, by_kind[kind_of(s)]) if quiet else settled.floor, g.shape)
-        for s, g in zip(setup.segments, shown.coefficients, strict=True)
+    kinds = [s.kind for s in setup.segments]
+    allowed = [settled.floor] * len(kinds)
+    if all(settled.channel_rms(k) <= NOISE_FLOOR * float(settled.noise[k]) for k in range(len(setup.outputs))):
+        pairs = list(zip(kinds, settled.coefficients, strict=True))
+        together = {kind: np.concatenate([g for k, g in pairs if k == kind]) for kind in kinds}
+        allowed = [np.maximum(settled.floor, np.sqrt(np.mean(together[kind] ** 2, axis=0))) for kind in kinds]
+    each_row = [np.broadcast_to(a, g.shape) for a, g in zip(allowed, shown.coefficients, strict=True)]
+    return disagreements(shown.coefficients, each_row, _ranges(shown, controls), kinds, setup.segments[0].dt_s)
+
+
+def _ranges(shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
+    """States in which regions are looked for, one mapping a segment: rates by their size."""
+    rates = {rate for rate, _, _ in _AXES}
+    return [
+        {f"abs_{n}" if n in rates else n: np.abs(v) if n in rates else v for n, v in states.items()}
+        for states in states_along(shown.flown, controls)
     ]
-    labels = [kind_of(s) for s in setup.segments]
-    return disagreements(shown.coefficients, allowed, state_ranges(setup, shown.flown, controls), labels, setup.segments[0].dt_s)
 
 
-def kind_of(segment: Segment) -> str:
-    """The kind of a manoeuvre: its label without the speed behind a comma."""
-    return segment.label.split(",")[0]
-
-
-def _remaining(found: Found, setup: Setup, shown: Shown, left: Sequence[Disagreement], controls: Sequence[Any]) -> dict[str, Any]:
+def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[str, Any]:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
-    left_here = left_in(setup, shown, found.gusty)
-    refused = found.selection.refused
-    strong = refused is not None and refused.strong
-    unexplained = bool(left_here) or strong
-    where: list[dict[str, Any]] = []
-    if refused is not None and strong:
-        where.append(_unconfirmed(found.effects[refused.key], refused))
-    if left_here:
-        where += [_region(d) for d in left]
-        states = state_ranges(setup, shown.flown, controls)
-        for k, c in enumerate(COEFFICIENTS):
-            ratio = shown.coefficient_rms(k) / float(shown.floor[k])
-            if ratio > NOISE_FLOOR:
-                where.append({
-                    "coefficient": c, "rms_over_noise": ratio,
-                    "depends_on": [{"state": n, "share": s} for n, s in dependence(shown.coefficients, states, k)],
-                })  # fmt: skip
+    found, (setup, _, after), (other, _, fitted) = judged.found, judged.train, judged.test
+    left, held_out = left_in(setup, after, found.gusty), left_in(other, fitted, found.gusty)
+    effects, refused, moments = chosen.effects, found.selection.refused, moments_of(chosen)
+    strong = [refused] if refused is not None and refused.strong else []
+    # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
+    against = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
+    told = {c.key for c in (*against, *chosen.unnamed, *chosen.selection.chosen)}
+    more = [(key, t) for key, t in chosen.left if key not in told]
+    bent = [] if chosen.bent is None else [chosen.bent]
+    where = [_unconfirmed(found.effects[r.key], r) for r in strong]
+    where += _disagreeing(setup, after, controls) if left else []
+    where += [_told(effects[c.key], c.t, contradicted(effects[c.key], c, judged.verdicts[c.key].says)) for c in against]
+    where += [_bent(b, [effects[k] for k in b.instead]) for b in bent]
+    where += [_told(effects[c.key], c.t, unnamed(effects[c.key], c)) for c in chosen.unnamed]
+    where += [_still_asked(effects[key], t, k) for k, (key, t) in enumerate(more)]
+    where += moments.values()
+    contradicts = bool(against) and not found.selection.chosen
+    unexplained = bool(left) or bool(strong) or contradicts or bool(more) or bool(bent) or bool(moments)
+    sides = {"train": [*left.above, *left.coloured, *moments], "test": [*held_out.above, *held_out.coloured]}
+    if unexplained or any(sides.values()):
+        asked = [*(key for key, _ in more), *(r.key for r in strong), *(c.key for c in (*chosen.unnamed, *judged.withdrawn))]
+        place = place_of(judged, sides, [*asked, *(k for b in bent for k in b.instead)], controls)
+    else:
+        place = no_place(NOTHING)
+    near = strong_of(place["candidates"], {*told, *(key for key, _ in more)})
+    where += [_still_asked(effects[key], t, len(more) + k) for k, (key, t) in enumerate(near)]
     return {
-        "unexplained": unexplained, "where": where, "channels_above_noise": left_here.above,
-        "coloured_channels": list(left_here.coloured),
+        "unexplained": unexplained, "where": where, "channels_above_noise": left.above,
+        "coloured_channels": list(left.coloured), "place": place,
     }  # fmt: skip
+
+
+def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
+    """Regions in which coefficients disagree, then coefficients above their noise and the states on which they depend."""
+    out = [_region(d) for d in find_disagreements(setup, shown, shown, controls)]
+    states = _ranges(shown, controls)
+    for k, c in enumerate(COEFFICIENTS):
+        ratio = shown.coefficient_rms(k) / float(shown.floor[k])
+        if ratio > NOISE_FLOOR:
+            depends = [{"state": n, "share": s} for n, s in dependence(shown.coefficients, states, k)]
+            out.append({"coefficient": c, "rms_over_noise": ratio, "depends_on": depends})
+    return out
 
 
 def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
@@ -101,7 +104,7 @@ def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
         f"{', '.join(d['state'] for d in depends) or effect.term}: {effect.name} comes "
         f"nearest (|t| {abs(refused.t):.1f}), but {refused.why}"
     )
-    return {**_label(effect), "depends_on": depends, "t": refused.t, "words": words}
+    return {**label(effect), "depends_on": depends, "t": refused.t, "words": words}
 
 
 def _region(d: Disagreement) -> dict[str, Any]:
@@ -118,25 +121,10 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     in every train segment
     """
     found, (setup, before, after) = judged.found, judged.train
-    left = find_disagreements(setup, after, after, controls)
-    remaining = _remaining(found, setup, after, left, controls)
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
     withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True) for c in judged.withdrawn]
-    # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
-    asked = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
-    remaining["where"] += [_contradicted(chosen.effects[c.key], c, judged.verdicts[c.key]) for c in asked]
-    remaining["where"] += [] if chosen.bent is None else [_bent(chosen.bent, [chosen.effects[k] for k in chosen.bent.instead])]
-    remaining["where"] += [_unnamed(chosen.effects[c.key], c) for c in chosen.unnamed]
-    told = {c.key for c in (*asked, *chosen.unnamed, *chosen.selection.chosen)}
-    more = [(key, t) for key, t in chosen.left if key not in told]
-    remaining["where"] += [_still_asked(chosen.effects[key], t, k) for k, (key, t) in enumerate(more)]
-    moments = moments_of(chosen)
-    remaining["where"] += list(moments.values())
-    remaining["unexplained"] |= (bool(asked) and not effects) or bool(more) or chosen.bent is not None or bool(moments)
-    remaining["place"] = place = _place(chosen, judged, remaining, [key for key, _ in more], list(moments), controls)
-    near = strong_of(place["candidates"], {*told, *(key for key, _ in more)})
-    remaining["where"] += [_still_asked(chosen.effects[key], t, len(more) + k) for k, (key, t) in enumerate(near)]
+    remaining = _remaining(chosen, judged, controls)
     verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
     refused = found.selection.refused
     return {
@@ -166,51 +154,27 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     }
 
 
-def _place(
-    chosen: Found, judged: Judged, remaining: Mapping[str, Any], more: Sequence[str], rates: Sequence[str],
-    controls: Sequence[Any],
-) -> dict[str, Any]:  # fmt: skip
-    """Where the strongest of what is left sits: on train or hold-out flights, or where a candidate is asked for. rates: channels
-    of the axes about which a moment is missing."""
-    other, _, fitted = judged.test
-    held_out = left_in(other, fitted, judged.found.gusty)
-    left = {
-        "train": [*remaining["channels_above_noise"], *remaining["coloured_channels"], *rates],
-        "test": [*held_out.above, *held_out.coloured],
-    }
-    refused = judged.found.selection.refused
-    strong = [refused.key] if refused is not None and refused.strong else []
-    bent = () if chosen.bent is None else chosen.bent.instead
-    asked = [*more, *strong, *(c.key for c in chosen.unnamed), *(c.key for c in judged.withdrawn), *bent]
-    if not any(left.values()) and not remaining["unexplained"]:
-        return nowhere(NOTHING)
-    return place_of(judged, left, asked, controls)
-
-
 def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
     """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
-    found = zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False)
-    return {
-        rate: {"coefficient": c, "twice_log_likelihood": float(gain), "words": moments_left(axis, float(gain))}
-        for (rate, c, axis), gain in found
-        if gain > CERTAIN_T**2 and rate in chosen.setup.outputs
-    }  # fmt: skip
-
-
-def _contradicted(effect: Effect, choice: Choice, verdict: Verdict) -> dict[str, Any]:
-    return {**_label(effect), "t": choice.t, "words": contradicted(effect, choice, verdict.says)}
+    rows = {}
+    for (rate, c, axis), gain in zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False):
+        if gain > CERTAIN_T**2 and rate in chosen.setup.outputs:
+            gains = f"allowing for them gains {gain:.0f} in twice the log likelihood"
+            words = f"moments act about the {axis} axis that no effect explains: {gains}"
+            rows[rate] = {"coefficient": c, "twice_log_likelihood": float(gain), "words": words}
+    return rows
 
 
 def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
-    depends = [{"state": s} for s in form.states]
+    """A curve in effects' own states that shows that they have not the form of what is missing."""
+    words = (
+        f"what is missing in {form.coefficient} does not have the form of {' and '.join(e.name for e in instead)}: beside "
+        f"{'them' if len(instead) > 1 else 'it'} a {form.name} gains {form.gain:.0f} in twice the log likelihood"
+    )
     return {
-        "coefficient": form.coefficient, "depends_on": depends, "twice_log_likelihood": form.gain, "p": form.p,
-        "words": another_form(form, instead),
+        "coefficient": form.coefficient, "depends_on": [{"state": s} for s in form.states], "twice_log_likelihood": form.gain,
+        "p": form.p, "words": words,
     }  # fmt: skip
-
-
-def _unnamed(effect: Effect, choice: Choice) -> dict[str, Any]:
-    return {**_label(effect), "t": choice.t, "words": unnamed(effect, choice)}
 
 
 def strong_of(candidates: Sequence[Mapping[str, Any]], told: Collection[str]) -> list[tuple[str, float]]:
@@ -221,13 +185,11 @@ def strong_of(candidates: Sequence[Mapping[str, Any]], told: Collection[str]) ->
 
 
 def _still_asked(effect: Effect, t: float, rank: int) -> dict[str, Any]:
-    said = {"words": still_asked(effect, t)} if rank < MOST_SAID else {}
-    return {**_label(effect), "t": t, **said}
+    return _told(effect, t, still_asked(effect, t)) if rank < MOST_SAID else {**label(effect), "t": t}
 
 
-def _label(effect: Effect) -> dict[str, str]:
-    where = {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
-    return {**where, "term": effect.term}
+def _told(effect: Effect, t: float, words: str) -> dict[str, Any]:
+    return {**label(effect), "t": t, "words": words}
 
 
 def _effect(
@@ -244,7 +206,7 @@ def _effect(
         }  # fmt: skip
         test = {"withdrawn": withdrawn, "test": row}
     return {
-        **_label(e),
+        **label(e),
         "name": e.name,
         "why": why(e, c),
         "value": value,
@@ -284,7 +246,7 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
 def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
     other = found.effects[a.key]
     row: dict[str, Any] = {
-        **_label(other), "name": other.name,
+        **label(other), "name": other.name,
         "evidence": {
             "twice_log_likelihood": a.gain, "t_of_the_effect_beside_it": a.t_beside, "likeness": a.likeness,
             "companions": [c.removeprefix("effect/") for c in a.companions],

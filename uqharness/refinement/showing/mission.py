@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,11 @@ from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
 from uqharness.parallel import usable_cores
-from uqharness.refinement.showing.pboxes import FOLDER, MissionPBox, MissionResult, no_pbox
+from uqharness.refinement.showing.pboxes import FOLDER, both_boxes, no_pbox
 from uqharness.simulator import STEADY, Aircraft, engine, find_script, open_aircraft, read_script
 from uqharness.toml import read_toml
 
 LOITER = "scripts/loiter.xml"
-PROBABILITIES = (0.05, 0.5, 0.95)
 _DEFAULT: dict[str, Any] = {
     "campaign": {"aircraft": "", "mission": LOITER, "seed": 20161201},
     "aleatory": {
@@ -86,11 +85,12 @@ def specification(data: Mapping[str, Any], model: Model) -> CampaignSpec:
 
 def fly_missions(
     models: Mapping[str, Model], campaign: Path | None, out: Path, workers: int | None, say: Say = lambda _: None
-) -> MissionResult:
-    """Fly the campaign with each of ``models`` (before, after; a single one is both) in ``out``/pbox/<name>.
+) -> dict[str, Any]:
+    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after; a single one is both) in
+    ``out``/pbox/<name>.
 
     A run that was killed goes on; a folder with another campaign in it is made anew. What stands in the way of a mission is
-    the result's reason.
+    its reason.
     """
     executor = ProcessExecutor(workers or usable_cores(), keep=True)
     frames: dict[str, pd.DataFrame] = {}
@@ -106,9 +106,7 @@ def fly_missions(
         except BadInputError as error:
             return no_pbox(str(error))
     every = list(frames.values())
-    before, after = every[0], every[-1]
-    boxes = tuple(_boxes(before, after))
-    return MissionResult(_document(spec, models, before, after, boxes), boxes)
+    return _document(spec, [f"{FOLDER}/{name}" for name in models], every[0], every[-1])
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
@@ -137,30 +135,17 @@ def _told(say: Say, name: str) -> Callable[[Progress], None]:
     return tell
 
 
-def _boxes(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionPBox]:
+def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[dict[str, Any]]:
     for metric in (*ERROR_METRICS, *UNCOMMANDED_METRICS):
         if metric.endswith("_measured") or metric not in before or metric not in after:
             continue
         for condition in conditions(before):
-            pair = [tuple(samples(in_condition(frame, condition), metric)) for frame in (before, after)]
+            pair = [samples(in_condition(frame, condition), metric) for frame in (before, after)]
             if all(any(s.values.size for s in found) for found in pair):
-                yield MissionPBox(metric, condition.label, *pair)
+                yield {"metric": metric, "condition": condition.label, **both_boxes(*pair)}
 
 
-def _document(
-    spec: CampaignSpec, models: Mapping[str, Model], before: pd.DataFrame, after: pd.DataFrame, boxes: Sequence[MissionPBox]
-) -> dict[str, Any]:  # fmt: skip
-    rows = [
-        {
-            "metric": b.metric, "condition": b.condition,
-            "quantiles": {
-                f"{p:g}": {"before": b.quantile(b.before, p), "after": b.quantile(b.after, p)} for p in PROBABILITIES
-            },
-            "width_before": b.width(b.before), "width_after": b.width(b.after),
-        }
-        for b in boxes
-    ]  # fmt: skip
-
+def _document(spec: CampaignSpec, folders: list[str], before: pd.DataFrame, after: pd.DataFrame) -> dict[str, Any]:
     def count(frame: pd.DataFrame) -> dict[str, float]:
         return {
             "flights": len(frame), "failed": int((frame["status"] != "ok").sum()),
@@ -177,6 +162,6 @@ def _document(
         "duration_s": air.duration_s,
         "before": count(before),
         "after": count(after),
-        "folders": [f"{FOLDER}/{name}" for name in models],
-        "metrics": rows,
+        "folders": folders,
+        "metrics": list(_rows(before, after)),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,51 +10,31 @@ import numpy as np
 from uqharness.statistics import Sample, envelope
 
 FOLDER = "pbox"
+PROBABILITIES = (0.05, 0.5, 0.95)
 
 
-@dataclass(frozen=True)
-class MissionPBox:
-    """One metric in one condition: samples of every corner before and after; ``value`` (n,) with both envelopes."""
+def both_boxes(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, Any]:
+    """Quantiles and widths of one metric's p-boxes before and after, from the samples of every corner.
 
-    metric: str
-    condition: str
-    before: tuple[Sample, ...]
-    after: tuple[Sample, ...]
+    A quantile is an interval, an end of it NaN where failed flights leave that open. A width is the area between the envelopes
+    over the range that both models reach, in the metric's unit.
+    """
+    value = np.unique(np.concatenate([s.values for s in (*before, *after)]))
+    boxes = {when: envelope(found, value) for when, found in (("before", before), ("after", after))}
 
-    @property
-    def values(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Every value at which a distribution function steps, before or after, in order."""
-        return np.unique(np.concatenate([s.values for s in (*self.before, *self.after)]))
+    def reached(side: np.ndarray[Any, np.dtype[np.float64]], probability: float) -> float:
+        at = np.flatnonzero(side >= probability - 1e-12)
+        return float(value[at[0]]) if at.size else float("nan")
 
-    def width(self, which: Sequence[Sample]) -> float:
-        """Area between the envelopes over the range that both models reach, in the metric's unit; NaN without a known value."""
-        value = self.values
-        if value.size == 0:
-            return float("nan")
-        lower, upper = envelope(which, value)
-        return float(np.sum((upper - lower)[:-1] * np.diff(value)))
-
-    def quantile(self, which: Sequence[Sample], probability: float) -> list[float]:
-        """Interval of a quantile; NaN where failed flights leave an end open."""
-        value = self.values
-        if value.size == 0:
-            return [float("nan"), float("nan")]
-        lower, upper = envelope(which, value)
-        ends = []
-        for side in (upper, lower):
-            reached = np.flatnonzero(side >= probability - 1e-12)
-            ends.append(float(value[reached[0]]) if reached.size else float("nan"))
-        return ends
+    return {
+        "quantiles": {
+            f"{p:g}": {when: [reached(upper, p), reached(lower, p)] for when, (lower, upper) in boxes.items()}
+            for p in PROBABILITIES
+        },
+        **{f"width_{when}": float(np.sum((upper - lower)[:-1] * np.diff(value))) for when, (lower, upper) in boxes.items()},
+    }
 
 
-@dataclass(frozen=True)
-class MissionResult:
-    """gap.test.pbox of refinement.json, and the p-boxes to draw."""
-
-    document: dict[str, Any]
-    boxes: tuple[MissionPBox, ...] = ()
-
-
-def no_pbox(reason: str) -> MissionResult:
+def no_pbox(reason: str) -> dict[str, Any]:
     """The document where nothing was flown."""
-    return MissionResult({"reason": reason, "metrics": []})
+    return {"reason": reason, "metrics": []}

@@ -9,13 +9,13 @@ again beside each.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Effect, Evidence, scores
+from sysid.effects import Effect, scores
 from sysid.estimation import rms
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, evidence_of
@@ -72,18 +72,19 @@ def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[
     if any(left.values()):
         place, goes = where_loudest([s for s in both if s.channel in left[s.flights]])
     else:
-        place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], shown.flown, controls, asked[0])
-    gone = {c.key for c in judged.withdrawn}
-    candidates, now = nearest.leaving(place["channel"], gone)
+        place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], asked[0])
+    candidates, now = nearest.leaving(place["channel"], {c.key for c in judged.withdrawn})
     effects = [judged.found.effects[k] for k, _, _ in candidates]
     return place | {
         "channel_on_train": now,
-        "candidates": [_candidate(e, t, leaves) for e, (_, t, leaves) in zip(effects, candidates, strict=True)],
+        "candidates": [
+            {**label(e), "name": e.name, "t": t, "leaves": leaves} for e, (_, t, leaves) in zip(effects, candidates, strict=True)
+        ],
         "would_tell": would_tell(None if goes is None else goes.state, effects, _loudest_manoeuvre(both, place)),
     }
 
 
-def nowhere(reason: str) -> dict[str, Any]:
+def no_place(reason: str) -> dict[str, Any]:
     """The place of nothing."""
     names = ("flights", "flight", "manoeuvre", "channel", "from_s", "to_s", "from_Hz", "to_Hz", "rms_over_noise", "share_of_excess")
     empty: dict[str, Any] = dict.fromkeys((*names, "p", "state", "channel_on_train", "would_tell"))
@@ -93,13 +94,14 @@ def nowhere(reason: str) -> dict[str, Any]:
 def series_of(flights: str, setup: Setup, shown: Shown, controls: Sequence[Array]) -> list[Series]:
     """Every channel of every segment of one side's flights."""
     return [
-        Series(flights, s.flight, s.label.split(",")[0], c, w[:, k], s.time_s, states)
-        for s, w, states in zip(setup.segments, shown.white, _states(shown.flown, controls), strict=True)
+        Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
+        for s, w, states in zip(setup.segments, shown.white, states_along(shown.flown, controls), strict=True)
         for k, c in enumerate(setup.outputs)
     ]
 
 
-def _states(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+def states_along(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+    """States and controls by name, each (n,), one mapping a segment."""
     return [
         {n: x[:, i] for i, n in enumerate(_STATES)} | {n: u[:, i] for i, n in enumerate(_CONTROLS)}
         for x, u in zip(flown.x, controls, strict=True)
@@ -114,7 +116,7 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None
     alike = [s for s in series if (s.flights, s.channel) == (best.flights, best.channel)]
     goes = goes_with([s.white for s in alike], [s.states for s in alike])
     p = 1.0 if burst is None else min(1.0, burst.p * len(found))
-    named = nowhere("") | {"flights": best.flights, "channel": best.channel, "p": p, **_state(goes)}
+    named = no_place("") | {"flights": best.flights, "channel": best.channel, "p": p, **_state(goes)}
     named["rms_over_noise"] = rms(np.concatenate([s.white for s in alike]))
     if burst is None or p > BY_CHANCE:
         return named | {"reason": f"no stretch and no band stands above the noise by more than chance gives (p {p:.2g})"}, goes
@@ -135,9 +137,8 @@ class Nearest:
 
     def __init__(self, found: Found) -> None:
         self.found = found
-        self.evidence: Evidence = evidence_of(found, found.gusts, list(found.effects))
-        effects = {*found.effects}
-        self.free = [n for n in self.evidence.names if n not in effects] + [c.key for c in found.selection.chosen]
+        self.evidence = evidence_of(found, found.gusts, list(found.effects))
+        self.free = [n for n in self.evidence.names if n not in found.effects] + [c.key for c in found.selection.chosen]
         rest = [e for e in found.effects.values() if e.key not in self.free]
         # What flew and does not stand is among the columns of the fit, beside which nothing of it would be left.
         flew = [e.key for e in rest if e.key in found.flown]
@@ -169,24 +170,24 @@ class Nearest:
         return rms(np.concatenate([e[:, k] for e in self.residual(*more)]))
 
 
-def _where_asked(
-    nearest: Nearest, series: Sequence[Series], flown: Flown, controls: Sequence[Array], key: str
-) -> tuple[dict[str, Any], With | None]:
-    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency."""
-    setup = nearest.found.setup
-    trace = nearest.trace(key)
+def _where_asked(nearest: Nearest, series: Sequence[Series], key: str) -> tuple[dict[str, Any], With | None]:
+    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency.
+
+    series: those of the train flights
+    """
+    setup, trace = nearest.found.setup, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
     s = int(np.argmax(power[:, k]))
-    segment, d = setup.segments[s], np.nan_to_num(trace[s][:, k])
+    alike = [e for e in series if e.channel == setup.outputs[k]]
+    best, d = alike[s], np.nan_to_num(trace[s][:, k])
     start, stop = densest(d**2)
-    low, high = band_of(d, 1.0 / segment.dt_s)
-    goes = goes_with([e[:, k] for e in trace], _states(flown, controls), certain=True)
-    mine = [e for e in series if e.channel == setup.outputs[k]]
+    low, high = band_of(d, 1.0 / setup.segments[s].dt_s)
+    goes = goes_with([e[:, k] for e in trace], [e.states for e in alike], certain=True)
     return {
-        "flights": "train", "flight": segment.flight, "manoeuvre": segment.label.split(",")[0], "channel": setup.outputs[k],
-        "from_s": float(segment.time_s[start]), "to_s": float(segment.time_s[stop - 1]), "from_Hz": low, "to_Hz": high,
-        "rms_over_noise": rms(np.concatenate([e.white for e in mine])),
+        "flights": "train", "flight": best.flight, "manoeuvre": best.manoeuvre, "channel": best.channel,
+        "from_s": float(best.time_s[start]), "to_s": float(best.time_s[stop - 1]), "from_Hz": low, "to_Hz": high,
+        "rms_over_noise": rms(np.concatenate([e.white for e in alike])),
         "share_of_excess": float(np.sum(d[start:stop] ** 2) / power[:, k].sum()), "p": None, **_state(goes), "reason": None,
     }, goes  # fmt: skip
 
@@ -194,21 +195,18 @@ def _where_asked(
 def _state(goes: With | None) -> dict[str, Any]:
     if goes is None:
         return {"state": None, "state_reason": "no state and no control explains more of it than chance does"}
-    state = {"state": goes.state, "low": goes.low, "high": goes.high, "share": goes.share, "of": goes.by, "p": goes.p}
-    return {"state": state, "state_reason": None}
+    return {"state": asdict(goes), "state_reason": None}
 
 
-def _candidate(effect: Effect, t: float, leaves: float) -> dict[str, Any]:
+def label(effect: Effect) -> dict[str, str]:
+    """An effect's coefficient or subsystem, and its term."""
     where = {"coefficient": effect.coefficient} if effect.coefficient is not None else {"subsystem": effect.subsystem or ""}
-    return {**where, "term": effect.term, "name": effect.name, "t": t, "leaves": leaves}
+    return {**where, "term": effect.term}
 
 
 def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tuple[str, float]:
     """Kind of manoeuvre in which the channel's residual is largest, and its rms over noise there."""
-    kinds: dict[str, list[Array]] = {}
-    for s in series:
-        if (s.flights, s.channel) == (place["flights"], place["channel"]):
-            kinds.setdefault(s.manoeuvre, []).append(s.white)
-    sizes = {kind: rms(np.concatenate(parts)) for kind, parts in kinds.items()}
-    loud = max(sizes, key=lambda kind: sizes[kind])
-    return loud, sizes[loud]
+    mine = [s for s in series if (s.flights, s.channel) == (place["flights"], place["channel"])]
+    kinds = dict.fromkeys(s.manoeuvre for s in mine)
+    sizes = {kind: rms(np.concatenate([s.white for s in mine if s.manoeuvre == kind])) for kind in kinds}
+    return max(sizes.items(), key=lambda size: size[1])

@@ -53,37 +53,40 @@ class Burst:
 @dataclass(frozen=True)
 class With:
     """The range [low, high] of a state with which a series goes, the share of its variance that the state explains, and the p-value
-    of that share among the states tried. by: "mean" where its mean changes with the state, "size" where its square does."""
+    of that share among the states tried. of: "mean" where its mean changes with the state, "size" where its square does."""
 
     state: str
     low: float
     high: float
     share: float
+    of: str
     p: float
-    by: str
 
 
 def loudest(white: Array, rate_hz: float) -> Burst | None:
     """The rectangle of largest gain in a residual over its noise (n,) at equal steps; None where no rectangle is above the noise
     or the series is shorter than `LEAST_SAMPLES`."""
-    best: tuple[float, int, Burst] | None = None
+    found: list[tuple[Burst, int]] = []
     tried = 0
     for length_s in BLOCKS_S:
         n = max(LEAST_SAMPLES, round(length_s * rate_hz), -(-len(white) // MOST_BLOCKS))
         if n > len(white):
             break
-        power, weight, edges = _periodogram(white, n, rate_hz)
-        found, rectangles = _largest(power, weight)
+        burst, rectangles = _largest(white, n, rate_hz)
         tried += rectangles
-        if found is not None and (best is None or found[0] > best[0]):
-            gain, p, (a, b, low, high) = found
-            burst = Burst(a * n, b * n, float(edges[low]), float(edges[high]), gain, p)
-            best = gain, n, burst
-    if best is None:
+        if burst is not None:
+            found.append((burst, n))
+    if not found:
         return None
-    _, n, burst = best
+    burst, n = max(found, key=lambda f: f[0].gain)
     start, stop = _sharpened(white, rate_hz, burst, n)
     return replace(burst, start=start, stop=stop, p=min(1.0, burst.p * tried))
+
+
+def _gain(S: Array, N: Array) -> Array:
+    """Equation (G) of sums S of N ordinates; 0 where they are not above the noise."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((S > N) & (N > 0.0), 2.0 * (S - N - N * np.log(S / N)), 0.0)
 
 
 def _sharpened(white: Array, rate_hz: float, burst: Burst, n: int) -> tuple[int, int]:
@@ -98,8 +101,7 @@ def _sharpened(white: Array, rate_hz: float, burst: Burst, n: int) -> tuple[int,
     stops = np.arange(max(burst.stop - n, burst.start + 1), min(burst.stop + n, len(white)) + 1)
     S = total[stops] - total[starts][:, None]
     N = ordinates * np.maximum(stops - starts[:, None], 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.where((S > N) & (N > 0.0), S - N - N * np.log(S / N), 0.0)
+    gain = _gain(S, N)
     k, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
     return (int(starts[k]), int(stops[j])) if gain[k, j] > 0.0 else (burst.start, burst.stop)
 
@@ -117,8 +119,9 @@ def _periodogram(white: Array, n: int, rate_hz: float) -> tuple[Array, Array, Ar
     return np.add.reduceat(power * weight, starts, axis=1), np.add.reduceat(weight, starts), edges
 
 
-def _largest(power: Array, weight: Array) -> tuple[tuple[float, float, tuple[int, int, int, int]] | None, int]:
-    """(gain, p of this rectangle alone, (first block, last + 1, first band, last + 1)), and how many rectangles there are."""
+def _largest(white: Array, n: int, rate_hz: float) -> tuple[Burst | None, int]:
+    """The rectangle of largest gain in blocks of n rows, p that of this rectangle alone, and how many rectangles there are."""
+    power, weight, edges = _periodogram(white, n, rate_hz)
     blocks, bands = power.shape
     total = np.zeros((blocks + 1, bands + 1))
     total[1:, 1:] = power.cumsum(axis=0).cumsum(axis=1)
@@ -126,17 +129,17 @@ def _largest(power: Array, weight: Array) -> tuple[tuple[float, float, tuple[int
     low, high = np.triu_indices(bands + 1, 1)
     per_block = count[high] - count[low]
     spread = _spread(per_block)
-    best: tuple[float, float, tuple[int, int, int, int]] | None = None
+    best: Burst | None = None
     for a in range(blocks):
         inside = total[a + 1 :] - total[a]
         S = inside[:, high] - inside[:, low]
         N = np.arange(1, blocks - a + 1)[:, None] * per_block
-        with np.errstate(divide="ignore"):
-            gain = np.where(S > N, 2.0 * (S - N - N * np.log(np.maximum(S, 1e-300) / N)), 0.0) / spread
+        gain = _gain(S, N) / spread
         j, k = np.unravel_index(int(np.argmax(gain)), gain.shape)
-        if gain[j, k] > (0.0 if best is None else best[0]):
+        if gain[j, k] > (0.0 if best is None else best.gain):
             p = float(gamma_tail(S[j, k] / spread[k], N[j, k] / spread[k]))
-            best = float(gain[j, k]), p, (a, a + int(j) + 1, int(low[k]), int(high[k]))
+            stop = (a + int(j) + 1) * n
+            best = Burst(a * n, stop, float(edges[low[k]]), float(edges[high[k]]), float(gain[j, k]), p)
     return best, blocks * (blocks + 1) // 2 * len(low)
 
 
@@ -177,7 +180,7 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
     kept = [e[k] for e, k in zip(series, known, strict=True)]
     if sum(len(e) for e in kept) <= 2 * TENTHS:
         return None
-    for by, values in (("mean", kept), ("size", [e**2 for e in kept])):
+    for of, values in (("mean", kept), ("size", [e**2 for e in kept])):
         mean = float(np.mean(np.concatenate(values)))
         pieces = [v - mean for v in values if len(v)]
         y = np.concatenate(pieces)
@@ -193,7 +196,7 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
         _, name, (share, p, low, high) = max(found, key=lambda f: f[0])
         p = min(1.0, p * 2 * len(found))
         if certain or p < BY_CHANCE:
-            return With(name, low, high, share, p, by)
+            return With(name, low, high, share, of, p)
     return None
 
 

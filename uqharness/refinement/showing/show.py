@@ -30,9 +30,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Replays:
-    """Replays [(n, m)] of flights that predictions judged, and the noise (m,) of their channels: what `compare` shows of them."""
+    """Replays of flights that predictions judged, their residuals [(n, m)] and the noise (m,) of their channels: what `compare`
+    shows of them."""
 
-    outputs: list[Array]
+    flown: Flown
+    residual: list[Array]
     noise: Array
 
 
@@ -75,8 +77,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, side.measured, side.ideal) as bench:
-        setup = with_sensors_of(setup, aircraft)
-        plain = replace(setup, active=(), carriers={})
+        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
         cut = [_as_felt(s, f, side.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
@@ -86,23 +87,23 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
         found = [(demand - said, change) for demand, said, change in gaps]
         if gusts is None:
-            flown = _replayed(bench.model, plain, start, map_)
-            residual = [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
+            flown = _replayed(bench.model, setup, start, map_)
+            residual = _residual(setup, flown)
             white = [r / setup.noise for r in residual]
             cost = flown.cost
             logdet = [0.0] * len(white)
         else:
             try:
-                gust = gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, gusts, known=True)
+                gust = gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
                 reached, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
                 deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
-                reached, rows = unfiltered(bench.model, bench.straight, plain, start, map_, gusts)
+                reached, rows = unfiltered(bench.model, bench.straight, setup, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
-            white = _as_recorded(plain, reached.point, rows)
+            white = _as_recorded(setup, reached.point, rows)
             residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
             noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
             cost = float(sum(np.nansum(r**2) for r in white))
@@ -131,7 +132,12 @@ def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, 
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
         start = replace(at, nuisance={}, starts=tuple(s.start for s in setup.segments))
-        return replace(shown, replays=Replays(_replayed(bench.model, plain, start, map_).outputs, noise))
+        flown = _replayed(bench.model, plain, start, map_)
+        return replace(shown, replays=Replays(flown, _residual(setup, flown), noise))
+
+
+def _residual(setup: Setup, flown: Flown) -> list[Array]:
+    return [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
 
 
 def _told_noise(aircraft: Aircraft, setup: Setup) -> Array:
@@ -163,11 +169,10 @@ def air_of(
     """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
     follows the flights with such a model."""
     with Bench(aircraft, measured, ideal) as bench:
-        setup = with_sensors_of(setup, aircraft)
-        plain = replace(setup, active=(), carriers={})
+        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         try:
-            return gust_refit(bench.model, bench.straight, plain, start, (), {}, map_, near, iterations=2).gusts
+            return gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
             speeds = [float(np.nanmean(c["V_mps"])) for c in setup.channels]
             return near.in_other(speeds, [s.flight for s in setup.segments])
@@ -183,6 +188,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
     """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
+    was, now = before.replays or before, after.replays or after
 
     def row(b: float, a: float, n: float) -> dict[str, float]:
         return {"rms_before": b, "rms_after": a, "noise_rms": n}
@@ -191,59 +197,24 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
         both = (np.concatenate(b), np.concatenate(a))
         return {c: row(rms(both[0][:, k]), rms(both[1][:, k]), float(noise[k])) for k, c in enumerate(setup.outputs)}
 
-    def left(shown: Shown) -> list[Array]:
-        if shown.replays is None:
-            return shown.residual
-        return [z - y for z, y in zip(setup.measured, shown.replays.outputs, strict=True)]
+    def coefficient(flown: Flown) -> float:
+        pair = (setup.measured, flown.outputs)
+        each = [theil(*(np.concatenate([z[:, k] for z in side]) for side in pair)).u for k in range(len(setup.outputs))]
+        return float(np.nanmean(each))
 
-    def coefficient(shown: Shown) -> float:
-        outputs = shown.flown.outputs if shown.replays is None else shown.replays.outputs
-        found = [
-            theil(np.concatenate([z[:, k] for z in setup.measured]), np.concatenate([y[:, k] for y in outputs])).u
-            for k in range(len(setup.outputs))
-        ]
-        return float(np.nanmean(found))
-
-    noise = after.noise if after.replays is None else after.replays.noise
     return {
-        "channels": rows(left(before), left(after), noise),
+        "channels": rows(was.residual, now.residual, now.noise),
         "predictions": {} if after.replays is None else rows(before.residual, after.residual, after.noise),
         "coefficients": {
             c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
         },
-        "theil": {"before": coefficient(before), "after": coefficient(after)},
+        "theil": {"before": coefficient(was.flown), "after": coefficient(now.flown)},
         "cost": {
             "before": before.cost,
             "after": after.cost,
             "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
         },
     }
-
-
-def whiteness(setup: Setup, residual: Sequence[Array]) -> dict[str, float]:
-    """Ljung-Box p-value of every channel's residual."""
-    return {c: ljung_box([r[:, k] for r in residual], 20) for k, c in enumerate(setup.outputs)}
-
-
-def state_ranges(setup: Setup, flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
-    """States in which regions are looked for, one mapping a segment."""
-    out = []
-    for x, u in zip(flown.x, controls, strict=True):
-        out.append(
-            {
-                "V_mps": x[:, 0],
-                "alpha_rad": x[:, 1],
-                "beta_rad": x[:, 2],
-                "abs_p_radps": np.abs(x[:, 3]),
-                "abs_q_radps": np.abs(x[:, 4]),
-                "abs_r_radps": np.abs(x[:, 5]),
-                "elevator_deg": u[:, 0],
-                "aileron_deg": u[:, 1],
-                "rudder_deg": u[:, 2],
-                "throttle_pct": u[:, 3],
-            }
-        )
-    return out
 
 
 def write_bytes_tree(source: Path, target: Path) -> None:
@@ -271,5 +242,5 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
     """What a model leaves of flights, beyond noise."""
     ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
-    p = {} if gusty else whiteness(setup, shown.residual)
+    p = {} if gusty else {c: ljung_box([r[:, k] for r in shown.residual], 20) for k, c in enumerate(setup.outputs)}
     return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))

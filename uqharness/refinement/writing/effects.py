@@ -15,7 +15,7 @@ from sysid.effects import Effect
 from sysid.units import FT_M
 from uqharness.plugin import Estimate, put_values
 from uqharness.refinement.types import Carrier, in_dynamics
-from uqharness.refinement.writing.numbers import servo_of, write_actuator, write_mass
+from uqharness.refinement.writing.numbers import servo_of, write_number
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
 from uqharness.simulator import Aircraft, copy_folder, servo_number
 from uqharness.xml import (
@@ -78,35 +78,31 @@ def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
     return (found.name, found.absent) if found is not None and found.exact else None
 
 
-def write_effects(
-    aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path, deltas: bool = False
-) -> list[str]:
+def write_effects(aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path) -> list[str]:
     """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates; names of estimates without a place.
 
-    deltas: put every new term beside the axes, although the author has a sum for it. Raises BadInputError.
+    Raises BadInputError.
     """
     copy_folder(aircraft.folder, out)
     mine = [_with_switch(w, aircraft) for w in effects if in_dynamics(w.effect)]
+    # Numbers first: an insertion counts bytes of the file as it was read.
     for w in mine:
-        # Numbers first: an insertion counts bytes of the file as it was read.
-        if w.effect.subsystem == "mass":
-            write_mass(out, aircraft, w.effect, w.value, w.remark)
-        elif (w.effect.subsystem or "").startswith("actuator."):
-            write_actuator(out, aircraft, w.effect, w.value, w.remark)
+        if property_of(w.effect) is None:
+            write_number(out, aircraft, w.effect, w.value, w.remark)
     section = read_section(out, aircraft.xml.name)
     edit = SectionEdit(section)
     plain: dict[str, Estimate] = {}
     summands: dict[str, list[str]] = {}
     for w in mine:
-        if property_of(w.effect) is None:
+        name = property_of(w.effect)
+        if name is None:
             continue
-        name = w.effect.property_name
         if w.effect.coefficient is not None and any(declaration(d, name) is not None for d in section.documents):
             plain[name] = Estimate(w.value, w.remark)
         elif _is_scale(w.effect) and folder_declares(out, THRUST_SCALE):
             plain[THRUST_SCALE] = Estimate(1.0 + w.value, w.remark)
         else:
-            edit = _add(edit, aircraft, w, summands, deltas)
+            edit = _add(edit, aircraft, w, summands)
     if summands:
         edit = add_deltas(edit, summands, "aero/effects", reference_of(aircraft), "effects found by refinement")
     for path, content in edit.files().items():
@@ -117,11 +113,8 @@ def write_effects(
 def reference_of(aircraft: Aircraft) -> Reference:
     """Area and lengths of the aircraft's card."""
     given = aircraft.card.reference
-    return Reference(
-        None if given.S_m2 is None else given.S_m2 / FT_M**2,
-        None if given.b_m is None else given.b_m / FT_M,
-        None if given.c_m is None else given.c_m / FT_M,
-    )
+    sizes = ((given.S_m2, FT_M**2), (given.b_m, FT_M), (given.c_m, FT_M))
+    return Reference(*(None if size is None else size / unit for size, unit in sizes))
 
 
 def _with_switch(w: Written, aircraft: Aircraft) -> Written:
@@ -133,34 +126,29 @@ def _is_scale(effect: Effect) -> bool:
     return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
 
 
-def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]], deltas: bool) -> SectionEdit:
-    name = w.effect.property_name
-    declared = declare(name, f"{w.value:.8g}", w.remark)
-    if w.effect.coefficient is not None:
-        assert w.effect.parsed is not None
-        factors = [prop(name), *term_xml(w.effect.parsed, edit.section, aircraft)]
-        home = None if deltas else _sum_of(edit.section, w.effect.coefficient)
+def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]]) -> SectionEdit:
+    """The effect's property, and its terms in the author's sums or as functions, whose names join ``summands``."""
+    name, term = w.effect.property_name, w.effect.parsed
+    declared = [declare(name, f"{w.value:.8g}", w.remark)]
+    if w.effect.coefficient is None or term is None:
+        terms = subsystem_terms(w.effect, w.slopes, edit.section, aircraft)
+    else:
+        terms = [(w.effect.coefficient, 1.0, term_xml(term, edit.section, aircraft))]
+        home = _sum_of(edit.section, w.effect.coefficient)
         if home is not None:
             document, total = home
+            product = Expression("product", "", (prop(name), *terms[0][2]))
             last = _last_property(document, w.effect.coefficient)
-            edit = add_functions(edit, [declared]) if last is None else edit.plus(document, after(document, last, [declared]))
-            return edit.plus(document, append_child(document, total, [Expression("product", "", tuple(factors)).line()]))
-        return _function(edit, w.effect.coefficient, name, declared, factors, summands)
-    for coefficient, number, factors in subsystem_terms(w.effect, w.slopes, edit.section, aircraft):
-        parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
-        edit = _function(edit, coefficient, name, declared, parts, summands)
-        declared = ""
-    return edit
-
-
-def _function(
-    edit: SectionEdit, coefficient: str, name: str, declared: str, factors: Sequence[Expression], summands: dict[str, list[str]]
-) -> SectionEdit:
+            edit = add_functions(edit, declared) if last is None else edit.plus(document, after(document, last, declared))
+            return edit.plus(document, append_child(document, total, [product.line()]))
     part = name.rpartition("/")[2]
-    function = f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
-    lines = [*([declared] if declared else []), *function_lines(function, "product", [f.line() for f in factors])]
-    summands.setdefault(coefficient, []).append(function)
-    return add_functions(edit, lines)
+    for coefficient, number, factors in terms:
+        parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
+        function = f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
+        edit = add_functions(edit, [*declared, *function_lines(function, "product", [f.line() for f in parts])])
+        summands.setdefault(coefficient, []).append(function)
+        declared = []
+    return edit
 
 
 def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | None:

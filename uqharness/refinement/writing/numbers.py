@@ -6,7 +6,6 @@ dead zone, as numbers alone.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from sysid.effects import Effect
@@ -45,9 +44,17 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
     return actuators(aircraft, [surface])[surface]
 
 
-def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+def write_number(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+    """The number in the aircraft's XML in ``folder`` changed that a mass or a servo effect is. Raises BadInputError."""
+    if effect.subsystem == "mass":
+        _write_mass(folder, aircraft, effect, value, remark)
+    else:
+        _write_actuator(folder, aircraft, effect, value, remark)
+
+
+def _write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
     """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x [m], with
-    the sensors' places from it. Raises BadInputError."""
+    the sensors' places from it."""
     path = folder / aircraft.xml.name
     document = read_document(path)
     block = document.root.find("mass_balance")
@@ -57,40 +64,38 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
         sign = 1.0 if attribute(block, "negated_crossproduct_inertia").lower() == "false" else -1.0
         ixz = block.find("ixz")
         if ixz is None:
-            line = f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'
-            path.write_bytes(apply(document, [append_child(document, block, [line])]))
-            return
-        unit = 1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2
-        _put(document, ixz, number(ixz, "<ixz>", document) + sign * value / unit, remark)
+            _write(document, [append_child(document, block, [f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'])])
+        else:
+            _shift(document, ixz, sign * value / (1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2), remark)
         return
     place = next((p for p in block.all("location") if attribute(p, "name") == "CG"), None)
-    x = place.find("x") if place is not None else None
+    x = None if place is None else place.find("x")
     if place is None or x is None:
         raise BadInputError(f'{path}: no <location name="CG"> to move')
-    unit = _METRES.get(attribute(place, "unit"), math.nan)
-    if math.isnan(unit):
-        raise BadInputError(f'{document.where(place)}: unit "{attribute(place, "unit")}" of the centre of gravity; use M, FT or IN')
+    unit = attribute(place, "unit")
+    if unit not in _METRES:
+        raise BadInputError(f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN')
     # Structural x points aft.
-    _put(document, x, number(x, "<x>", document) - value / unit, remark)
+    _shift(document, x, -value / _METRES[unit], remark)
     sensors_from_cg(folder / "airframe.toml", value, remark)
 
 
-def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
-    """The actuator's own number changed: lag [1/s], rate_limit or deadband_width; the first two as a property before the channel.
-    Raises BadInputError."""
+def _write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+    """The servo's own number changed: lag [1/s], rate_limit or deadband_width; the first two as a property before the channel."""
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
-    document, actuator = _actuator(folder, position)
-    if document is None or actuator is None:
+    found = _actuator(folder, position)
+    if found is None:
         raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}")
+    document, actuator = found
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     servo, name = servo_of(effect, aircraft), effect.property_name
     tag = _TAGS[effect.term]
     own = actuator.find(tag)
-    if servo is None:
-        new = value + (0.0 if own is None else number(own, f"<{tag}>", document))
-        edits = [_as_text(document, actuator, own, tag, f"{new:.8g}", f"  {comment(remark)}")]
-        edits += [] if own is None else [remarked(document, own, remark)]
+    if servo is None and own is not None:
+        _shift(document, own, value, remark)
+    elif servo is None:
+        _write(document, [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])])
     else:
         text = f"{servo_number(servo, effect.term, value):.8g}"
         declared = declaration(document, name)
@@ -98,31 +103,25 @@ def write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: floa
             # The aircraft carries this effect already.
             edits = [with_attribute(document, declared, "value", text), remarked(document, declared, remark)]
         else:
-            edits = [
-                before(document, _channel(actuator), [declare(name, text, remark)]),
-                _as_text(document, actuator, own, tag, name),
-            ]
-    document.path.write_bytes(apply(document, sorted(edits, key=lambda e: e.at)))
+            named = append_child(document, actuator, [f"<{tag}>{name}</{tag}>"]) if own is None else with_text(document, own, name)
+            edits = [before(document, _channel(actuator), [declare(name, text, remark)]), named]
+        _write(document, edits)
 
 
-def _put(document: Document, node: Node, value: float, remark: str) -> None:
-    edits = [with_text(document, node, f"{value:.8g}"), remarked(document, node, remark)]
+def _shift(document: Document, node: Node, by: float, remark: str) -> None:
+    """The number in an element moved, with a remark behind it."""
+    edits = [with_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"), remarked(document, node, remark)]
+    _write(document, edits)
+
+
+def _write(document: Document, edits: list[Insertion]) -> None:
     document.path.write_bytes(apply(document, edits))
 
 
-def _as_text(document: Document, actuator: Node, own: Node | None, tag: str, text: str, behind: str = "") -> Insertion:
-    if own is not None:
-        return with_text(document, own, text)
-    return append_child(document, actuator, [f"<{tag}>{text}</{tag}>{behind}"])
-
-
-def _actuator(folder: Path, position: str | None) -> tuple[Document | None, Node | None]:
-    for path in sorted(folder.rglob("*.xml")):
-        document = read_document(path)
-        for node in document.root.walk():
-            if node.tag == "actuator" and attribute(node, "name") == position:
-                return document, node
-    return None, None
+def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
+    documents = (read_document(path) for path in sorted(folder.rglob("*.xml")))
+    named = ((d, n) for d in documents for n in d.root.walk() if n.tag == "actuator" and attribute(n, "name") == name)
+    return next(named, None)
 
 
 def _channel(node: Node) -> Node:

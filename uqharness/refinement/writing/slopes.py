@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import Selection
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.reference import Probe
@@ -16,11 +17,7 @@ from uqharness.refinement.writing.terms import INFLOW_POWERS
 def control_slopes(fit: Fit) -> dict[str, float]:
     """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
     by = np.concatenate([p.by_control for p in fit.probes])
-    out = {
-        f"{c}_{u}": float(by[:, k, j].mean())
-        for u, j in (("de", 0), ("dr", 2))
-        for k, c in enumerate(("CX", "CY", "CZ", "Cl", "Cm", "Cn"))
-    }
+    out = {f"{c}_{u}": float(by[:, k, j].mean()) for u, j in (("de", 0), ("dr", 2)) for k, c in enumerate(COEFFICIENTS)}
     slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
     return {**out, "CZ_alpha": float(slope.mean()), **inflow_numbers(fit.probes)}
 

@@ -12,9 +12,10 @@ from uqharness.simulator import Aircraft
 from uqharness.xml import AeroSection, Expression, call, computes, prop, value
 
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
-
 INFLOW_POWERS = 4
 """Numbers of the polynomial over CT that inflow is written as."""
+_CONTROLS = {"de": "elevator_pos_deg", "da": "aileron_pos_deg", "dr": "rudder_pos_deg", "dt": "throttle_pct"}
+_QBAR_S = (prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
 
 
 def _computes(section: AeroSection, name: str) -> bool:
@@ -37,21 +38,19 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
     if variable in ("p_hat", "q_hat", "r_hat"):
         if _computes(section, f"aero/{variable}"):
             return prop(f"aero/{variable}")
-        axis = variable[0]
-        return call("product", _per_rate("c" if axis == "q" else "b", section), prop(f"velocities/{axis}-aero-rad_sec"))
-    if variable == "alphadot_hat":
-        return call("product", _per_rate("c", section), prop("aero/alphadot-rad_sec"))
-    if variable == "betadot_hat":
-        return call("product", _per_rate("b", section), prop("aero/betadot-rad_sec"))
-    if variable in ("de", "da", "dr", "dt"):
-        control = {"de": "elevator", "da": "aileron", "dr": "rudder", "dt": "throttle"}[variable]
-        source, factor = state_source("throttle_pct" if control == "throttle" else f"{control}_pos_deg", aircraft)
-        factor *= 0.01 if control == "throttle" else 1.0
+        rate, length = f"velocities/{variable[0]}-aero-rad_sec", "c" if variable == "q_hat" else "b"
+        return call("product", _per_rate(length, section), prop(rate))
+    if variable in ("alphadot_hat", "betadot_hat"):
+        rate = variable.removesuffix("_hat")
+        return call("product", _per_rate("c" if rate == "alphadot" else "b", section), prop(f"aero/{rate}-rad_sec"))
+    if variable in _CONTROLS:
+        source, factor = state_source(_CONTROLS[variable], aircraft)
+        factor *= 0.01 if variable == "dt" else 1.0
         return prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
         force = call("product", value(1.0 / LBF_N, ".10g"), prop(thrust)) if thrust else prop("forces/fbx-prop-lbs")
-        return call("quotient", force, call("product", prop("aero/qbar-psf"), prop("metrics/Sw-sqft")))
+        return call("quotient", force, call("product", *_QBAR_S))
     if variable == "V_rel":
         return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), prop("velocities/vt-fps"))
     if variable == "h_over_b":
@@ -82,34 +81,34 @@ def subsystem_terms(
     def x(name: str) -> Expression:
         return variable_xml(name, section, aircraft)
 
-    part, term = effect.subsystem, effect.term
-    if part == "propulsion":
-        if term == "thrust_scale":
+    match effect.subsystem, effect.term:
+        case "propulsion", "thrust_scale":
             return [("CX", 1.0, [x("CT")])]
-        if term == "airspeed":
+        case "propulsion", "airspeed":
             return [("CX", 1.0, [x("CT"), call("difference", x("V_rel"), value(1, "g"))])]
-        if term == "inflow":
+        case "propulsion", "inflow":
             # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of CT: a cubic of it.
             CT, numbers = x("CT"), [slopes.get(f"inflow_{k}", 0.0) for k in range(INFLOW_POWERS)]
             curve = value(numbers[-1], ".8g")
             for number in reversed(numbers[:-1]):
                 curve = call("sum", value(number, ".8g"), call("product", CT, curve))
             return [("CX", 1.0, [curve])]
-        if term == "torque":
+        case "propulsion", "torque":
             return [("Cl", 1.0, [x("CT")])]
-        if term == "p_factor":
+        case "propulsion", "p_factor":
             return [("Cn", -1.0, [x("CT"), x("alpha")]), ("Cm", -1.0, [x("CT"), x("beta")])]
-        rows = [(c, slopes.get(f"{c}_de", 0.0), [x("de"), x("CT")]) for c in ("CZ", "Cm")]
-        rows += [(c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")]
-        return [r for r in rows if r[1] != 0.0]
-    if part == "stall":
-        return [("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(term, section)])]
-    if part == "ground":
-        near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
-        # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
-        with_effect = call("sum", value(1, "g"), call("product", prop(effect.property_name), near))
-        force = call("product", prop("aero/qbar-psf"), prop("metrics/Sw-sqft"), with_effect)
-        return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
+        case "propulsion", "slipstream":
+            rows = [(c, slopes.get(f"{c}_de", 0.0), [x("de"), x("CT")]) for c in ("CZ", "Cm")]
+            rows += [(c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")]
+            return [r for r in rows if r[1] != 0.0]
+        case "stall", _:
+            return [("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])]
+        case "ground", _:
+            near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
+            # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
+            with_effect = call("sum", value(1, "g"), call("product", prop(effect.property_name), near))
+            force = call("product", *_QBAR_S, with_effect)
+            return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
 
 

@@ -75,11 +75,16 @@ def _verdict(found: Mapping[str, Any]) -> tuple[Say, ...]:
     return tuple(said)
 
 
+def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, list[float | None]]:
+    """``q [deg/s]`` of a channel or coefficient, and numbers of its row in that unit; None for one that is not known."""
+    quantity, unit, factor = shown_channel(name)
+    return f"{quantity} [{unit}]", [None if row.get(key) is None else factor * row[key] for key in keys]
+
+
 def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
     rows = []
     for name, row in channels.items():
-        quantity, unit, factor = shown_channel(name)
-        rms, noise = (None if row[k] is None else factor * row[k] for k in ("rms", "noise"))
+        label, (rms, noise) = in_shown_unit(name, row, "rms", "noise")
         ratio = row["ratio"]
         judged = row.get("judged", True)
         level: Level = "" if not judged or ratio is None else "good" if ratio <= LIMIT else "bad"
@@ -91,7 +96,7 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         if row.get("delay_s") is None:
             delay = f"undefined: {row.get('delay_undefined') or 'no reason recorded'}"
         theil = shown(row.get("theil_u"), ".3f")
-        rows.append((f"{quantity} [{unit}]", shown(rms), *sizes, Cell(answer, level), delay, theil))
+        rows.append((label, shown(rms), *sizes, Cell(answer, level), delay, theil))
     head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Answer", "Delay [ms]", "Theil's U")
     ratios = {
         shown_channel(c)[0]: {"model": r["ratio"]}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from uqharness.refinement.showing import carried_by, test_says
 from uqharness.report.pages.refine_candidates import LEGEND, candidate_figure
+from uqharness.report.pages.refine_words import carried_by, test_says
 from uqharness.report.parts import Block, Bullets, Code, Figure, Figures, Section, Table, Words, shown
 from uqharness.report.svg import Scale, rows_chart
 

@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.refinement.showing import smooth_says
 from uqharness.replay import shown_channel
+from uqharness.report.pages.compare import in_shown_unit
 from uqharness.report.pages.refine_effects import capital
+from uqharness.report.pages.refine_words import smooth_says
 from uqharness.report.parts import Figure, Figures, Say, Section, Table, Words, shown
 from uqharness.report.svg import Chart, scale
+
+RMS = ("rms_before", "rms_after", "noise_rms")
+"""What a refinement says of a channel or a coefficient."""
 
 
 def smooth_lines(done: Mapping[str, Any]) -> tuple[Say, ...]:
@@ -60,10 +64,8 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
         gap = smooth["gap"][side]
         channels = gap.get("predictions") or gap["channels"]
         for name, found in ((smooth["channel"], channels), (smooth["coefficient"], gap["coefficients"])):
-            quantity, unit, factor = shown_channel(name)
-            r = found[name]
-            values = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
-            rows.append((f"{flights}: {quantity} [{unit}]", *(shown(v) for v in values)))
+            label, values = in_shown_unit(name, found[name], *RMS)
+            rows.append((f"{flights}: {label}", *(shown(v) for v in values)))
     head = ("Flights and quantity", "Without the term", "With it", "Noise")
     return Table("Rms of log minus model without and with the term, beside the effects that stand.", head, tuple(rows), True)
 

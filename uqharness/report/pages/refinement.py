@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.refinement.showing import Refinement, carried_by, left_over, nowhere, place_says, test_says
+from uqharness.refinement_document import Refinement
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
-from uqharness.report.pages.compare import ratio_figure
+from uqharness.report.pages.compare import in_shown_unit, ratio_figure
 from uqharness.report.pages.refine_effects import capital, effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
-from uqharness.report.pages.refine_unnamed import smooth_lines, smooth_sections
+from uqharness.report.pages.refine_unnamed import RMS, smooth_lines, smooth_sections
+from uqharness.report.pages.refine_words import carried_by, left_over, nowhere, place_says, test_says
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -116,12 +117,12 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
 
 
 def _largest_fall(gap: Mapping[str, Any]) -> str:
-    rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in ("rms_before", "rms_after", "noise_rms"))}
+    rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
     if not rows:
         return ""
     name = max(rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"])
     quantity, unit, factor = shown_channel(name)
-    before, after, noise = (factor * rows[name][k] for k in ("rms_before", "rms_after", "noise_rms"))
+    before, after, noise = (factor * rows[name][k] for k in RMS)
     return (
         f"On the test flights the error of {quantity} goes from {before:.3g} to {after:.3g} {unit} (rms), "
         f"beside noise of {noise:.3g} {unit}."
@@ -174,15 +175,14 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     for kind in ("channels", "coefficients"):
         ratios = {}
         for name, r in gap.get(kind, {}).items():
-            quantity, unit, factor = shown_channel(name)
-            before, after, noise = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
+            label, (before, after, noise) = in_shown_unit(name, r, *RMS)
             if before is not None and after is not None and noise:
-                ratios[quantity] = {"before": before / noise, "after": after / noise}
+                ratios[shown_channel(name)[0]] = {"before": before / noise, "after": after / noise}
                 same = shown(after) == shown(before)
                 answer = Cell(shown(after), "" if same else "good" if after < before else "bad")
             else:
                 answer = Cell(shown(after))
-            rows.append((f"{quantity} [{unit}]", shown(before), answer, shown(noise)))
+            rows.append((label, shown(before), answer, shown(noise)))
         series = [("before", "second", "ring"), ("after", "first", "disc")]
         figure = ratio_figure(f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights")
         figures += [figure] if figure else []
@@ -210,9 +210,8 @@ _TURBULENT = (
 def _prediction_table(predictions: Mapping[str, Any]) -> Table:
     rows = []
     for name, r in predictions.items():
-        quantity, unit, factor = shown_channel(name)
-        values = (None if r.get(k) is None else factor * r[k] for k in ("rms_before", "rms_after", "noise_rms"))
-        rows.append((f"{quantity} [{unit}]", *(shown(v) for v in values)))
+        label, values = in_shown_unit(name, r, *RMS)
+        rows.append((label, *(shown(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
     return Table("Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True)
 

@@ -11,7 +11,7 @@ from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of
 from uqharness.campaign.conditions import conditions
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
-from uqharness.refinement.showing import Refinement
+from uqharness.refinement_document import Refinement
 from uqharness.replay import HISTORIES, read_histories
 from uqharness.report.campaign import CampaignFound, answer_level, span
 from uqharness.report.ground_track import ground_track, lap_of, track_distance

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.showing.content import Place
-from uqharness.refinement.showing.remains import NOTHING, Series, nowhere, where_loudest
-from uqharness.refinement.showing.words import place_says, would_tell
+from uqharness.refinement.showing.remains import NOTHING, Series, no_place, where_loudest
+from uqharness.refinement.showing.words import would_tell
+from uqharness.refinement_document import Place
+from uqharness.report.pages.refine_words import place_says
 
 RATE = 50.0
 TIME = np.arange(1500) / RATE
@@ -98,8 +99,8 @@ def test_a_place_is_told_in_three_lines():
 
 
 def test_nothing_left_says_nothing():
-    assert place_says(nowhere(NOTHING) | {"channel": None}) == []
-    Place.model_validate(nowhere(NOTHING))
+    assert place_says(no_place(NOTHING) | {"channel": None}) == []
+    Place.model_validate(no_place(NOTHING))
 
 
 @pytest.mark.parametrize("lost", [{"from_s": None}, {"flight": None}, {"would_tell": None}, {"channel_on_train": None}])

@@ -84,7 +84,7 @@ def test_a_residual_goes_with_the_state_that_makes_it():
     mean = np.where(x["alpha_rad"] > 0.6, 2.0, 0.0)
     found = goes_with([noise(2, 3000) + mean], [x])
     assert found is not None
-    assert (found.state, found.by) == ("alpha_rad", "mean")
+    assert (found.state, found.of) == ("alpha_rad", "mean")
     assert found.low == pytest.approx(0.6, abs=0.05)
     assert found.high == pytest.approx(1.0, abs=0.01)
     assert found.share == pytest.approx(np.var(mean) / (np.var(mean) + 1.0), abs=0.05)
@@ -94,7 +94,7 @@ def test_a_residual_whose_sign_changes_goes_with_a_state_by_its_size():
     x = states(3)
     found = goes_with([noise(4, 3000) * np.where(np.abs(x["p_radps"]) > 0.7, 4.0, 1.0)], [x])
     assert found is not None
-    assert (found.state, found.by) == ("p_radps", "size")
+    assert (found.state, found.of) == ("p_radps", "size")
 
 
 def test_noise_goes_with_no_state_white_or_coloured():

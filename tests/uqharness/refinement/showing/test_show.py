@@ -25,15 +25,15 @@ from uqharness.identification.compare import compare
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.refinement.setup import make_setup, setup_in_gusts
-from uqharness.refinement.showing.content import Place
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refinement.showing.mission import Model, campaign_for, fly_missions
-from uqharness.refinement.showing.pboxes import MissionPBox
+from uqharness.refinement.showing.pboxes import both_boxes
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
-from uqharness.refinement.showing.words import left_over, nowhere
 from uqharness.refinement.types import Point, Side
+from uqharness.refinement_document import Place
 from uqharness.replay.flights import prepare, read_flights
+from uqharness.report.pages.refine_words import left_over, nowhere
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import find_aircraft
@@ -222,13 +222,12 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
 def test_pbox_numbers_in_closed_form():
     """Two corners, one of them 1 to 4 and the other 3 to 6: envelopes two apart, area 2, medians [2, 4]."""
     low, high = (Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0)))
-    box = MissionPBox("cross_track_median_m", "calm", (low, high), (low,))
-    assert box.width(box.before) == pytest.approx(2.0)
-    assert box.width(box.after) == 0.0
-    assert box.quantile(box.before, 0.5) == [2.0, 4.0]
-    assert box.quantile(box.after, 0.5) == [2.0, 2.0]
+    found = both_boxes((low, high), (low,))
+    assert found["width_before"] == pytest.approx(2.0)
+    assert found["width_after"] == 0.0
+    assert found["quantiles"]["0.5"] == {"before": [2.0, 4.0], "after": [2.0, 2.0]}
     failed = replace(low, values=low.values[:3], unknown=1)
-    assert np.isnan(box.quantile((failed,), 0.95)[1])
+    assert np.isnan(both_boxes((low, high), (failed,))["quantiles"]["0.95"]["after"][1])
 
 
 @pytest.mark.slow
@@ -245,8 +244,8 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
 
     def flown(which):
         result = fly_missions({"before": Model(which, form)}, campaign, tmp_path, 1, told.append)
-        assert result.document["reason"] is None
-        return result.document
+        assert result["reason"] is None
+        return result
 
     first = flown(aircraft)
     assert told

@@ -1,4 +1,4 @@
-"""Sentences about effects: numbers with the figures that their standard error leaves them."""
+"""Sentences about what is left: of moments, and of candidates that are still asked for."""
 
 from __future__ import annotations
 
@@ -7,28 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing import words
 from uqharness.refinement.showing.document import moments_of, strong_of
-
-
-@pytest.mark.parametrize(
-    ("change", "std", "text"),
-    [
-        (64560.0, 479.9, "+64560 ± 480"), (12.345, 1.2345, "+12.35 ± 1.23"), (-30.0, 5.0, "-30.00 ± 5.00"),
-        (123456.0, 98765.0, "+123500 ± 98800"), (0.01234, 0.00099, "+0.012340 ± 0.000990"), (4.0, 0.0, "+4 ± 0"),
-    ],
-)  # fmt: skip
-def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
-    said = words.test_says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
-    assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
-
-
-def test_the_share_of_an_estimate_is_told_where_it_says_something():
-    test = {"gap": "cannot tell", "change_of_twice_log_likelihood": -31.0, "std": 59.0, "share_of_estimate": 0.39}
-    said = words.test_says({"withdrawn": True, "test": {**test, "share_std": 0.21}})
-    assert said.endswith("with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains")
-    for vague in ({"share_std": 0.7}, {"share_std": None}, {"share_of_estimate": None, "share_std": None}):
-        assert "fits them best" not in words.test_says({"test": {**test, **vague}})
 
 
 @pytest.mark.parametrize(("gains", "told"), [((5.0, 99.0, np.nan), []), ((5.0, 400.0, 101.0), ["Cm", "Cn"])])

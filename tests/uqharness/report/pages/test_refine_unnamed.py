@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing.content import Smooth
+from uqharness.refinement_document import Smooth
 from uqharness.report.pages.refine_unnamed import smooth_lines, smooth_sections
 from uqharness.report.parts import Figures, Table, Words
 

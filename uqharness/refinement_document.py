@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from uqharness.result_documents import Ends, FolderName, Number, Part
+from uqharness.result_documents import Ends, FolderName, Number, Numbers, Part
 
 
 class Evidence(Part):
-    """What speaks for an effect."""
+    """What speaks for an effect, or for an alternative in its place."""
 
     interval_95: Ends | None = None
     t: Number = None
     twice_log_likelihood: Number = None
     confirmed_on_held_out_manoeuvres: Number = None
     held_out_estimate_differs_by_std: Number = None
-
-
-class InPlace(Part):
-    """What an alternative explains in the effect's place."""
-
-    twice_log_likelihood: Number = None
 
 
 class Alternative(Part):
@@ -32,7 +26,7 @@ class Alternative(Part):
     term: str = ""
     coefficient: str | None = None
     subsystem: str | None = None
-    evidence: InPlace = InPlace()
+    evidence: Evidence = Evidence()
     separable: bool
     would_separate: str = ""
 
@@ -187,18 +181,25 @@ class Interval(Part):
     coverage_std_after: Number
 
 
-class Intervals(Part):
-    """Intervals on the test flights, or the reason why there are none."""
+class Reasoned(Part):
+    """What is whole, or has the reason why it is not there."""
+
+    reason: str | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        lacking = sorted({*type(self).model_fields} - {*self.model_fields_set, "reason"})
+        if self.reason is None and lacking:
+            raise ValueError(f"needs {', '.join(lacking)}, or a reason")
+        return self
+
+
+class Intervals(Reasoned):
+    """Intervals on the test flights."""
 
     reason: str | None
     confidence: float = 0.0
     coefficients: dict[str, Interval] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _whole(self) -> Intervals:
-        if self.reason is None and not self.model_fields_set >= {"confidence", "coefficients"}:
-            raise ValueError("intervals need confidence and coefficients, or a reason")
-        return self
 
 
 class Failed(Part):
@@ -207,10 +208,9 @@ class Failed(Part):
     failed: int
 
 
-class Mission(Part):
-    """A mission flown with both models, or the reason why it was not."""
+class Mission(Reasoned):
+    """A mission flown with both models."""
 
-    reason: str | None = None
     folders: Annotated[list[FolderName], Field(max_length=2)] = Field(default_factory=list)
     mission: str = ""
     corners: int = 0
@@ -219,20 +219,6 @@ class Mission(Part):
     before: Failed = Failed(failed=0)
     after: Failed = Failed(failed=0)
 
-    @model_validator(mode="after")
-    def _whole(self) -> Mission:
-        needed = {"folders", "mission", "corners", "flights_per_corner", "duration_s", "before", "after"}
-        if self.reason is None and not self.model_fields_set >= needed:
-            raise ValueError(f"a mission needs {', '.join(sorted(needed - self.model_fields_set))}, or a reason")
-        return self
-
-
-class Theil(Part):
-    """Theil's U before and after."""
-
-    before: Number = None
-    after: Number = None
-
 
 class GapShown(Part):
     """The gap on the test flights; predictions: errors one sample ahead, where those judged."""
@@ -240,7 +226,7 @@ class GapShown(Part):
     channels: dict[str, BeforeAfter]
     predictions: dict[str, BeforeAfter] = Field(default_factory=dict)
     coefficients: dict[str, BeforeAfter]
-    theil: Theil = Theil()
+    theil: Numbers = Field(default_factory=dict)
     intervals: Intervals | None = None
     pbox: Mission | None = None
 
@@ -322,19 +308,17 @@ class Switch(Part):
     off: float
 
 
-class Refused(Part):
-    """The best candidate that was refused."""
-
-    effect: str
-    why: str
-    t: Number = None
-
-
 class Score(Part):
     """A candidate."""
 
     effect: str
     t: Number = None
+
+
+class Refused(Score):
+    """The best candidate that was refused."""
+
+    why: str
 
 
 class Candidates(Part):

@@ -1,0 +1,27 @@
+"""Sentences about effects: numbers with the figures that their standard error leaves them."""
+
+from __future__ import annotations
+
+import pytest
+
+from uqharness.report.pages.refine_words import test_says as says
+
+
+@pytest.mark.parametrize(
+    ("change", "std", "text"),
+    [
+        (64560.0, 479.9, "+64560 ± 480"), (12.345, 1.2345, "+12.35 ± 1.23"), (-30.0, 5.0, "-30.00 ± 5.00"),
+        (123456.0, 98765.0, "+123500 ± 98800"), (0.01234, 0.00099, "+0.012340 ± 0.000990"), (4.0, 0.0, "+4 ± 0"),
+    ],
+)  # fmt: skip
+def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
+    said = says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
+    assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
+
+
+def test_the_share_of_an_estimate_is_told_where_it_says_something():
+    test = {"gap": "cannot tell", "change_of_twice_log_likelihood": -31.0, "std": 59.0, "share_of_estimate": 0.39}
+    said = says({"withdrawn": True, "test": {**test, "share_std": 0.21}})
+    assert said.endswith("with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains")
+    for vague in ({"share_std": 0.7}, {"share_std": None}, {"share_of_estimate": None, "share_std": None}):
+        assert "fits them best" not in says({"test": {**test, **vague}})
