@@ -64,7 +64,8 @@ class OpenEquations:
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt (13,)."""
         p, q, r = x[3], x[4], x[5]
-        sf, cf, st, ct = trig = sines(x)
+        trig = sines(x)
+        sf, cf, st, ct = trig[:4]
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta, trig)
         own = flow_rates(x, (ax, ay, az), trig, self.gravity)
         Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x, trig), strict=True))

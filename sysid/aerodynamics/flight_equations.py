@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-Trig = tuple[Any, Any, Any, Any]
+Trig = tuple[Any, Any, Any, Any, Any, Any, Any, Any]
 LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
 """T_p V, T_q V, T_r V in spans, MIL-F-8785C 3.7.5."""
 _IMAGINARY = 1e-20
@@ -20,8 +20,20 @@ _ORDERS = 5
 
 
 def sines(x: Any) -> Trig:
-    """sin phi, cos phi, sin theta, cos theta of a state x: computed once, they serve every method."""
-    return np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7])
+    """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every method."""
+    return (
+        np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7]), np.sin(x[1]), np.cos(x[1]), np.sin(x[2]), np.cos(x[2])
+    )  # fmt: skip
+
+
+def sines_near(own: Trig, x: Any) -> Trig:
+    """The same of a complex state whose imaginary part is too small for a second order, ``own`` being those of its real part."""
+    sf, cf, st, ct, sa, ca, sb, cb = own
+    phi, theta, alpha, beta = x[6].imag, x[7].imag, x[1].imag, x[2].imag
+    return (
+        complex(sf, cf * phi), complex(cf, -sf * phi), complex(st, ct * theta), complex(ct, -st * theta),
+        complex(sa, ca * alpha), complex(ca, -sa * alpha), complex(sb, cb * beta), complex(cb, -sb * beta),
+    )  # fmt: skip
 
 
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
@@ -32,7 +44,7 @@ def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
 
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
-    sf, cf, st, ct = trig
+    sf, cf, st, ct = trig[:4]
     along, across = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
     seen = along - (st - ct * along) * (1.0 - x[11] / x[0])
     _, T_q, T_r = gust_lags_s(gusts, x[0])
@@ -43,14 +55,14 @@ def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
     """The air's rotation in body axes [rad/s] by that in heading axes."""
     p_h, q_h, r_h = levelled
-    sf, cf, st, ct = trig
+    sf, cf, st, ct = trig[:4]
     upright = st * p_h + ct * r_h
     return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad/s]."""
-    sf, cf, _, ct = trig
+    sf, cf, _, ct = trig[:4]
     dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
     u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
     sideways = dpsi * u_h / x[0]
@@ -60,7 +72,7 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
 def gust_rates(gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any, Any, Any]:
     """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta, phi (`turning` included)."""
     dV, dalpha, dbeta, dphi = rated
-    sf, cf, st, ct = trig
+    sf, cf, st, ct = trig[:4]
     p_h, q_h, r_h = level(gusts, x, trig)
     lift, slip = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
     along = cf * dalpha + sf * dbeta + dphi * slip
@@ -75,9 +87,8 @@ def gust_rates(gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any], trig: Trig)
 
 def flow_rates(x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float) -> tuple[Any, Any, Any]:
     """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and weight."""
-    V, alpha, beta, p, q, r = x[0], x[1], x[2], x[3], x[4], x[5]
-    sf, cf, st, ct = trig
-    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    V, p, q, r = x[0], x[3], x[4], x[5]
+    sf, cf, st, ct, sa, ca, sb, cb = trig
     ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
     ud = felt[0] + r * vb - q * wb - gravity * st
     vd = felt[1] + p * wb - r * ub + gravity * ct * sf
@@ -111,10 +122,9 @@ class Along(NamedTuple):
     by_flow: Any
 
 
-def motion(x: Any, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any) -> None:
+def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any) -> None:
     """dx/dt of one state into ``rate`` and the outputs into ``seen`` (11,); forces linear about the reference ``at``, whose own are
-    ``load`` (6,). work (12,) is written over."""
-    trig = sines(x)
+    ``load`` (6,). trig: `sines` of x; work (12,) is written over."""
     for i in range(6):
         work[i] = x[i] - at.x[i]
     if body.gusty:
@@ -132,8 +142,10 @@ def motion(x: Any, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: An
         own = flow_rates(x, nothing, trig, body.gravity)
         for i in range(6):
             work[i] += at.x[i]
+        zero = 0.0 * x[0]
         there = (
-            np.sin(at.x[6]) + 0.0 * x[0], np.cos(at.x[6]) + 0.0 * x[0], np.sin(at.x[7]) + 0.0 * x[0], np.cos(at.x[7]) + 0.0 * x[0]
+            np.sin(at.x[6]) + zero, np.cos(at.x[6]) + zero, np.sin(at.x[7]) + zero, np.cos(at.x[7]) + zero,
+            np.sin(work[1]), np.cos(work[1]), np.sin(work[2]), np.cos(work[2]),
         )  # fmt: skip
         before = flow_rates(work, nothing, there, body.gravity)
         for i in range(6):
@@ -146,7 +158,7 @@ def motion(x: Any, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: An
     h2 = J[2, 0] * p + J[2, 1] * q + J[2, 2] * r
     m0, m1, m2 = work[9] - (q * h2 - r * h1), work[10] - (r * h0 - p * h2), work[11] - (p * h1 - q * h0)
     Vd, alphad, betad = flow_rates(x, felt, trig, body.gravity)
-    sf, cf, st, ct = trig
+    sf, cf, st, ct = trig[:4]
     phid = p + st / ct * (q * sf + r * cf)
     if body.gusty:
         dV, dalpha, dbeta = turning(body.gusts, x, trig)
@@ -171,7 +183,7 @@ def _rated(x, body, along, load, rate, seen):  # type: ignore[no-untyped-def]
     work = np.empty(12)
     for k in range(len(x)):
         at = Along(along.x[k], along.load[k], along.slopes[k], along.by_flow[k])
-        motion(x[k], body, at, load[k], work, rate[k], seen[k])
+        motion(x[k], sines(x[k]), body, at, load[k], work, rate[k], seen[k])
 
 
 def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
@@ -182,6 +194,7 @@ def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
     rate, seen = np.empty(size, dtype=np.complex128), np.empty(11, dtype=np.complex128)
     for k in range(len(x)):
         at = Along(along.x[k], along.load[k], along.slopes[k], along.by_flow[k])
+        own = sines(x[k])
         for j in range(size + 6):
             moved[:] = x[k]
             load[:] = along.load[k]
@@ -189,7 +202,7 @@ def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
                 moved[j] += complex(0.0, _IMAGINARY)
             else:
                 load[j - size] += complex(0.0, _IMAGINARY)
-            motion(moved, body, at, load, work, rate, seen)
+            motion(moved, sines_near(own, moved), body, at, load, work, rate, seen)
             for i in range(size + 11):
                 found = (rate[i].imag if i < size else seen[i - size].imag) / _IMAGINARY
                 if j < size:
@@ -209,15 +222,18 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
         for i in range(size):
             for k in range(size):
                 a = power[i, k] * h
-                for c in range(size):
-                    next_[i, c] += a * A[k, c]
+                # Most states do not move most others, and the first power is a unit matrix.
+                if a != 0.0:
+                    for c in range(size):
+                        next_[i, c] += a * A[k, c]
         factorial *= j
+        whole, first, last = 1.0 / factorial, h / (factorial * (j + 2)), h / (factorial * (j + 1) * (j + 2))
         for i in range(size):
             for c in range(size):
                 power[i, c] = next_[i, c]
-                phi[i, c] += power[i, c] / factorial  # 1/j!
-                to0[i, c] += h * power[i, c] / (factorial * (j + 2))  # (j+1)/(j+2)! = 1/(j! (j+2))
-                to1[i, c] += h * power[i, c] / (factorial * (j + 1) * (j + 2))  # 1/(j+2)!
+                phi[i, c] += whole * power[i, c]  # 1/j!
+                to0[i, c] += first * power[i, c]  # (j+1)/(j+2)! = 1/(j! (j+2))
+                to1[i, c] += last * power[i, c]  # 1/(j+2)!
 
 
 def _stepped(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
@@ -249,6 +265,6 @@ def loops() -> Loops:
     """Compiled when they are first called."""
     from sysid.linalg.compiled import compiled, within
 
-    for part in (sines, gust_lags_s, level, rotation, turning, gust_rates, flow_rates, motion, _series):
+    for part in (sines, sines_near, gust_lags_s, level, rotation, turning, gust_rates, flow_rates, motion, _series):
         within(part)
     return Loops(compiled(_rated), compiled(_slopes), compiled(_stepped))

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from sysid.aerodynamics import flight_equations as equations
-from sysid.aerodynamics.flight_equations import Along, Body, loops, motion
+from sysid.aerodynamics.flight_equations import Along, Body, loops, motion, sines
 from sysid.aerodynamics.gust_states import GustStates
 
 INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
@@ -37,7 +37,7 @@ def test_compiled_rates_are_those_of_the_equations(gusty: bool, by_flow: bool, p
     loops().rated(x, body, along, along.load, rate, seen)
     for k in range(len(x)):
         own, out = np.empty(x.shape[1]), np.empty(11)
-        motion(x[k], body, at(along, k), along.load[k], np.empty(12), own, out)
+        motion(x[k], sines(x[k]), body, at(along, k), along.load[k], np.empty(12), own, out)
         np.testing.assert_allclose(rate[k], own, rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(seen[k], out, rtol=1e-12, atol=1e-13)
 
@@ -51,7 +51,7 @@ def test_slopes_are_those_of_differences(gusty: bool, by_flow: bool) -> None:
 
     def found(state: np.ndarray, load: np.ndarray) -> np.ndarray:
         rate, seen = np.empty(size), np.empty(11)
-        motion(state, body, at(along, 1), load, np.empty(12), rate, seen)
+        motion(state, sines(state), body, at(along, 1), load, np.empty(12), rate, seen)
         return np.concatenate([rate, seen])
 
     h = 1e-6
