@@ -8,6 +8,8 @@ from .fit import FittedBounds as FittedBounds
 from .fit import default_designs as default_designs
 from .fit import fit_bounds as fit_bounds
 from .fit import with_walk_rates as with_walk_rates
+from .flight_choice import Offer as Offer
+from .flight_choice import choose as choose
 from .judgement import HOLDS_FROM as HOLDS_FROM
 from .judgement import Verdict as Verdict
 from .judgement import verdict as verdict
