@@ -37,6 +37,5 @@ from .worth import information as information
 from .worth import mean_power as mean_power
 from .worth import parameter_variance as parameter_variance
 from .worth import speed_power as speed_power
-from .worth import thinned as thinned
 from .worth import weighted_quartiles as weighted_quartiles
 from .worth import width as width

@@ -50,6 +50,6 @@ def named_beside(
         weak = tuple(c for c in chosen if c.key in asked)
         if not weak:
             return found
-    rest = left_out(found, evidence_of(found, train.air), [c.key for c in weak])
+    rest = left_out(found, evidence_of(found), [c.key for c in weak])
     lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
     return replace(rest, unnamed=weak, trail=(*found.trail, *lines))

@@ -26,8 +26,8 @@ from sysid.effects import (
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
 from uqharness.refinement.fit import Fit, merged
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.judge import evidence_of
-from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.types import Array, Bent, Setup
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
@@ -58,11 +58,11 @@ class About:
         more = MadeColumns(names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along))
         chosen = {c.key: c.value for c in self.found.selection.chosen}
         if self.setup is None:
-            evidence = evidence_of(self.found, self.found.gusts, (), more)
+            evidence = evidence_of(self.found, (), more)
         else:
             effects = effect_columns(self.setup, self.fit.probes, self.fit.flown, [self.found.effects[k] for k in chosen])
             flown = {} if self.before is None else self.before.fit.flown
-            evidence = column_evidence(self.setup, self.fit, merged(effects, more)).taken_out({**chosen, **flown})
+            evidence = column_evidence(self.setup, self.fit, merged(effects, more), None).taken_out({**chosen, **flown})
         apart = {*self.found.effects, *names}
         return evidence, [*(n for n in evidence.names if n not in apart), *chosen]
 

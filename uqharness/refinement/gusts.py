@@ -32,7 +32,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.refinement.between_rows import bends_of, jumped, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, step_from, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, merged, parameter_columns, positions, probes, step_from, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.setup import confirming_segments
@@ -337,11 +337,9 @@ def _changed(p: Probe, moved: Array) -> Array:
     return change
 
 
-def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Evidence:
-    """Evidence of a fit's own columns beside others."""
-    from uqharness.refinement.fit import merged
-
-    columns = merged(fitted.fit.columns, extra)
-    measured = in_step(setup, fitted.fit.flown.point)
-    white = whiten_each(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
-    return gather(white, columns.names, confirming_segments(setup), PRIOR, fitted.fit.columns[0].names)
+def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None) -> Evidence:
+    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
+    columns = merged(fit.columns, extra)
+    measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
+    white = whiten_each(fit.steps, measured, columns, setup.which, setup.noise, process)
+    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

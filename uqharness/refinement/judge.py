@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.effects import FAR, Choice, Columns, Evidence, Gusts, corrected_each
+from sysid.effects import FAR, Choice, Columns, Evidence, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
 from uqharness.refinement.fit import merged
-from uqharness.refinement.gusts import GustFit, gust_evidence
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.hold_out import Both, both_sides
-from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.showing.show import Shown, left_in, show, with_replays
 from uqharness.refinement.types import Point, Setup, Side, in_dynamics
 from uqharness.simulator import Aircraft
@@ -125,7 +124,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             if len(standing.selection.chosen) == 1:
                 without[c.key] = bare(standing), before
                 continue
-            evidence = evidence_of(found, train.air) if evidence is None else evidence
+            evidence = evidence_of(found) if evidence is None else evidence
             less = left_out(found, evidence, [*(g.key for g in gone), c.key])
             without[c.key] = less, flown(less, test, after.flown.point)
         spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
@@ -133,7 +132,7 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
         # Two effects may undo each other: then neither alone is in the way.
         together = gap_change("", before, after, test.setup, fitted) if len(now) > 1 else None
         if any(v is not None and v.says == "grew" for v in (*now.values(), together)):
-            evidence = evidence_of(found, train.air) if evidence is None else evidence
+            evidence = evidence_of(found) if evidence is None else evidence
             both = both or both_sides(found, evidence, written(found)[0], test, everything, map_)
             now = {k: surer(v, both, without[k][1], after, list(now)) for k, v in now.items()}
             together = together and surer(together, both, before, after, list(now))
@@ -236,7 +235,7 @@ def _mean_square(shown: Shown) -> float:
     return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
-def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
+def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
     """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects, the
     candidates ``also``, and ``more``, one set a segment."""
     flown = {e.key for e in found.setup.active}
@@ -244,12 +243,7 @@ def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = (), more:
     rest = [found.effects[k] for k in keys if k not in flown]
     columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
     columns = merged(columns, more) if len(more) else columns
-    if found.gusty:
-        assert air is not None
-        evidence = gust_evidence(found.setup, GustFit(found.after, air, [], found.setup), columns)
-    else:
-        evidence = column_evidence(found.setup, found.after, columns)
-    return evidence.taken_out(found.flown) if found.flown else evidence
+    return column_evidence(found.setup, found.after, columns, found.gusts).taken_out(found.flown)
 
 
 def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:

@@ -7,15 +7,16 @@ column stands for the effect. Once an effect is flown, its column is the slope a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Choice, Columns, Evidence, Selection, corrected, scores
+from sysid.effects import Choice, Columns, Gusts, Selection, corrected, scores
 from uqharness.refinement.candidates import HERE, NEAR, in_dead_zone, surface_change
-from uqharness.refinement.reference import Probe
+from uqharness.refinement.fit import Fit
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.round import Round
 from uqharness.refinement.types import Setup
 from uqharness.replay import CONTROLS, runs_per_row
@@ -31,16 +32,14 @@ WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one moves a surface at once."""
 
 
-def limits_tried(
-    setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
-) -> Setup:
-    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes. evidence_of:
-    evidence with columns besides."""
+def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
+    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes, by a fit without
+    effects."""
     if not setup.servos:
         return setup
     tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
     columns = []
-    for segment, p in zip(setup.segments, probes, strict=True):
+    for segment, p in zip(setup.segments, fit.probes, strict=True):
         inputs = {}
         for surface, asked in tried.items():
             k, servo = CONTROLS.index(surface), setup.servos[surface]
@@ -51,7 +50,7 @@ def limits_tried(
                 moved = in_dead_zone(p.controls[:, k], width)
                 inputs[_zone(surface, width)] = (-1, p.by_control[:, :, k] * moved[:, None])
         columns.append(Columns(tuple(inputs), inputs, {}))
-    evidence = evidence_of(columns)
+    evidence, free = column_evidence(setup, fit, columns, gusts), fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
     for surface in tried:
         found = scores(evidence, free, [_zone(surface, width) for width in WIDTHS_DEG])

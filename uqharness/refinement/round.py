@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sysid.effects import Effect, Evidence, Gusts, Selection
+from sysid.effects import GUST_ODDS, Effect, Evidence, Gusts, Selection
 from sysid.parallel import Processes
 from uqharness.refinement.begin import About
 from uqharness.refinement.fit import Fit
@@ -18,7 +18,7 @@ class Start:
     """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
 
     limits: of the parameters; limit: |t| asked of an effect
-    gusts: the air, where flights are judged by one-step predictions; handicap: key -> odds besides the effect's own
+    gusts: the air, where flights are judged by one-step predictions
     merit: of the flight without effects, as a `Round` has it
     """
 
@@ -34,7 +34,6 @@ class Start:
     map_: Processes
     merit: float
     gusts: Gusts | None = None
-    handicap: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -45,6 +44,20 @@ class Start:
     def coloured(self) -> bool:
         """Whether the candidates' own spread tells how much of a t is chance: in turbulence and in an autopilot's logs."""
         return self.gusts is not None or bool(self.setup.late)
+
+    def odds(self, effect: Effect) -> float:
+        """Gain asked of an effect besides: its own odds, and those of what a gust model that is a little off would look like."""
+        return effect.odds + (GUST_ODDS if self.gusts is not None and _gust_like(effect) else 0.0)
+
+
+def like_turning_air(effect: Effect) -> bool:
+    """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
+    term = effect.parsed
+    return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
+
+
+def _gust_like(effect: Effect) -> bool:
+    return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
 
 
 @dataclass(frozen=True)

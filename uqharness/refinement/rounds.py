@@ -14,25 +14,21 @@ from sysid.effects import (
     STANDS,
     TWINS,
     UNKNOWN_ROWS,
-    Columns,
     Effect,
     Evidence,
-    MadeColumns,
     Selection,
-    gather,
     judged,
     scores,
     select,
-    whiten_each,
 )
 from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import effect_columns, slopes_here
-from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
-from uqharness.refinement.gusts import gust_evidence, gust_refit
+from uqharness.refinement.fit import Fit, best_flown, refit
+from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.rates import felt
 from uqharness.refinement.read_once import far_off
 from uqharness.refinement.round import Round, Start
-from uqharness.refinement.setup import Bench, confirming_segments, with_sensors_of
+from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
 from uqharness.refinement.types import Point, Setup, in_dynamics
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
@@ -60,26 +56,22 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
     joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
     begin, names = with_effects(joint, selection), [*start.names, *keys]
-    rest = [e for e in start.effects if e.key not in keys]
-
-    def columns(fit: Fit) -> MadeColumns:
-        return effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
-
     with Bench(staged, start.measured, start.ideal) as bench:
-        gusts, surprise = start.gusts, float("nan")
+        gusts = start.gusts
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
             found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
-            fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
-            evidence = gust_evidence(setup, found, columns(fit))
+            fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.surprise
         else:
             options = [begin, with_effects(start.before.flown.point, selection)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
-            evidence = column_evidence(setup, fit, columns(fit))
+            cost = fit.flown.cost
     written = {c.key: c.value for c in selection.chosen}
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
-    evidence = evidence.taken_out(values)
+    rest = [e for e in start.effects if e.key not in keys]
+    columns = effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
+    evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
     again = select(
@@ -92,7 +84,6 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
     held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
     moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
-    cost = fit.flown.cost if gusts is None else surprise
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
@@ -103,21 +94,9 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
 def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
     """What may be chosen at a flight's evidence, what is ``chosen`` there included, and the gain asked of each besides; free:
     columns estimated there."""
-    found = eligible([e for e in start.effects if e.key not in chosen], start.setup, free, evidence)
-    found |= {e.key: e.odds for e in start.effects if e.key in chosen}
-    return {k: o + start.handicap.get(k, 0.0) for k, o in found.items()}
-
-
-def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
-    """Evidence of a fit's own columns and of every candidate's."""
-    return column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects))
-
-
-def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidence:
-    """Evidence of a fit's own columns beside others."""
-    columns = merged(fit.columns, extra)
-    white = whiten_each(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)
+    open_ = eligible([e for e in start.effects if e.key not in chosen], start.setup, free, evidence)
+    effects = sorted((e for e in start.effects if e.key in open_ or e.key in chosen), key=lambda e: e.key in chosen)
+    return {e.key: start.odds(e) for e in effects}
 
 
 def resolved(start: Start, found: Round) -> Selection:

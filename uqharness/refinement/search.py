@@ -59,25 +59,21 @@ class Searched:
     notes: tuple[str, ...] = ()
 
 
-def search(start: Start, evidence: Evidence, odds: Mapping[str, float], work: Path, say: Say) -> Searched:
+def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
     """The best model about ``evidence`` of the flight without effects; one without delays of single channels where such a delay was
-    chosen beside another time: a servo whose command comes late looks like a gyro and an attitude that are, and a lag.
-
-    odds: of the candidates there, as `odds_at` has them
-    """
-    found = _search(start, evidence, odds, work / "round", say)
+    chosen beside another time: a servo whose command comes late looks like a gyro and an attitude that are, and a lag."""
+    found = _search(start, evidence, work / "round", say)
     chosen = () if found.best is None else found.best.selection.chosen
     doubtful = lone_among_times(chosen, {e.key: e for e in start.effects})
     if not doubtful:
         return found
     without = replace(start, effects=[e for e in start.effects if not _lone(e)])
-    known = {e.key for e in without.effects}
-    again = _search(without, evidence, {k: o for k, o in odds.items() if k in known}, work / "whole", say)
+    again = _search(without, evidence, work / "whole", say)
     return replace(again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),))
 
 
-def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder: Path, say: Say) -> Searched:
-    about = About(start.before.flown.point, evidence, {})
+def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
+    about, odds = About(start.before.flown.point, evidence, {}), odds_at(start, start.free, evidence)
     first = proposal = select(
         evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
     )  # fmt: skip

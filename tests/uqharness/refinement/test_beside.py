@@ -106,7 +106,7 @@ def flown(monkeypatch):
 
     monkeypatch.setattr(refine_beside, "bent", lambda found: None)
     monkeypatch.setattr(refine_beside, "left_out", left_out)
-    monkeypatch.setattr(refine_beside, "evidence_of", lambda found, air: None)
+    monkeypatch.setattr(refine_beside, "evidence_of", lambda found: None)
     monkeypatch.setattr(refine_beside, "written_at", lambda *_: None)
     return asked, models
 

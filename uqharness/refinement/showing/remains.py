@@ -135,7 +135,7 @@ class Nearest:
 
     def __init__(self, found: Found) -> None:
         self.found = found
-        self.evidence: Evidence = evidence_of(found, found.gusts, list(found.effects))
+        self.evidence: Evidence = evidence_of(found, list(found.effects))
         effects = {*found.effects}
         self.free = [n for n in self.evidence.names if n not in effects] + [c.key for c in found.selection.chosen]
         rest = [e for e in found.effects.values() if e.key not in self.free]

@@ -131,7 +131,7 @@ def test_choice_is_that_of_the_train_flights(contradicted):
 def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     """The linear estimate beside which one is left out is the choice itself; leaving all out is the model without effects."""
     chosen = judged_flights[1].chosen
-    evidence = refine_judge.evidence_of(chosen, None)
+    evidence = refine_judge.evidence_of(chosen)
     same = refine_judge.left_out(chosen, evidence, [])
     for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
         assert (one.key, one.value, one.std) == (other.key, pytest.approx(other.value), pytest.approx(other.std))
