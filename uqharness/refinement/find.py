@@ -122,11 +122,11 @@ class Found:
 
 
 def find_effects(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
-    map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
+    aircraft: Aircraft, setup: Setup, extra: Sequence[Effect], work: Path, map_: Processes, say: Say, keep: Stages,
+    put_right: tuple[float, ...] = (),
 ) -> Found:  # fmt: skip
-    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
-    put_right: by how much the setup's controls act later than recorded, as found step by step."""
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep: what an
+    earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
@@ -134,12 +134,11 @@ def find_effects(
         )
     recorded, clock = setup, Clock(setup.segments[0].command_s, put_right)
     if put_right:
-        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), measured, ideal)
+        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
     gusts = None
-    with Bench(aircraft, measured, ideal) as bench:
+    with Bench(aircraft, setup) as bench:
         say("re-identifying the parameters")
-        keep = stages or Stages(None, ())
         asked, again = names, len(put_right) or ""
         setup = given = with_jumps(setup, bench.model)
         before, names, excited, notes, noise = keep(
@@ -169,7 +168,7 @@ def find_effects(
     late = _of_the_clock(setup, before, evidence, effects, clock, 0.0 if gusts is None else GUST_LIMIT) if timed else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
-        found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]))
+        found = find_effects(aircraft, recorded, extra, work, map_, say, keep, (*put_right, late[0]))
         if not put_right:
             found = replace(found, notes=(words(found.controls_late_s, late[1], clock.command_s), *found.notes))
         return found
@@ -177,7 +176,7 @@ def find_effects(
     open_ = list(eligible(effects, setup, free, evidence))
     limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), GUST_LIMIT)
     merit = before.flown.cost if gusts is None else air.surprise
-    start = Start(aircraft, setup, before, names, effects, limits, limit, tuple(measured), tuple(ideal), map_, merit, gusts)
+    start = Start(aircraft, setup, before, names, effects, limits, limit, map_, merit, gusts)
     searched = search(start, evidence, work, say)
     found = _found(start, searched, evidence)
     board = score_table(evidence, free, [e for e in effects if e.key in open_])

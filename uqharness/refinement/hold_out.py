@@ -61,7 +61,7 @@ def linearised(
     """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
     point = replace(flown.point, values=values, effects={c.key: c.value for c in found.selection.chosen})
-    with Bench(aircraft, side.measured, side.ideal) as bench:
+    with Bench(aircraft, setup) as bench:
         setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), bench.model)
         if side.air is None:
             fit = Linear(bench.model, bench.straight, setup, found.names, map_).fit_at(replace(flown, point=point))

@@ -29,8 +29,6 @@ class Start:
     effects: Sequence[Effect]
     limits: Mapping[str, tuple[float, float]]
     limit: float
-    measured: Sequence[str]
-    ideal: Sequence[str]
     map_: Processes
     merit: float
     gusts: Gusts | None = None

@@ -56,7 +56,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
     joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
     begin, names = with_effects(joint, selection), [*start.names, *keys]
-    with Bench(staged, start.measured, start.ideal) as bench:
+    with Bench(staged, setup) as bench:
         gusts = start.gusts
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.

@@ -127,10 +127,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = stages(
             "effects",
             Found,
-            lambda: find_effects(
-                aircraft, setup, train.measured, train.ideal, request.extra, work / "effects", map_, say, stages
-            ),
-        )  # fmt: skip
+            lambda: find_effects(aircraft, setup, request.extra, work / "effects", map_, say, stages),
+        )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
         whole = _whole(request, chosen, work / "chosen")
         named = _named(request, chosen, whole, train, work, map_)
@@ -190,7 +188,7 @@ def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
         setup = setup_in_gusts(request.aircraft, setup)
     if setup.outputs == chosen.setup.outputs:
         setup = replace(setup, noise=chosen.setup.noise)
-    return Side(setup, flights.measured, flights.ideal, chosen.gusts)
+    return Side(setup, chosen.gusts)
 
 
 def _named(request: Request, chosen: Found, whole: Aircraft, train: _Flights, work: Path, map_: Processes) -> Found:
@@ -213,7 +211,7 @@ def _judged(
     other = _side(request, chosen, test)
     if chosen.gusts is not None:
         model = _write(request, chosen, work / "air")
-        air = air_of(model, other.setup, other.measured, other.ideal, map_, sensed_by(chosen), chosen.gusts)
+        air = air_of(model, other.setup, map_, sensed_by(chosen), chosen.gusts)
         other = replace(other, air=air)
     number = iter(range(1000))
 
@@ -284,8 +282,9 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 
 def _controls(aircraft: Aircraft, train: _Flights) -> list[Any]:
-    with Bench(aircraft, train.measured, train.ideal) as bench:
-        return positions(bench.model, train.setup(aircraft))
+    setup = train.setup(aircraft)
+    with Bench(aircraft, setup) as bench:
+        return positions(bench.model, setup)
 
 
 def _mission(

@@ -350,10 +350,10 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     setup = SimpleNamespace(
         segments=[SimpleNamespace(flight="t", start=None)], channels=[{"V_mps": np.array([20.0, np.nan, 22.0])}]
     )
-    found = refine_show.air_of(None, setup, (), (), map, {}, near)  # type: ignore[arg-type]
+    found = refine_show.air_of(None, setup, map, {}, near)  # type: ignore[arg-type]
     assert found == ("the others'", [21.0], ["t"])
     monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
-    assert refine_show.air_of(None, setup, (), (), map, {}, near) == "their own"  # type: ignore[arg-type]
+    assert refine_show.air_of(None, setup, map, {}, near) == "their own"  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])

@@ -135,7 +135,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: boo
     monkeypatch.setattr(refine_judge, "surer", lambda verdict, *_: verdict)
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
-    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
+    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]))  # type: ignore[arg-type]
     done = refine_judge.judge(found, None, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
     return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
 

@@ -65,9 +65,7 @@ def started(merit: float = 1e4, gusts: object = None) -> Start:
     effects = [SimpleNamespace(key=k, unit="1", positive=False, odds=0.0, subsystem=None, term=k) for k in KEYS[1:]]
     before = SimpleNamespace(columns=[SimpleNamespace(names=("free",))], flown=SimpleNamespace(point="plain"))
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], late={}, servos={})
-    return Start(
-        None, setup, before, (), effects, {}, 4.0, (), (), map, merit, gusts
-    )  # type: ignore[arg-type]  # fmt: skip
+    return Start(None, setup, before, (), effects, {}, 4.0, map, merit, gusts)  # type: ignore[arg-type]
 
 
 def chosen(**t: float) -> Selection:
