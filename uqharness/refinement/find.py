@@ -125,8 +125,8 @@ def find_effects(
     aircraft: Aircraft, setup: Setup, extra: Sequence[Effect], work: Path, map_: Processes, say: Say, keep: Stages,
     put_right: tuple[float, ...] = (),
 ) -> Found:  # fmt: skip
-    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep: what an
-    earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep:
+    what an earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(

@@ -1,16 +1,29 @@
-"""A round of a refinement: what it begins from and how it ends."""
+"""A round of a refinement: what it begins from and how it ends.
+
+Everything is moved to its estimate on the linearised flight together with the effects. An effect that the parameters have made up
+for so far cannot be put in by itself: with a centre of gravity elsewhere and Cm_alpha as it was, the replay is worse than without,
+and no step leads down from there.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from sysid.effects import GUST_ODDS, Effect, Evidence, Gusts, Selection
+from sysid.effects import DIFFERENT, GUST_ODDS, STANDS, Effect, Evidence, Gusts, Selection
 from sysid.parallel import Processes
-from uqharness.refinement.begin import About
-from uqharness.refinement.fit import Fit
-from uqharness.refinement.types import Setup
+from uqharness.refinement.fit import Fit, moved_starts, stepped
+from uqharness.refinement.types import Point, Setup
 from uqharness.simulator import Aircraft
+
+
+@dataclass(frozen=True)
+class About:
+    """A flight with its evidence: the point flown, the evidence as it would be without effects, values of those flown."""
+
+    point: Point
+    evidence: Evidence
+    flown: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -64,10 +77,9 @@ class Round:
 
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
-    standing   whether that is the same, with the same numbers where JSBSim reads them once
     merit      minus twice the log likelihood, and what the effects must earn: less is better; gusts: the air, estimated with them
     about      where it ended
-    held       key -> value flown, of numbers that JSBSim reads once; far: of those whose estimates lie elsewhere
+    held       key -> value flown, of numbers that JSBSim reads once
     """
 
     setup: Setup
@@ -75,12 +87,24 @@ class Round:
     evidence: Evidence
     selection: Selection
     again: Selection
-    standing: bool
     merit: float
     gusts: Gusts | None
     about: About
     held: Mapping[str, float] = field(default_factory=dict)
-    far: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def standing(self) -> bool:
+        """Whether what would be chosen is what flew, with the same numbers where JSBSim reads them once."""
+        return {c.key for c in self.again.chosen} == self.keys and not self._off(STANDS)
+
+    @property
+    def far(self) -> dict[str, float]:
+        """key -> value flown, of numbers that JSBSim reads once and whose estimates lie elsewhere."""
+        return self._off(DIFFERENT)
+
+    def _off(self, most: float) -> dict[str, float]:
+        chosen = [c for c in self.selection.chosen if c.key in self.held]
+        return {c.key: self.held[c.key] for c in chosen if abs(c.value - self.held[c.key]) > most * c.std}
 
     @property
     def keys(self) -> frozenset[str]:
@@ -91,3 +115,26 @@ class Round:
     def free(self) -> tuple[str, ...]:
         """Columns estimated in its flight, those of its effects included."""
         return self.fit.columns[0].names
+
+
+def joint_point(
+    about: About,
+    setup: Setup,
+    plain: Point,
+    free: Sequence[str],
+    keys: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
+) -> Point:
+    """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet.
+
+    setup: without effects; plain: a point of it, whose other properties stay.
+    """
+    evidence = about.evidence
+    delta = evidence.fitted(evidence.index([*free, *keys]))
+    step = {n: float(delta[i]) for n, i in zip(free, evidence.index(free), strict=True)}
+    values = {n: about.point.values.get(n, v) for n, v in plain.values.items()}
+    moved = stepped(setup, replace(plain, values=values, nuisance=about.point.nuisance), step, limits)
+    change = delta.copy()
+    for key, value in about.flown.items():
+        change[evidence.index([key])[0]] -= value
+    return replace(moved, starts=moved_starts(about.point.starts, evidence.white, change))

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from sysid.effects import (
+    DIFFERENT,
     EARNED,
     OVERWHELMING,
-    STANDS,
     TWINS,
     UNKNOWN_ROWS,
     Effect,
@@ -21,32 +21,76 @@ from sysid.effects import (
     scores,
     select,
 )
-from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import effect_columns, slopes_here
 from uqharness.refinement.fit import Fit, best_flown, refit
 from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.rates import felt
-from uqharness.refinement.read_once import far_off
-from uqharness.refinement.round import Round, Start
+from uqharness.refinement.round import About, Round, Start, joint_point
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.types import Point, Setup, in_dynamics
+from uqharness.refinement.types import Point, Setup
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
 from uqharness.simulator import Aircraft, find_aircraft
 
+HELD_FLIGHTS = 8
+"""Flights in which a number that JSBSim reads once may come to its value."""
 _OF_TIME = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
 
 
 def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
-    """The effects flown, everything estimated with them, and what would be chosen there; None where no filter can follow the
-    flights with them. about: where it begins."""
+    """The effects flown, everything estimated with them, again until the numbers that JSBSim reads once (mass, servos) stand, and
+    what would be chosen there; None where no filter can follow the flights with them. about: where it begins.
+
+    Until they stand, what they leave looks like other effects. One whose estimated change is as large as before it was changed, and
+    no likelier for it, does not do what its column says, and is left out.
+    """
+    now = _fly_once(start, selection, about, folder)
+    last: dict[str, tuple[float, float]] = {}
+    merit = float("inf")
+    for number in range(HELD_FLIGHTS):
+        if now is None or not now.far:
+            break
+        chosen = []
+        for c in now.selection.chosen:
+            if c.key not in now.far:
+                chosen.append(c)
+                continue
+            here = (now.far[c.key], c.value - now.far[c.key])
+            nearer = c.key not in last or here[1] * np.sign(last[c.key][1]) < abs(last[c.key][1])
+            if nearer or merit - now.merit > DIFFERENT**2:
+                chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
+            last[c.key] = here
+        merit = now.merit
+        again = folder.with_name(f"{folder.name}-{number}")
+        following = _fly_once(start, Selection(tuple(chosen)), now.about, again) if chosen else None
+        if following is None:
+            break
+        now = following
+    return now
+
+
+def _fly_once(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
     try:
         return _flown(start, selection, about, folder)
     except np.linalg.LinAlgError:
         return None
+
+
+def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
+    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice
+    the value.
+
+    A lag's slope falls off with the lag: the next estimated change is a small part of the whole.
+    """
+    value, change = here
+    if last is None or last[0] == value:
+        return change
+    slope = (change - last[1]) / (value - last[0])
+    most = max(abs(change), abs(value))
+    return change if not slope < 0.0 else float(np.clip(-change / slope, -most, most))
 
 
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
@@ -67,7 +111,6 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
             cost = fit.flown.cost
-    written = {c.key: c.value for c in selection.chosen}
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
     rest = [e for e in start.effects if e.key not in keys]
     columns = effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
@@ -79,15 +122,13 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         alone=OVERWHELMING,
     )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
-    standing = {c.key for c in again.chosen} == set(keys)
-    own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
-    # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
-    held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
-    moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
+    same = {c.key for c in again.chosen} == set(keys)
+    own = again.chosen if same else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
+    held = {c.key: c.value for c in selection.chosen if c.key in setup.held}
     merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values), {c.key: written[c.key] for c in held}, far_off(held, written),
+        setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
+        About(fit.flown.point, evidence, values), held,
     )  # fmt: skip
 
 

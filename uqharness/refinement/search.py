@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,7 @@ from sysid.effects import (
     scores,
     select,
 )
-from uqharness.refinement.begin import About
-from uqharness.refinement.read_once import at_values
-from uqharness.refinement.round import Round, Start
+from uqharness.refinement.round import About, Round, Start
 from uqharness.refinement.rounds import fly, odds_at
 from uqharness.replay import SENSOR_OF
 
@@ -81,11 +80,7 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
     doubted = 0
-
-    def flight(selection: Selection, about: About, folder: Path) -> Round | None:
-        now = fly(start, selection, about, folder)
-        return now and at_values(now, lambda *asked: fly(start, *asked), folder)
-
+    flight = partial(fly, start)
     for number in range(2, ROUNDS + 2):
         if not proposal.chosen:
             break

@@ -14,8 +14,7 @@ from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement import search as module
-from uqharness.refinement.begin import About
-from uqharness.refinement.round import Start
+from uqharness.refinement.round import About, Start
 from uqharness.refinement.search import comparable, likeliest, lone_among_times, search, without_weak
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
