@@ -204,13 +204,8 @@ def _best(
     choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        for other in order[1:LOOKED_AT]:
-            if merit[other] < limit**2:
-                break
-            second = _judged(evidence, free, open_[int(other)])
-            if abs(second.t) > limit:
-                choice = second
-                break
+        others = (_judged(evidence, free, open_[k]) for k in order[1:LOOKED_AT] if merit[k] >= limit**2)
+        choice = next((c for c in others if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if not np.sqrt(choice.gain) > limit * spread:

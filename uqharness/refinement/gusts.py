@@ -164,19 +164,20 @@ def gust_refit(
 
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
     """
-    point, analytic, gusts = start, None, near
+    point, gusts = start, near
+    differ: list[str] | None = None
     setup = with_jumps(setup, model)
     length, share, moving = float("inf"), 1.0, not known
     path: list[Array] | None = None
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
-        differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
-        flown, found = predict(model, straight, setup, point, differ, map_, path)
-        if analytic is None:
+        flown, found = predict(model, straight, setup, point, differ or (), map_, path)
+        if differ is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(point)))
-            if len(analytic) < len(own):
-                flown, found = predict(model, straight, setup, point, [n for n in own if n not in analytic], map_)
+            differ = [n for n in own if n not in analytic]
+            if differ:
+                flown, found = predict(model, straight, setup, point, differ, map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         sought = moving and (number == 1 or length < SETTLED or number == SEARCH_BY)
@@ -209,7 +210,6 @@ def gust_refit(
         last_point, point = point, stepped(setup, point, step, limits)
         path = as_measured(setup, path, last_point, point)
     assert gusts is not None
-    assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
     return GustFit(fit, gusts, white, setup)

@@ -101,7 +101,7 @@ class _Flights:
 
     def later(self, seconds: float) -> _Flights:
         """Controls moved later than recorded."""
-        return replace(self, flights=later(self.flights, seconds)) if seconds else self
+        return replace(self, flights=later(self.flights, seconds))
 
     def set(self) -> FlightSet:
         return FlightSet(tuple(self.flights), self.measured, self.hashes)

@@ -55,7 +55,7 @@ def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
     """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
-    return [f.with_commands_later(late_s) for f in flights] if late_s else list(flights)
+    return [f.with_commands_later(late_s) if late_s else f for f in flights]
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:
