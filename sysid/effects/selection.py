@@ -76,6 +76,11 @@ class Selection:
     refused: Refusal | None = None
     trail: tuple[str, ...] = field(default=())
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the effects by key, in order of choice."""
+        return {c.key: c.value for c in self.chosen}
+
 
 def threshold(candidates: int, family: float = FAMILY) -> float:
     """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""

@@ -56,7 +56,7 @@ class About:
         """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
         names = tuple(make(self.along[0]))
         more = MadeColumns(names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along))
-        chosen = {c.key: c.value for c in self.found.selection.chosen}
+        chosen = self.found.selection.values
         if self.setup is None:
             evidence = evidence_of(self.found, (), more)
         else:

@@ -176,7 +176,7 @@ def find_effects(
     open_ = list(eligible(effects, setup, free, evidence))
     limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), GUST_LIMIT)
     merit = before.flown.cost if gusts is None else air.surprise
-    start = Start(aircraft, setup, before, names, effects, limits, limit, map_, merit, gusts)
+    start = Start(aircraft, setup, before, names, {e.key: e for e in effects}, limits, limit, map_, merit, gusts)
     searched = search(start, evidence, work, say)
     found = _found(start, searched, evidence)
     board = score_table(evidence, free, [e for e in effects if e.key in open_])
@@ -186,28 +186,28 @@ def find_effects(
 
 def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
     """Everything estimated with the best model flown, or without effects where none is better; evidence: without effects."""
-    best, gusty, by_key = searched.best, start.gusts is not None, {e.key: e for e in start.effects}
+    best, gusty = searched.best, start.gusts is not None
     if best is None:
         setup, after, last, gusts = start.setup, start.before, evidence, start.gusts
         selection = replace(searched.first, chosen=(), refused=_not_borne_out(start, searched.first) or searched.first.refused)
     else:
         setup, after, last, gusts = best.setup, best.fit, best.evidence, best.gusts
         known = as_known_here(resolved(start, best), best)
-        selection = with_resolution(known, by_key, setup.segments[0].dt_s, gusty)
+        selection = with_resolution(known, start.effects, setup.segments[0].dt_s, gusty)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     moved = gusty or bool(best and best.held)
     parameters = in_one_step(last, start.names, after, selection, gusty, moved)
     selection, slopes = of_lift_slope(selection, start.before, after)
-    open_ = eligible(start.effects, start.setup, after.columns[0].names, last)
+    open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
     at = start.before.flown.point.values
     note = () if gusts is None else (IN_TURBULENCE.format(gusts.gain, gusts.words),)
     trail = [f"one-step predictions: {line}" if gusty else line for line in searched.trail]
     return Found(
-        setup, start.names, start.before, after, selection, by_key, parameters, (*searched.notes, *note),
+        setup, start.names, start.before, after, selection, start.effects, parameters, (*searched.notes, *note),
         _moved_alone(evidence, start.names, start.before) if gusty else {n: at[n] for n in start.names}, gusts,
         limit=start.limit, trail=tuple(trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
-        left=left_beside(last, start.free, [c.key for c in selection.chosen], open_),
+        left=left_beside(last, start.free, [*selection.values], open_),
     )  # fmt: skip
 
 
@@ -311,7 +311,7 @@ def in_one_step(
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
     """(value, corrected standard error) of the parameters beside the effects, the last step taken unless not ``moved``; gusty: that
     of moments as it covers in turbulence."""
-    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
+    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *selection.values]
     found = corrected_each(evidence, free, names)
     wider = {n: MOMENTS_IN_GUSTS if gusty and _of_a_moment(*fit.columns[0].inputs[n]) else 1.0 for n in names}
     at = fit.flown.point.values

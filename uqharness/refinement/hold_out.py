@@ -60,7 +60,7 @@ def linearised(
 ) -> tuple[Setup, Fit]:  # fmt: skip
     """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
-    point = replace(flown.point, values=values, effects={c.key: c.value for c in found.selection.chosen})
+    point = replace(flown.point, values=values, effects=found.selection.values)
     with Bench(aircraft, setup) as bench:
         setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), bench.model)
         if side.air is None:
@@ -73,7 +73,7 @@ def linearised(
 def both_sides(found: Found, train: Evidence, aircraft: Aircraft, side: Side, shown: Shown, map_: Processes) -> Both:
     """train: evidence of the train flights about no effect; aircraft: with every effect of ``found``, which flew the hold-out
     flights as ``shown``."""
-    chosen = {c.key: c.value for c in found.selection.chosen}
+    chosen = found.selection.values
     effects = [found.effects[key] for key in chosen]
     setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
     test = column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects), side.air)

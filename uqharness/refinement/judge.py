@@ -180,7 +180,7 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
     """Properties with which an aircraft that has the effects of ``found`` flies as ``model`` does, which has some of them;
     None where a number stands in the XML alone."""
     values = {name: value for name, (value, _) in model.parameters.items()}
-    own = {c.key: c.value for c in model.selection.chosen}
+    own = model.selection.values
     for c in found.selection.chosen:
         if not in_dynamics(found.effects[c.key]):
             continue
@@ -194,7 +194,7 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
 
 def sensed_by(found: Found) -> dict[str, float]:
     """Values of the chosen effects that are the sensors', by key."""
-    return {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
+    return {k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])}
 
 
 def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
@@ -242,7 +242,7 @@ def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] 
     """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects, the
     candidates ``also``, and ``more``, one set a segment."""
     flown = {e.key for e in found.setup.active}
-    keys = dict.fromkeys([*(c.key for c in found.selection.chosen), *also])
+    keys = dict.fromkeys([*found.selection.values, *also])
     rest = [found.effects[k] for k in keys if k not in flown]
     columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
     columns = merged(columns, more) if len(more) else columns
@@ -254,14 +254,11 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     kept = [c for c in found.selection.chosen if c.key not in keys]
     if not kept:
         return bare(found)
-    effects = {e.key for e in found.setup.active} | {c.key for c in found.selection.chosen}
+    effects = {e.key for e in found.setup.active} | found.selection.values.keys()
     free = [n for n in evidence.names if n not in effects]
-    some = [*free, *(c.key for c in kept)]
-    found_each = corrected_each(evidence, some, [c.key for c in kept])
-    chosen = []
-    for c in kept:
-        value, std, _ = found_each[c.key]
-        chosen.append(replace(c, value=value, std=std, t=value / std))
+    rest = [c.key for c in kept]
+    now = corrected_each(evidence, [*free, *rest], rest)
+    chosen = [replace(c, value=value, std=std, t=value / std) for c, (value, std, _) in zip(kept, now.values(), strict=True)]
     estimated = replace(found.selection, chosen=tuple(chosen))
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
     parameters = in_one_step(evidence, found.names, found.after, selection, found.gusty)

@@ -30,7 +30,7 @@ class About:
 class Start:
     """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
 
-    limits: of the parameters; limit: |t| asked of an effect
+    effects: the candidates by key; limits: of the parameters; limit: |t| asked of an effect
     gusts: the air, where flights are judged by one-step predictions
     merit: of the flight without effects, as a `Round` has it
     """
@@ -39,7 +39,7 @@ class Start:
     setup: Setup
     before: Fit
     names: tuple[str, ...]
-    effects: Sequence[Effect]
+    effects: Mapping[str, Effect]
     limits: Mapping[str, tuple[float, float]]
     limit: float
     map_: Processes
@@ -95,7 +95,7 @@ class Round:
     @property
     def standing(self) -> bool:
         """Whether what would be chosen is what flew, with the same numbers where JSBSim reads them once."""
-        return {c.key for c in self.again.chosen} == self.keys and not self._off(STANDS)
+        return self.again.values.keys() == self.keys and not self._off(STANDS)
 
     @property
     def far(self) -> dict[str, float]:
@@ -109,7 +109,7 @@ class Round:
     @property
     def keys(self) -> frozenset[str]:
         """Keys of the chosen effects."""
-        return frozenset(c.key for c in self.selection.chosen)
+        return frozenset(self.selection.values)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -117,23 +117,14 @@ class Round:
         return self.fit.columns[0].names
 
 
-def joint_point(
-    about: About,
-    setup: Setup,
-    plain: Point,
-    free: Sequence[str],
-    keys: Sequence[str],
-    limits: Mapping[str, tuple[float, float]],
-) -> Point:
-    """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet.
-
-    setup: without effects; plain: a point of it, whose other properties stay.
-    """
-    evidence = about.evidence
+def joint_point(start: Start, about: About, keys: Sequence[str]) -> Point:
+    """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet, and
+    other properties as they were without any."""
+    evidence, plain, free = about.evidence, start.before.flown.point, start.free
     delta = evidence.fitted(evidence.index([*free, *keys]))
     step = {n: float(delta[i]) for n, i in zip(free, evidence.index(free), strict=True)}
     values = {n: about.point.values.get(n, v) for n, v in plain.values.items()}
-    moved = stepped(setup, replace(plain, values=values, nuisance=about.point.nuisance), step, limits)
+    moved = stepped(start.setup, replace(plain, values=values, nuisance=about.point.nuisance), step, start.limits)
     change = delta.copy()
     for key, value in about.flown.items():
         change[evidence.index([key])[0]] -= value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,13 +22,13 @@ from sysid.effects import (
     select,
 )
 from uqharness.refinement.candidates import effect_columns, slopes_here
-from uqharness.refinement.fit import Fit, best_flown, refit
+from uqharness.refinement.fit import best_flown, refit
 from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.rates import felt
 from uqharness.refinement.round import About, Round, Start, joint_point
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.types import Point, Setup
+from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
@@ -94,12 +94,10 @@ def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
 
 
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
-    by_key = {e.key: e for e in start.effects}
-    selection = replace(selection, chosen=felt(selection.chosen, start.setup))
-    keys = [c.key for c in selection.chosen]
-    staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
-    joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
-    begin, names = with_effects(joint, selection), [*start.names, *keys]
+    written = replace(selection, chosen=felt(selection.chosen, start.setup)).values
+    keys = list(written)
+    staged, setup = stage(start, written, folder)
+    begin, names = replace(joint_point(start, about, keys), effects=written), [*start.names, *keys]
     with Bench(staged, setup) as bench:
         gusts = start.gusts
         if gusts is not None:
@@ -107,12 +105,12 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
             found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
             fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.surprise
         else:
-            options = [begin, with_effects(start.before.flown.point, selection)]
+            options = [begin, replace(start.before.flown.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
             cost = fit.flown.cost
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
-    rest = [e for e in start.effects if e.key not in keys]
+    rest = [e for e in start.effects.values() if e.key not in keys]
     columns = effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
     evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
@@ -122,22 +120,20 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         alone=OVERWHELMING,
     )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
-    same = {c.key for c in again.chosen} == set(keys)
+    same = again.values.keys() == set(keys)
     own = again.chosen if same else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
-    held = {c.key: c.value for c in selection.chosen if c.key in setup.held}
-    merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
+    merit = cost + sum(start.effects[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
-        About(fit.flown.point, evidence, values), held,
+        About(fit.flown.point, evidence, values), {k: written[k] for k in setup.held},
     )  # fmt: skip
 
 
 def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
     """What may be chosen at a flight's evidence, what is ``chosen`` there included, and the gain asked of each besides; free:
     columns estimated there."""
-    open_ = eligible([e for e in start.effects if e.key not in chosen], start.setup, free, evidence)
-    effects = sorted((e for e in start.effects if e.key in open_ or e.key in chosen), key=lambda e: e.key in chosen)
-    return {e.key: start.odds(e) for e in effects}
+    open_ = eligible([e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence)
+    return {k: start.odds(start.effects[k]) for k in (*open_, *(k for k in start.effects if k in chosen))}
 
 
 def resolved(start: Start, found: Round) -> Selection:
@@ -145,11 +141,10 @@ def resolved(start: Start, found: Round) -> Selection:
 
     A time too short to be named may still be what is there: among the alternatives it stands, if it explains as much.
     """
-    by_key = {e.key: e for e in start.effects}
-    chosen = found.selection.chosen
-    kept = [c.key for c in chosen if _resolves(by_key[c.key], c.value, start.setup)]
+    chosen = found.selection.values
+    kept = [k for k, value in chosen.items() if _resolves(start.effects[k], value, start.setup)]
     free = [n for n in found.free if n not in found.keys]
-    rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
+    rest = [e for e in start.effects.values() if e.key in found.evidence.names and e.key not in kept]
     open_ = list(eligible(rest, start.setup, found.free, found.evidence))
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
@@ -210,15 +205,13 @@ def largest_step(setup: Setup, effect: Effect) -> float:
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in setup.segments)
 
 
-def stage(
-    aircraft: Aircraft, setup: Setup, chosen: Sequence[Effect], selection: Selection, fit: Fit, folder: Path
-) -> tuple[Aircraft, Setup]:
-    """A copy of the aircraft that carries the effects, and the setup that knows of them."""
-    value = {c.key: c.value for c in selection.chosen}
-    slopes = control_slopes(fit)
-    staged = write_staged(aircraft, [Written(e, value[e.key], "", slopes) for e in chosen], folder)
-    carriers = {e.key: found for e in chosen if (found := carrier(e, aircraft)) is not None}
-    return staged, replace(with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, slopes=slopes)
+def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, Setup]:
+    """A copy of the aircraft that carries effects of such values, by key, and the setup that knows of them."""
+    slopes, effects = control_slopes(start.before), [start.effects[k] for k in values]
+    staged = write_staged(start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder)
+    carriers = {e.key: found for e in effects if (found := carrier(e, start.aircraft)) is not None}
+    setup = with_sensors_of(start.setup, staged)
+    return staged, replace(setup, active=tuple(effects), carriers=carriers, slopes=slopes)
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
@@ -229,8 +222,3 @@ def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -
     still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
     write_effects(aircraft, still, {}, target)
     return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
-
-
-def with_effects(point: Point, selection: Selection) -> Point:
-    """The point with every chosen effect at its value."""
-    return replace(point, effects={c.key: c.value for c in selection.chosen})

@@ -79,7 +79,7 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
         if before.replays is not None:
             after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
-    instead = [c.key for c in judged.found.selection.chosen if c.key in round_.instead]
+    instead = [k for k in judged.found.selection.values if k in round_.instead]
     return Offer(
         round_.fit, aircraft,
         {

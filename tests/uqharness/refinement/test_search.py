@@ -64,7 +64,7 @@ def started(merit: float = 1e4, gusts: object = None) -> Start:
     effects = [SimpleNamespace(key=k, unit="1", positive=False, odds=0.0, subsystem=None, term=k) for k in KEYS[1:]]
     before = SimpleNamespace(columns=[SimpleNamespace(names=("free",))], flown=SimpleNamespace(point="plain"))
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], late={}, servos={})
-    return Start(None, setup, before, (), effects, {}, 4.0, map, merit, gusts)  # type: ignore[arg-type]
+    return Start(None, setup, before, (), {e.key: e for e in effects}, {}, 4.0, map, merit, gusts)  # type: ignore[arg-type]
 
 
 def chosen(**t: float) -> Selection:
@@ -267,7 +267,7 @@ def test_then_the_search_is_made_without_such_delays(monkeypatch, tmp_path, evid
     names = ("free", "effect/actuator.aileron/lag", "effect/sensor.p_radps/delay", "twin", "other")
     renamed = gather([white], names, [0], {})
     start = started()
-    effects = [LONE[k] for k in names[1:3]]
+    effects = {k: LONE[k] for k in names[1:3]}
     both = {names[1]: 50.0, names[2]: 40.0}
     ends = {"_".join(sorted(both)): round_of(50.0, True, **both), names[1]: round_of(90.0, True, **{names[1]: 50.0})}
     flights = Flights(**{**ends, names[2]: round_of(100.0, again=chosen(**both), **{names[2]: 40.0})})
