@@ -199,12 +199,12 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
     parameters = in_one_step(last, start.names, after, selection, gusty, moved)
     selection, slopes = of_lift_slope(selection, start.before, after)
     open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
-    at = start.before.flown.point.values
+    plain = in_one_step(evidence, start.names, start.before, Selection(()), gusty, moved=gusty)
     note = () if gusts is None else (IN_TURBULENCE.format(gusts.gain, gusts.words),)
     trail = [f"one-step predictions: {line}" if gusty else line for line in searched.trail]
     return Found(
         setup, start.names, start.before, after, selection, start.effects, parameters, (*searched.notes, *note),
-        _moved_alone(evidence, start.names, start.before) if gusty else {n: at[n] for n in start.names}, gusts,
+        {n: value for n, (value, _) in plain.items()}, gusts,
         limit=start.limit, trail=tuple(trail), slopes=slopes,
         flown={} if best is None else best.about.flown,
         left=left_beside(last, start.free, [*selection.values], open_),
@@ -297,13 +297,6 @@ def left_beside(
     t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
     order = np.argsort(-np.abs(t))
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
-
-
-def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str, float]:
-    """Values of the parameters without any effect, the last step taken."""
-    free = fit.columns[0].names
-    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
-    return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
 
 
 def in_one_step(

@@ -21,6 +21,7 @@ from sysid.effects import (
     scores,
     select,
 )
+from uqharness.plugin import Estimate
 from uqharness.refinement.candidates import effect_columns, slopes_here
 from uqharness.refinement.fit import best_flown, refit
 from uqharness.refinement.gusts import column_evidence, gust_refit
@@ -217,8 +218,13 @@ def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Airc
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
     """A copy of the aircraft in ``folder`` with effects that have a property of their own at none: whoever flies it sets them, and
     the same effects give the same file, compiled once."""
+    still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
+    return write_copy(aircraft, still, {}, folder)
+
+
+def write_copy(aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], folder: Path) -> Aircraft:
+    """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its engines and systems."""
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
-    still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
-    write_effects(aircraft, still, {}, target)
+    write_effects(aircraft, effects, estimates, target)
     return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)

@@ -21,7 +21,7 @@ from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, sensed_by
-from uqharness.refinement.rounds import write_staged
+from uqharness.refinement.rounds import write_copy, write_staged
 from uqharness.refinement.setup import Bench, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
@@ -41,7 +41,7 @@ from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
 from uqharness.refinement.types import Setup, Side
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.writing.effects import Written
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS, Flight, read_flights, renamed
 from uqharness.scratch import scratch_folder
@@ -244,10 +244,7 @@ def _write(request: Request, found: Found, folder: Path) -> Aircraft:
         Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command, found.limit), slopes)
         for c in found.selection.chosen
     ]
-    target = folder / "aircraft" / aircraft.folder.name
-    target.parent.mkdir(parents=True)
-    write_effects(aircraft, effects, estimates, target)
-    return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    return write_copy(aircraft, effects, estimates, folder)
 
 
 def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
