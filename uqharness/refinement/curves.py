@@ -44,7 +44,7 @@ class Estimated:
     instead: tuple[str, ...]
 
 
-class About:
+class CurvesAbout:
     """A flight about which terms are estimated, that of ``found`` or, with its setup, another; before: the term in that flight."""
 
     def __init__(self, found: Found, fit: Fit, setup: Setup | None = None, before: Estimated | None = None) -> None:
@@ -131,7 +131,7 @@ def _left(evidence: Evidence, free: Sequence[str], fit: SmoothFit) -> list[Array
 def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     """The curve in a chosen effect's own states and coefficient that stands out most beside all that was chosen, and the other
     effects as they are with it in the place of those that it can be; None where none stands out: the forms chosen are enough."""
-    about = About(found, found.after)
+    about = CurvesAbout(found, found.after)
     terms = _own_terms(found, about)
     fits = [about.fitted(f.term) for f in about.fits(terms) if f.stands_out(len(terms))]
     best = max((f for f in fits if f.stands_out(len(terms))), key=lambda f: f.merit, default=None)
@@ -143,7 +143,7 @@ def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     return Bent(term.coefficient, states, term.name, best.ratio, best.p * len(terms), done.instead), beside
 
 
-def _own_terms(found: Found, about: About) -> list[Smooth]:
+def _own_terms(found: Found, about: CurvesAbout) -> list[Smooth]:
     """Curves that chosen effects can be, each in a state of its own; of an effect of two states: in one, times the other."""
     asked: dict[tuple[str, str, str | None], None] = {}
     for c in found.selection.chosen:

@@ -49,13 +49,7 @@ from uqharness.refinement.rates import as_known_here, limits_tried
 from uqharness.refinement.round import Start, like_turning_air
 from uqharness.refinement.rounds import eligible, resolved
 from uqharness.refinement.search import Searched, search
-from uqharness.refinement.setup import (
-    Bench,
-    candidates_for,
-    make_setup,
-    setup_in_gusts,
-    turbulent,
-)
+from uqharness.refinement.setup import Bench, candidates_for, make_setup, setup_in_gusts, turbulent
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.refinement.types import Array, Bent, Setup, lateness

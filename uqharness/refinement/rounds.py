@@ -8,19 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import (
-    DIFFERENT,
-    EARNED,
-    OVERWHELMING,
-    TWINS,
-    UNKNOWN_ROWS,
-    Effect,
-    Evidence,
-    Selection,
-    judged,
-    scores,
-    select,
-)
+from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, TWINS, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
 from uqharness.plugin import Estimate
 from uqharness.refinement.candidates import effect_columns, slopes_here
 from uqharness.refinement.fit import best_flown, refit
