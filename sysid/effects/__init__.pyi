@@ -7,8 +7,6 @@ from .disagreement import disagreements as disagreements
 from .effect_terms import V_REFERENCE_MPS as V_REFERENCE_MPS
 from .effect_terms import Term as Term
 from .file import read_effects as read_effects
-from .flight_choice import Offer as Offer
-from .flight_choice import choose as choose
 from .prediction import Columns as Columns
 from .prediction import Followed as Followed
 from .prediction import MadeColumns as MadeColumns
@@ -34,6 +32,7 @@ from .selection import Refusal as Refusal
 from .selection import Selection as Selection
 from .selection import chance_limit as chance_limit
 from .selection import judged as judged
+from .selection import projected as projected
 from .selection import select as select
 from .selection import threshold as threshold
 from .smooth import SPANS as SPANS

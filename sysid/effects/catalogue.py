@@ -92,25 +92,13 @@ class Effect:
 # term -> physics, regime, reference, unit of the coefficient's derivative
 _TERMS: dict[str, tuple[str, str, str]] = {
     "alpha": ("force or moment proportional to angle of attack", "pitch manoeuvres", ETKIN),
-    "alpha^2": (
-        "curvature with angle of attack: drag polar, lift slope falling off",
-        "large changes of angle of attack",
-        KLEIN,
-    ),
+    "alpha^2": ("curvature with angle of attack: drag polar, lift slope falling off", "large changes of angle of attack", KLEIN),
     "alpha^3": ("onset of separation before the stall", "high and low angles of attack", KLEIN),
     "beta": ("asymmetry between left and right sideslip", "yaw manoeuvres", ETKIN),
     "beta^2": ("symmetric change with sideslip: drag, fuselage upwash, dihedral of the tail", "large sideslip", KLEIN),
     "beta^3": ("side force or moment not linear in sideslip", "large sideslip", KLEIN),
-    "abs(beta)": (
-        "symmetric change with sideslip: one side of the tail in the fuselage's wake",
-        "large sideslip",
-        KLEIN,
-    ),
-    "abs(beta)*beta": (
-        "crossflow on fuselage and fin grows faster than linearly with sideslip",
-        "large sideslip",
-        KLEIN,
-    ),
+    "abs(beta)": ("symmetric change with sideslip: one side of the tail in the fuselage's wake", "large sideslip", KLEIN),
+    "abs(beta)*beta": ("crossflow on fuselage and fin grows faster than linearly with sideslip", "large sideslip", KLEIN),
     "alpha*beta": (
         "dihedral effect or directional stability that changes with angle of attack",
         "sideslip at varying angle of attack",
@@ -137,25 +125,13 @@ _TERMS: dict[str, tuple[str, str, str]] = {
         "rolls at varying angle of attack",
         KLEIN,
     ),
-    "alpha*q_hat": (
-        "pitch damping that changes with angle of attack",
-        "pitch manoeuvres at varying angle of attack",
-        KLEIN,
-    ),
-    "alpha*r_hat": (
-        "cross derivative of yawing that changes with angle of attack",
-        "yaw at varying angle of attack",
-        KLEIN,
-    ),
+    "alpha*q_hat": ("pitch damping that changes with angle of attack", "pitch manoeuvres at varying angle of attack", KLEIN),
+    "alpha*r_hat": ("cross derivative of yawing that changes with angle of attack", "yaw at varying angle of attack", KLEIN),
     "beta*p_hat": ("rolling in sideslip: wing and tail see unequal angles", "rolls in sideslip", KLEIN),
     "beta*q_hat": ("pitching in sideslip", "combined manoeuvres", KLEIN),
     "beta*r_hat": ("yawing in sideslip", "yaw manoeuvres", KLEIN),
     "alpha*de": ("elevator power that changes with angle of attack (downwash, wing wake)", "pitch manoeuvres", KLEIN),
-    "alpha*da": (
-        "adverse yaw and aileron power that change with angle of attack",
-        "rolls at varying angle of attack",
-        KLEIN,
-    ),
+    "alpha*da": ("adverse yaw and aileron power that change with angle of attack", "rolls at varying angle of attack", KLEIN),
     "alpha*dr": ("rudder power that changes with angle of attack", "yaw at varying angle of attack", KLEIN),
     "beta*de": ("v-tail: elevator makes a lateral moment in sideslip", "sideslip with elevator", KLEIN),
     "beta*da": ("aileron in sideslip", "combined manoeuvres", KLEIN),
@@ -185,11 +161,7 @@ _TERMS: dict[str, tuple[str, str, str]] = {
     "de*CT": ("slipstream over the elevator: its power grows with thrust", "elevator at different power", JATEGAONKAR),
     "da*CT": ("slipstream over the ailerons", "aileron at different power", JATEGAONKAR),
     "dr*CT": ("slipstream over the rudder: its power grows with thrust", "rudder at different power", JATEGAONKAR),
-    "V_rel": (
-        "coefficient that changes with airspeed: Reynolds number, elastic deformation",
-        "different airspeeds",
-        KLEIN,
-    ),
+    "V_rel": ("coefficient that changes with airspeed: Reynolds number, elastic deformation", "different airspeeds", KLEIN),
     "alpha*V_rel": ("lift slope that changes with airspeed: elastic deformation", "different airspeeds", KLEIN),
     "de*V_rel": ("elevator power that changes with airspeed: elastic tail", "different airspeeds", KLEIN),
     "da*V_rel": ("aileron power that changes with airspeed: elastic wing", "different airspeeds", KLEIN),
@@ -220,38 +192,29 @@ def words(term: str) -> str:
     return " times ".join(out)
 
 
-def coefficient_effect(
-    coefficient: str, term: str, physics: str = "", regime: str = "", reference: str = "", sign: str = ""
-) -> Effect:
+def coefficient_effect(coefficient: str, term: str) -> Effect:
     """The effect of a term in a coefficient; term in any order of factors. Raises ValueError for what is neither."""
     if coefficient not in COEFFICIENTS:
         raise ValueError(f"coefficient '{coefficient}': allowed are {', '.join(COEFFICIENTS)}")
     parsed = parse(term)
-    known = _TERMS.get(parsed.text, ("", "", ""))
+    physics, regime, reference = _TERMS.get(parsed.text, ("a term of your own", "", ""))
     mirrored = parsed.odd_lateral != (coefficient in _LATERAL)
     deflections = sum(abs(f.power) for f in parsed.factors if f.variable in ("de", "da", "dr"))
     plain = parsed.text in ("de", "da", "dr")
-    unit = "1" if not deflections else "1/deg" if deflections == 1 else f"1/deg^{deflections}"
     return Effect(
         coefficient,
         None,
         parsed.text,
         f"{_NAMES[coefficient]} due to {words(parsed.text)}",
-        physics or known[0] or "a term of your own",
-        regime or known[1],
-        sign,
-        reference or known[2],
-        unit,
-        (0.5 * (parsed.degree - 1)) + (2.0 if mirrored and not plain else 0.0),
+        physics,
+        regime,
+        "",
+        reference,
+        "1" if not deflections else "1/deg" if deflections == 1 else f"1/deg^{deflections}",
+        0.5 * (parsed.degree - 1) + (2.0 if mirrored and not plain else 0.0),
     )
 
 
 def catalogue() -> list[Effect]:
     """Every coefficient term of the catalogue in every coefficient."""
-    out = []
-    for coefficient in COEFFICIENTS:
-        for term in _TERMS:
-            if term == "1/h_over_b" and coefficient not in ("CX", "Cm"):
-                continue
-            out.append(coefficient_effect(coefficient, term))
-    return out
+    return [coefficient_effect(c, term) for c in COEFFICIENTS for term in _TERMS if term != "1/h_over_b" or c in ("CX", "Cm")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -90,19 +91,15 @@ def disagreements(
 
 def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tuple[Region, NDArray[np.bool_]]:
     """The region, a third of some state's samples, in which most of the samples outside are gathered."""
-    best: tuple[float, Region, NDArray[np.bool_]] | None = None
+    found = []
     for name, values in states.items():
         edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
         for low, high in pairwise(edges.tolist()):
             mask = (values >= low) & (values <= high)
-            if mask.sum() < 10 or high <= low:
-                continue
-            share = float(outside[mask].mean())
-            if best is None or share > best[0]:
-                best = (share, Region(name, float(low), float(high)), mask)
-    if best is None:
-        return Region("all", float("nan"), float("nan")), np.ones(len(outside), dtype=bool)
-    return best[1], best[2]
+            if mask.sum() >= 10 and high > low:
+                found.append((Region(name, low, high), mask))
+    everywhere = Region("all", math.nan, math.nan), np.ones(len(outside), dtype=bool)
+    return max(found, key=lambda f: float(outside[f[1]].mean()), default=everywhere)
 
 
 def dependence(
@@ -120,11 +117,8 @@ def dependence(
         x = np.concatenate([s[name] for s in states])
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 11)[1:-1]))
         where = np.searchsorted(edges, x)
-        explained = 0.0
-        for b in range(len(edges) + 1):
-            part = y[where == b]
-            if part.size:
-                explained += part.size * float(part.mean()) ** 2
+        count = np.bincount(where)
+        explained = float(np.sum(np.bincount(where, y) ** 2 / np.maximum(count, 1)))
         share = explained / total if total > 0 else 0.0
         n = len(y)
         out.append((name, 1.0 - (1.0 - share) * (n - 1) / max(n - len(edges) - 1, 1)))

@@ -44,15 +44,9 @@ def read_effects(path: Path) -> list[Effect]:
         if wrong:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
         try:
-            effect = coefficient_effect(
-                row["coefficient"],
-                row["term"],
-                row.get("physics", ""),
-                row.get("regime", ""),
-                row.get("reference", ""),
-                row.get("sign", ""),
-            )
+            effect = coefficient_effect(row["coefficient"], row["term"])
         except ValueError as error:
             raise LogError(str(error), path, where) from None
-        out.append(replace(effect, name=row.get("name", effect.name), odds=0.0))
+        told = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
+        out.append(replace(effect, odds=0.0, **told))
     return out

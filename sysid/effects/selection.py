@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
-from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, scores, solve
+from sysid.effects.score import DEPENDENT, Evidence, Index, agreement, corrected, corrected_each, likeness, scores, solve
 from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 FloatArray = NDArray[np.float64]
@@ -76,10 +76,21 @@ class Selection:
     refused: Refusal | None = None
     trail: tuple[str, ...] = field(default=())
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the effects by key, in order of choice."""
+        return {c.key: c.value for c in self.chosen}
+
 
 def threshold(candidates: int, family: float = FAMILY) -> float:
     """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
+
+
+def projected(G: FloatArray, u: FloatArray, free: Index, some: Index) -> tuple[FloatArray, FloatArray]:
+    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out, as in (LM) of score.py."""
+    x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
+    return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[np.ix_(some, free)] @ x[:, -1]
 
 
 def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:
@@ -91,9 +102,7 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
     known = [k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT]
     if len(known) < 2:
         return threshold(len(known), family)
-    G, _ = evidence.everything
-    b, c = evidence.index(free), evidence.index(known)
-    left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    left, _ = projected(*evidence.everything, evidence.index(free), evidence.index(known))
     size = np.sqrt(np.diagonal(left))
     values, vectors = np.linalg.eigh(left / np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).astype(np.float32)
@@ -200,13 +209,8 @@ def _best(
     choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        for other in order[1:LOOKED_AT]:
-            if merit[other] < limit**2:
-                break
-            second = _judged(evidence, free, open_[int(other)])
-            if abs(second.t) > limit:
-                choice = second
-                break
+        others = (_judged(evidence, free, open_[k]) for k in order[1:LOOKED_AT] if merit[k] >= limit**2)
+        choice = next((c for c in others if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
     if not np.sqrt(choice.gain) > limit * spread:

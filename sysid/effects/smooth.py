@@ -29,6 +29,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects.catalogue import coefficient_effect, words
 from sysid.effects.effect_terms import VARIABLES
 from sysid.effects.score import DEPENDENT, Evidence, solve
+from sysid.effects.selection import projected
 from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
@@ -165,9 +166,8 @@ class SmoothFit:
 def fit_smooth(evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth], dispersion: float = 1.0) -> list[SmoothFit]:
     """Each of the terms alone beside the ``free`` columns."""
     G, u = evidence.everything
-    b, c = evidence.index(free), evidence.index([n for t in terms for n in t.columns])
-    x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
-    g, left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1], u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    c = evidence.index([n for t in terms for n in t.columns])
+    g, left = projected(G, u, evidence.index(free), c)
     own = np.diagonal(G)[c]
     out, first = [], 0
     for t in terms:
@@ -181,12 +181,10 @@ def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispers
     known = np.diagonal(G) > DEPENDENT * own
     line, bends = np.flatnonzero(known[:_LINE]), _LINE + np.flatnonzero(known[_LINE:])
     ratio, precision = 0.0, np.zeros(len(u))
-    right = np.column_stack([G[np.ix_(line, bends)], u[line]])
-    part = solve(G[np.ix_(line, line)], right)
-    gained = float(u[line] @ part[:, -1])
-    d, V = np.linalg.eigh(G[np.ix_(bends, bends)] - right[:, :-1].T @ part[:, :-1])
-    w = V.T @ (u[bends] - right[:, :-1].T @ part[:, -1])
-    d = np.maximum(d, 0.0)
+    gained = float(u[line] @ solve(G[np.ix_(line, line)], u[line, None])[:, 0])
+    g, left = projected(G, u, line, bends)
+    d, V = np.linalg.eigh(g)
+    w, d = V.T @ left, np.maximum(d, 0.0)
     if len(d) and d[-1] > 0.0:
         taus = _TAUS / d[-1]
         grown = 1.0 + np.outer(taus, d)
@@ -218,13 +216,8 @@ def colour_dispersion(evidence: Evidence, free: Sequence[str], fit: SmoothFit, r
 
 def held_out_gain(evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]) -> float:
     """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the others: `score.agreement`."""
-    sides = []
-    for segments in (part, ~part):
-        G, u = evidence.part(segments)
-        b, c = evidence.index(free), evidence.index(fit.own)
-        x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
-        sides.append((G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1], u[c] - G[np.ix_(c, b)] @ x[:, -1]))
-    (G, u), (other, score) = sides
+    b, c = evidence.index(free), evidence.index(fit.own)
+    (G, u), (other, score) = (projected(*evidence.part(segments), b, c) for segments in (part, ~part))
     v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.known]), u)
     return float(2.0 * v @ score - v @ other @ v)
 

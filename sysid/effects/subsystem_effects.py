@@ -9,37 +9,35 @@ from sysid.effects.tuned import ODDS
 
 _POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic", "lift")
 _WIND = ("V_mps", "alpha_rad", "beta_rad")
-# subsystem, term, name, physics, regime, unit, odds
-_Row = tuple[str, str, str, str, str, str, float]
-_AIRCRAFT: tuple[_Row, ...] = (
+# subsystem, term, name, physics, regime, unit
+_AIRCRAFT = (
     ("stall", "separation", "lift lost by separation", "flow separates from the trailing edge at high angle of attack",
-     "high angle of attack", "1", ODDS),
+     "high angle of attack", "1"),
     ("stall", "dynamic", "lift lost by separation that lags", "separation follows angle of attack late (eq 2.40)",
-     "fast changes at high angle of attack", "1", ODDS),
+     "fast changes at high angle of attack", "1"),
     ("ground", "lift", "lift gained near the ground",
      "the ground holds up the wing's downwash: normal force grows by a share that falls off as exp(-2 h/b)",
-     "low height", "1", ODDS),
+     "low height", "1"),
     ("propulsion", "thrust_scale", "thrust off by a factor", "propeller or battery give more or less than the map",
-     "throttle changes", "1", ODDS),
+     "throttle changes", "1"),
     ("propulsion", "inflow", "inflow at the propeller off by a factor",
      "the propeller meets the air faster or slower than the map has it",
-     "throttle and speed changes", "1", ODDS),
+     "throttle and speed changes", "1"),
     ("propulsion", "airspeed", "thrust off by a factor that goes with airspeed", "propeller and motor are matched at another speed",
-     "throttle and speed changes", "1", ODDS),
+     "throttle and speed changes", "1"),
     ("propulsion", "torque", "propeller torque", "the motor's reaction rolls the aircraft against the propeller",
-     "throttle changes", "1", ODDS),
+     "throttle changes", "1"),
     ("propulsion", "p_factor", "p-factor", "the descending blade sees more angle of attack: yaw with alpha, pitch with beta",
-     "throttle at angle of attack", "1", ODDS),
+     "throttle at angle of attack", "1"),
     ("propulsion", "slipstream", "slipstream over the tail", "tail surfaces act in more dynamic pressure as thrust grows",
-     "elevator and rudder at different power", "1", ODDS),
-    ("mass", "cg_x", "centre of gravity further forward", "the moments are about another point", "all manoeuvres", "m", ODDS),
+     "elevator and rudder at different power", "1"),
+    ("mass", "cg_x", "centre of gravity further forward", "the moments are about another point", "all manoeuvres", "m"),
     ("mass", "Ixz", "product of inertia Ixz off",
-     "roll and yaw accelerations are coupled, and pitch with roll rate squared", "aileron and rudder doublets", "kg m^2", ODDS),
+     "roll and yaw accelerations are coupled, and pitch with roll rate squared", "aileron and rudder doublets", "kg m^2"),
 )  # fmt: skip
 
 
-def _effect(row: _Row) -> Effect:
-    subsystem, term, name, physics, regime, unit, odds = row
+def _effect(subsystem: str, term: str, name: str, physics: str, regime: str, unit: str, odds: float = ODDS) -> Effect:
     return Effect(None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, term in _POSITIVE)
 
 
@@ -50,59 +48,36 @@ def subsystem_effects(
 
     parts: channels of a sensor with several, whose filter may be another than the others'.
     """
-    rows = [*_AIRCRAFT]
+    found = [_effect(*row) for row in _AIRCRAFT]
     for s in surfaces:
-        rows += [
-            (f"actuator.{s}", "lag", f"{s} servo's lag other than modelled", "first-order lag of the servo", f"{s} steps", "s",
-             ODDS),
-            (f"actuator.{s}", "deadband", f"{s} servo with a deadband", "small commands do not move the surface",
-             f"small {s} commands", "deg", ODDS),
-            (f"actuator.{s}", "rate_limit", f"{s} servo's rate limit other than modelled", "the servo's speed is limited",
-             f"large {s} steps", "s/deg", ODDS),
+        servo = f"actuator.{s}"
+        found += [
+            _effect(servo, "lag", f"{s} servo's lag other than modelled", "first-order lag of the servo", f"{s} steps", "s"),
+            _effect(servo, "deadband", f"{s} servo with a deadband", "small commands do not move the surface",
+                    f"small {s} commands", "deg"),
+            _effect(servo, "rate_limit", f"{s} servo's rate limit other than modelled", "the servo's speed is limited",
+                    f"large {s} steps", "s/deg"),
         ]  # fmt: skip
+    any_, abrupt, twice = "all manoeuvres", "abrupt manoeuvres", 2.0 * ODDS
     for c in channels:
-        short, unit = c.split("_")[0], c.split("_")[1]
-        wind = c in _WIND
-        physics = "position error or upwash at the sensor" if wind else "calibration"
-        rows.append(
-            (
-                f"sensor.{c}",
-                "scale",
-                f"{short} sensor's scale off",
-                physics,
-                "all manoeuvres",
-                "1",
-                2.0 * ODDS,
-            )
-        )
+        short, unit = c.split("_")
+        physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
+        found.append(_effect(f"sensor.{c}", "scale", f"{short} sensor's scale off", physics, any_, "1", twice))
         if short not in ("p", "q", "r"):
-            rows.append(
-                (
-                    f"sensor.{c}",
-                    "bias",
-                    f"{short} sensor's zero off",
-                    "calibration or misalignment",
-                    "all manoeuvres",
-                    unit,
-                    2.0 * ODDS,
-                )
-            )
+            physics = "calibration or misalignment"
+            found.append(_effect(f"sensor.{c}", "bias", f"{short} sensor's zero off", physics, any_, unit, twice))
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
-        rows += [
-            ("sensor.accelerometer", f"place_{axis}", f"accelerometers further {way}", "they feel the rotation about the CG",
-             "abrupt manoeuvres", "m", 2.0 * ODDS)
+        physics = "they feel the rotation about the CG"
+        found += [
+            _effect("sensor.accelerometer", f"place_{axis}", f"accelerometers further {way}", physics, abrupt, "m", twice)
             for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
-        ]  # fmt: skip
+        ]
     if {"V_mps", "q_radps", "r_radps"} <= set(channels) and {"alpha_rad", "beta_rad"} & set(channels):
         physics = "they move with pitch and yaw rate"
-        rows.append(("sensor.vane", "place_x", "wind vanes further forward", physics, "abrupt manoeuvres", "m", 2.0 * ODDS))
-    rows += [
-        (f"sensor.{c}", "delay", f"{c.split('_')[0]} sensor late", "filtering and transport of the signal",
-         "fast manoeuvres", "s", 2.0 * ODDS)
-        for c in delays
-    ] + [
-        (f"sensor.{c}", "delay", f"{c.split('_')[0]} alone late", "filtered otherwise than the other channels of its sensor",
-         "fast manoeuvres", "s", 4.0 * ODDS)
-        for c in parts
-    ]  # fmt: skip
-    return [_effect(row) for row in rows]
+        found.append(_effect("sensor.vane", "place_x", "wind vanes further forward", physics, abrupt, "m", twice))
+    late = [(c, "sensor late", "filtering and transport of the signal", twice) for c in delays]
+    late += [(c, "alone late", "filtered otherwise than the other channels of its sensor", 2.0 * twice) for c in parts]
+    return found + [
+        _effect(f"sensor.{c}", "delay", f"{c.split('_')[0]} {name}", physics, "fast manoeuvres", "s", odds)
+        for c, name, physics, odds in late
+    ]

@@ -8,6 +8,8 @@ from .fit import FittedBounds as FittedBounds
 from .fit import default_designs as default_designs
 from .fit import fit_bounds as fit_bounds
 from .fit import with_walk_rates as with_walk_rates
+from .flight_choice import Offer as Offer
+from .flight_choice import choose as choose
 from .judgement import HOLDS_FROM as HOLDS_FROM
 from .judgement import Verdict as Verdict
 from .judgement import verdict as verdict
@@ -35,6 +37,5 @@ from .worth import information as information
 from .worth import mean_power as mean_power
 from .worth import parameter_variance as parameter_variance
 from .worth import speed_power as speed_power
-from .worth import thinned as thinned
 from .worth import weighted_quartiles as weighted_quartiles
 from .worth import width as width

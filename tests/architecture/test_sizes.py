@@ -25,7 +25,6 @@ MANY_ARGUMENTS: Mapping[str, int] = {
     "uqharness/api/refinement.py": 1,
     "uqharness/campaign/run.py": 1,
     "uqharness/identification/identify.py": 2,
-    "uqharness/refinement/find.py": 2,
     "uqharness/sensitivity/study.py": 1,
     # Motion, rates, controls and air along a flight, each an array of its own.
     "sysid/aerodynamics/coefficients.py": 1,

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Cutoffs, Residuals
-from sysid.effects import Offer, choose
 from sysid.model_form import (
     CoefficientBounds,
     FitOptions,
     ModelForm,
+    Offer,
     after,
+    choose,
     fit_bounds,
     information,
     parameter_variance,

@@ -6,14 +6,14 @@ is strong, or nearly as strong as the strongest. Train flights alone decide.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sysid.effects import COMPARABLE, DIFFERENT, OVERWHELMING, Choice
 from sysid.parallel import Processes
 from uqharness.refinement.curves import bent
 from uqharness.refinement.find import Found
-from uqharness.refinement.judge import evidence_of, left_out, written_at
+from uqharness.refinement.judge import evidence_of, left_out, property_values, written_at
 from uqharness.refinement.showing.show import left_in, show
 from uqharness.refinement.types import Side
 from uqharness.simulator import Aircraft
@@ -27,19 +27,17 @@ def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
     return tuple(c for c, own in zip(chosen, t, strict=True) if not own >= asked)
 
 
-def named_beside(
-    found: Found, train: Side, written: Callable[[], tuple[Aircraft, Mapping[str, float]]], map_: Processes
-) -> Found:  # fmt: skip
+def named_beside(found: Found, train: Side, whole: Aircraft, map_: Processes) -> Found:
     """The same, everything estimated again without what is too weak, if the model with all of it leaves the train flights
     unexplained: by what is left of them, or by a curve that the forms chosen are not (`curves.bent`), beside which the others are
-    judged. written: the aircraft with all of it, and properties that have other values."""
+    judged. whole: the aircraft with all of it."""
     chosen, curve = found.selection.chosen, bent(found)
     if curve is None:
         weak = too_weak(chosen, found.limit)
         if not weak:
             return found
-        aircraft, values = written()
-        shown = show(aircraft, train, map_, written_at(found, values, found.after.flown.point))
+        at = written_at(found, property_values(found, found), found.after.flown.point)
+        shown = show(whole, train, map_, at)
         if not left_in(train.setup, shown, found.gusty):
             return found
     else:
@@ -50,6 +48,6 @@ def named_beside(
         weak = tuple(c for c in chosen if c.key in asked)
         if not weak:
             return found
-    rest = left_out(found, evidence_of(found, train.air), [c.key for c in weak])
+    rest = left_out(found, evidence_of(found), [c.key for c in weak])
     lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
     return replace(rest, unnamed=weak, trail=(*found.trail, *lines))

@@ -26,8 +26,8 @@ from sysid.effects import (
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
 from uqharness.refinement.fit import Fit, merged
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.judge import evidence_of
-from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.types import Array, Bent, Setup
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
@@ -44,7 +44,7 @@ class Estimated:
     instead: tuple[str, ...]
 
 
-class About:
+class CurvesAbout:
     """A flight about which terms are estimated, that of ``found`` or, with its setup, another; before: the term in that flight."""
 
     def __init__(self, found: Found, fit: Fit, setup: Setup | None = None, before: Estimated | None = None) -> None:
@@ -56,13 +56,13 @@ class About:
         """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
         names = tuple(make(self.along[0]))
         more = MadeColumns(names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along))
-        chosen = {c.key: c.value for c in self.found.selection.chosen}
+        chosen = self.found.selection.values
         if self.setup is None:
-            evidence = evidence_of(self.found, self.found.gusts, (), more)
+            evidence = evidence_of(self.found, (), more)
         else:
             effects = effect_columns(self.setup, self.fit.probes, self.fit.flown, [self.found.effects[k] for k in chosen])
             flown = {} if self.before is None else self.before.fit.flown
-            evidence = column_evidence(self.setup, self.fit, merged(effects, more)).taken_out({**chosen, **flown})
+            evidence = column_evidence(self.setup, self.fit, merged(effects, more), None).taken_out({**chosen, **flown})
         apart = {*self.found.effects, *names}
         return evidence, [*(n for n in evidence.names if n not in apart), *chosen]
 
@@ -131,7 +131,7 @@ def _left(evidence: Evidence, free: Sequence[str], fit: SmoothFit) -> list[Array
 def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     """The curve in a chosen effect's own states and coefficient that stands out most beside all that was chosen, and the other
     effects as they are with it in the place of those that it can be; None where none stands out: the forms chosen are enough."""
-    about = About(found, found.after)
+    about = CurvesAbout(found, found.after)
     terms = _own_terms(found, about)
     fits = [about.fitted(f.term) for f in about.fits(terms) if f.stands_out(len(terms))]
     best = max((f for f in fits if f.stands_out(len(terms))), key=lambda f: f.merit, default=None)
@@ -143,7 +143,7 @@ def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     return Bent(term.coefficient, states, term.name, best.ratio, best.p * len(terms), done.instead), beside
 
 
-def _own_terms(found: Found, about: About) -> list[Smooth]:
+def _own_terms(found: Found, about: CurvesAbout) -> list[Smooth]:
     """Curves that chosen effects can be, each in a state of its own; of an effect of two states: in one, times the other."""
     asked: dict[tuple[str, str, str | None], None] = {}
     for c in found.selection.chosen:

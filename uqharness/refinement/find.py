@@ -20,7 +20,6 @@ from sysid.effects import (
     CERTAIN_T,
     DIFFERENT,
     GUST_LIMIT,
-    GUST_ODDS,
     MOMENTS_IN_GUSTS,
     OVERWHELMING,
     RATES_IN_GUSTS,
@@ -45,18 +44,12 @@ from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_a
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.fit import PRIOR, Fit
-from uqharness.refinement.gusts import GustFit, gust_evidence, gust_refit
+from uqharness.refinement.gusts import GustFit, column_evidence, gust_refit
 from uqharness.refinement.rates import as_known_here, limits_tried
-from uqharness.refinement.round import Start
-from uqharness.refinement.rounds import candidate_evidence, column_evidence, eligible, odds_at, resolved
-from uqharness.refinement.search import search
-from uqharness.refinement.setup import (
-    Bench,
-    candidates_for,
-    make_setup,
-    setup_in_gusts,
-    turbulent,
-)
+from uqharness.refinement.round import Start, like_turning_air
+from uqharness.refinement.rounds import eligible, resolved
+from uqharness.refinement.search import Searched, search
+from uqharness.refinement.setup import Bench, candidates_for, make_setup, setup_in_gusts, turbulent
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
 from uqharness.refinement.types import Array, Bent, Setup, lateness
@@ -66,6 +59,10 @@ from uqharness.simulator import Aircraft
 NO_AIR = (
     "the residuals of replays looked like turbulence, but of air that does not move across the flight path: an effect in the "
     "aircraft or its sensors, and the flights were judged by replays"
+)
+IN_TURBULENCE = (
+    "the residuals of replays showed turbulence: effects and parameters were judged by predictions one sample ahead, with process "
+    "noise estimated ({:.4g} more in twice the log likelihood than calm air; {})"
 )
 Say = Callable[[str], None]
 
@@ -119,11 +116,11 @@ class Found:
 
 
 def find_effects(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], extra: Sequence[Effect], work: Path,
-    map_: Processes, say: Say = lambda _: None, stages: Stages | None = None, put_right: tuple[float, ...] = (),
+    aircraft: Aircraft, setup: Setup, extra: Sequence[Effect], work: Path, map_: Processes, say: Say, keep: Stages,
+    put_right: tuple[float, ...] = (),
 ) -> Found:  # fmt: skip
-    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft;
-    put_right: by how much the setup's controls act later than recorded, as found step by step."""
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep:
+    what an earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
@@ -131,76 +128,80 @@ def find_effects(
         )
     recorded, clock = setup, Clock(setup.segments[0].command_s, put_right)
     if put_right:
-        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), measured, ideal)
+        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
-    late = None
-    with Bench(aircraft, measured, ideal) as bench:
+    gusts = None
+    with Bench(aircraft, setup) as bench:
         say("re-identifying the parameters")
-        keep = stages or Stages(None, ())
-        asked = names
-        stage = f"parameters{len(put_right) or ''}"
+        asked, again = names, len(put_right) or ""
         setup = given = with_jumps(setup, bench.model)
         before, names, excited, notes, noise = keep(
-            stage, Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
+            f"parameters{again}", Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
         )
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, asked, extra)
-        by_key = {e.key: e for e in effects}
         if turbulent(setup, before.flown):
             say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
             gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
             air = keep(
-                f"air{len(put_right) or ''}",
+                f"air{again}",
                 GustFit,
                 lambda: gust_refit(bench.model, bench.straight, gusty, at, excited, limits, map_, tune=True),
             )
             if air.gusts.air:
-                said = [*notes, *left_alone(asked, excited)]
-                found = _in_gusts(bench, air, excited, limits, effects, said, work, map_, say, clock)
-                if isinstance(found, Found):
-                    return found
-                late = found
+                setup, before, gusts, names = air.setup, air.fit, air.gusts, excited
             else:
                 notes = [*notes, NO_AIR]
-        if late is None:
-            say(f"scoring {len(effects)} candidate effects")
-            setup, before = as_quiet(setup, before)
-            setup = limits_tried(setup, before.probes, before.columns[0].names, lambda extra: column_evidence(setup, before, extra))
-            timed = () if setup.late else (CONTROLS_LATE,)
-            evidence = candidate_evidence(setup, before, [*effects, *timed])
-            if timed and clock.may_be_off:
-                late = _of_the_clock(setup, before, evidence, effects, clock)
+    if gusts is None:
+        say(f"scoring {len(effects)} candidate effects")
+        setup, before = as_quiet(setup, before)
+    setup = limits_tried(setup, before, gusts)
+    timed = [CONTROLS_LATE] if clock.may_be_off and not setup.late else []
+    columns = effect_columns(setup, before.probes, before.flown, [*effects, *timed])
+    evidence = column_evidence(setup, before, columns, gusts)
+    late = _of_the_clock(setup, before, evidence, effects, clock, 0.0 if gusts is None else GUST_LIMIT) if timed else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
-        found = find_effects(aircraft, recorded, measured, ideal, extra, work, map_, say, stages, (*put_right, late[0]))
+        found = find_effects(aircraft, recorded, extra, work, map_, say, keep, (*put_right, late[0]))
         if not put_right:
             found = replace(found, notes=(words(found.controls_late_s, late[1], clock.command_s), *found.notes))
         return found
     free = before.columns[0].names
-    odds = eligible(effects, setup, free, evidence)
-    board = score_table(evidence, free, odds, by_key)
-    limit = chance_limit(evidence, free, list(odds))
-    notes = [*notes, *left_alone(asked, names)]
-    start = Start(aircraft, setup, before, names, effects, limits, limit, tuple(measured), tuple(ideal), map_, before.flown.cost)
-    searched = search(start, evidence, odds, work, say)
-    best, notes = searched.best, [*notes, *searched.notes]
-    plain = {n: before.flown.point.values[n] for n in names}
+    open_ = list(eligible(effects, setup, free, evidence))
+    limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), GUST_LIMIT)
+    merit = before.flown.cost if gusts is None else air.surprise
+    start = Start(aircraft, setup, before, names, {e.key: e for e in effects}, limits, limit, map_, merit, gusts)
+    searched = search(start, evidence, work, say)
+    found = _found(start, searched, evidence)
+    board = score_table(evidence, free, [e for e in effects if e.key in open_])
+    told = (*notes, *left_alone(asked, names), *found.notes)
+    return replace(found, notes=told, late_s=sum(put_right), scoreboard=board)
+
+
+def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
+    """Everything estimated with the best model flown, or without effects where none is better; evidence: without effects."""
+    best, gusty = searched.best, start.gusts is not None
     if best is None:
-        none = Selection((), _not_borne_out(searched.first, limit) or searched.first.refused, searched.first.trail)
-        parameters = _parameters(evidence, names, before, none)
-        return Found(
-            setup, names, before, before, none, by_key, parameters, tuple(notes), plain, None, board, limit,
-            sum(put_right), searched.trail, left=left_beside(evidence, free, (), odds),
-        )  # fmt: skip
-    selection = with_resolution(as_known_here(resolved(start, best), best), by_key, setup.segments[0].dt_s, gusty=False)
+        setup, after, last, gusts = start.setup, start.before, evidence, start.gusts
+        selection = replace(searched.first, chosen=(), refused=_not_borne_out(start, searched.first) or searched.first.refused)
+    else:
+        setup, after, last, gusts = best.setup, best.fit, best.evidence, best.gusts
+        known = as_known_here(resolved(start, best), best)
+        selection = with_resolution(known, start.effects, setup.segments[0].dt_s, gusty)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
-    parameters = (in_one_step if best.held else _parameters)(best.evidence, names, best.fit, selection)
-    selection, slopes = of_lift_slope(selection, before, best.fit)
-    chosen, open_ = [c.key for c in selection.chosen], eligible(effects, setup, best.free, best.evidence)
+    moved = gusty or bool(best and best.held)
+    parameters = in_one_step(last, start.names, after, selection, gusty, moved)
+    selection, slopes = of_lift_slope(selection, start.before, after)
+    open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
+    plain = in_one_step(evidence, start.names, start.before, Selection(()), gusty, moved=gusty)
+    note = () if gusts is None else (IN_TURBULENCE.format(gusts.gain, gusts.words),)
+    trail = [f"one-step predictions: {line}" if gusty else line for line in searched.trail]
     return Found(
-        best.setup, names, before, best.fit, selection, by_key, parameters, tuple(notes), plain, None, board, limit,
-        sum(put_right), searched.trail, slopes, best.about.flown,
-        left=left_beside(best.evidence, free, chosen, open_),
+        setup, start.names, start.before, after, selection, start.effects, parameters, (*searched.notes, *note),
+        {n: value for n, (value, _) in plain.items()}, gusts,
+        limit=start.limit, trail=tuple(trail), slopes=slopes,
+        flown={} if best is None else best.about.flown,
+        left=left_beside(last, start.free, [*selection.values], open_),
     )  # fmt: skip
 
 
@@ -243,14 +244,16 @@ def _of_the_clock(
     return controls_late(at_rows, free, odds, limit, clock.late_s, clock.early_s)
 
 
-def _not_borne_out(first: Selection, limit: float) -> Refusal | None:
+def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
     """The strongest effect chosen on the linearised flight that the simulation did not bear out."""
     if not first.chosen:
         return None
     c = first.chosen[0]
-    return Refusal(
-        c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", abs(c.t) > limit + DIFFERENT
-    )
+    # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
+    strong = abs(c.t) > (start.limit + DIFFERENT if start.gusts is None else OVERWHELMING)
+    if start.gusts is not None and not strong:
+        return None
+    return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", strong)
 
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float, gusty: bool) -> Selection:
@@ -279,66 +282,6 @@ def chosen_interval(choice: Choice, limit: float) -> tuple[float, float]:
     return conditional_interval(choice.value, choice.std, limit * narrower)
 
 
-def like_turning_air(effect: Effect) -> bool:
-    """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
-    term = effect.parsed
-    return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
-
-
-def gust_like(effect: Effect) -> bool:
-    """Whether a gust model that is a little off looks like this effect: rates of the wind angles, sensors of the wind."""
-    return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
-
-
-def _in_gusts(
-    bench: Bench, found: GustFit, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
-    effects: Sequence[Effect], notes: Sequence[str], work: Path, map_: Processes, say: Say,
-    clock: Clock,
-) -> Found | tuple[float, float]:  # fmt: skip
-    """The same choice made on one-step predictions; found: the fit without effects. Where the records' clock is off, by how much
-    (`controls_late`), and nothing is chosen."""
-    free = found.fit.columns[0].names
-    setup = limits_tried(found.setup, found.fit.probes, free, lambda extra: gust_evidence(found.setup, found, extra))
-    timed = (CONTROLS_LATE,) if setup.timed and clock.may_be_off else ()
-    evidence = gust_evidence(setup, found, effect_columns(setup, found.fit.probes, found.fit.flown, [*effects, *timed]))
-    late = _of_the_clock(setup, found.fit, evidence, effects, clock, GUST_LIMIT) if timed else None
-    if late is not None:
-        return late
-    handicap = {e.key: GUST_ODDS for e in effects if gust_like(e)}
-    start = Start(
-        bench.aircraft, setup, found.fit, names, effects, limits, 0.0, bench.measured, bench.ideal, map_,
-        found.surprise, found.gusts, handicap,
-    )  # fmt: skip
-    odds = odds_at(start, free, evidence)
-    start = replace(start, limit=max(threshold(len(odds)), GUST_LIMIT))
-    searched = search(start, evidence, odds, work, say)
-    best, first = searched.best, searched.first
-    air = found.gusts if best is None or best.gusts is None else best.gusts
-    note = (
-        "the residuals of replays showed turbulence: effects and parameters were judged by "
-        "predictions one sample ahead, with process "
-        f"noise estimated ({air.gain:.4g} more in twice the log likelihood than calm air; {air.words})"
-    )
-    by_key = {e.key: e for e in effects}
-    # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
-    lost = _not_borne_out(first, OVERWHELMING - DIFFERENT)
-    refused = lost if lost is not None and lost.strong else first.refused
-    after, selection, last = found.fit, replace(first, chosen=(), refused=refused), evidence
-    if best is not None:
-        after, last = best.fit, best.evidence
-        selection = with_resolution(as_known_here(resolved(start, best), best), by_key, setup.segments[0].dt_s, gusty=True)
-    parameters = in_one_step(last, names, after, selection, gusty=True)
-    selection, slopes = of_lift_slope(selection, found.fit, after)
-    return Found(
-        setup if best is None else best.setup, names, found.fit, after, selection, by_key,
-        parameters, (*notes, *searched.notes, note), _moved_alone(evidence, names, found.fit), air,
-        score_table(evidence, free, odds, by_key), start.limit, sum(clock.put_right),
-        trail=tuple(f"one-step predictions: {line}" for line in searched.trail), slopes=slopes,
-        flown={} if best is None else best.about.flown,
-        left=left_beside(last, free, [c.key for c in selection.chosen], eligible(effects, setup, after.columns[0].names, last)),
-    )  # fmt: skip
-
-
 def left_beside(
     evidence: Evidence, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
@@ -350,22 +293,16 @@ def left_beside(
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
 
 
-def _moved_alone(evidence: Evidence, names: Sequence[str], fit: Fit) -> dict[str, float]:
-    """Values of the parameters without any effect, the last step taken."""
-    free = fit.columns[0].names
-    delta = dict(zip(evidence.names, evidence.fitted(evidence.index(free)), strict=True))
-    return {n: float(fit.flown.point.values[n] + delta[n]) for n in names}
-
-
 def in_one_step(
-    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection, gusty: bool = False
-) -> dict[str, tuple[float, float]]:
-    """(value, corrected standard error) of the parameters beside the effects, the last step taken; gusty: that of moments as it
-    covers in turbulence."""
-    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *(c.key for c in selection.chosen)]
+    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection, gusty: bool, moved: bool = True
+) -> dict[str, tuple[float, float]]:  # fmt: skip
+    """(value, corrected standard error) of the parameters beside the effects, the last step taken unless not ``moved``; gusty: that
+    of moments as it covers in turbulence."""
+    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *selection.values]
     found = corrected_each(evidence, free, names)
     wider = {n: MOMENTS_IN_GUSTS if gusty and _of_a_moment(*fit.columns[0].inputs[n]) else 1.0 for n in names}
-    return {n: (float(fit.flown.point.values[n] + delta), wider[n] * std) for n, (delta, std, _) in found.items()}
+    at = fit.flown.point.values
+    return {n: (float(at[n] + (delta if moved else 0.0)), wider[n] * std) for n, (delta, std, _) in found.items()}
 
 
 def _of_a_moment(coefficient: int, values: Array) -> bool:
@@ -373,22 +310,11 @@ def _of_a_moment(coefficient: int, values: Array) -> bool:
     return coefficient > 2 if coefficient >= 0 else bool(np.any(values[:, 3:]))
 
 
-def score_table(
-    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], effects: Mapping[str, Effect]
-) -> tuple[tuple[str, float], ...]:
+def score_table(evidence: Evidence, free: Sequence[str], effects: Sequence[Effect]) -> tuple[tuple[str, float], ...]:
     """The twelve candidates with the largest gain, alone beside the parameters: (name, t)."""
-    found = scores(evidence, free, list(odds))
+    found = scores(evidence, free, [e.key for e in effects])
     order = np.argsort(-np.nan_to_num(found.gain, nan=-1.0))[:12]
-    return tuple((_short(effects[found.names[i]]), float(found.t[i])) for i in order)
-
-
-def _short(e: Effect) -> str:
-    return f"{e.coefficient or e.subsystem} {e.term}"
-
-
-def _parameters(evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection) -> dict[str, tuple[float, float]]:
-    free = [*[n for n in fit.columns[0].names if not n.startswith("effect/")], *[c.key for c in selection.chosen]]
-    return {n: (float(fit.flown.point.values[n]), std) for n, (_, std, _) in corrected_each(evidence, free, names).items()}
+    return tuple((f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(found.t[i])) for i in order)
 
 
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:

@@ -32,7 +32,7 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.refinement.between_rows import bends_of, jumped, jumps_unseen, middles, with_jumps
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, parameter_columns, positions, probes, step_from, stepped, steps_of
+from uqharness.refinement.fit import PRIOR, Fit, merged, parameter_columns, positions, probes, step_from, stepped, steps_of
 from uqharness.refinement.reference import Predicted, Probe, along, named_terms
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.setup import confirming_segments
@@ -164,19 +164,20 @@ def gust_refit(
 
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
     """
-    point, analytic, gusts = start, None, near
+    point, gusts = start, near
+    differ: list[str] | None = None
     setup = with_jumps(setup, model)
     length, share, moving = float("inf"), 1.0, not known
     path: list[Array] | None = None
     keys = {e.key for e in setup.active}
     own = [n for n in names if n not in keys]
     for number in range(1, iterations + 1):
-        differ: list[str] = [] if analytic is None else [n for n in own if n not in analytic]
-        flown, found = predict(model, straight, setup, point, differ, map_, path)
-        if analytic is None:
+        flown, found = predict(model, straight, setup, point, differ or (), map_, path)
+        if differ is None:
             analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(point)))
-            if len(analytic) < len(own):
-                flown, found = predict(model, straight, setup, point, [n for n in own if n not in analytic], map_)
+            differ = [n for n in own if n not in analytic]
+            if differ:
+                flown, found = predict(model, straight, setup, point, differ, map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         sought = moving and (number == 1 or length < SETTLED or number == SEARCH_BY)
@@ -209,7 +210,6 @@ def gust_refit(
         last_point, point = point, stepped(setup, point, step, limits)
         path = as_measured(setup, path, last_point, point)
     assert gusts is not None
-    assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
     return GustFit(fit, gusts, white, setup)
@@ -337,11 +337,9 @@ def _changed(p: Probe, moved: Array) -> Array:
     return change
 
 
-def gust_evidence(setup: Setup, fitted: GustFit, extra: Sequence[Columns]) -> Evidence:
-    """Evidence of a fit's own columns beside others."""
-    from uqharness.refinement.fit import merged
-
-    columns = merged(fitted.fit.columns, extra)
-    measured = in_step(setup, fitted.fit.flown.point)
-    white = whiten_each(fitted.fit.steps, measured, columns, setup.which, setup.noise, fitted.gusts.process)
-    return gather(white, columns.names, confirming_segments(setup), PRIOR, fitted.fit.columns[0].names)
+def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None) -> Evidence:
+    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
+    columns = merged(fit.columns, extra)
+    measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
+    white = whiten_each(fit.steps, measured, columns, setup.which, setup.noise, process)
+    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -17,12 +17,10 @@ from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
 from uqharness.refinement.fit import Fit, Linear
-from uqharness.refinement.gusts import gust_evidence, gust_refit
-from uqharness.refinement.rounds import column_evidence
+from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.showing.show import Shown
-from uqharness.refinement.types import Array, Flown, Point, Setup, Side
-from uqharness.replay import ReplayModel
+from uqharness.refinement.types import Array, Flown, Setup, Side
 from uqharness.simulator import Aircraft
 
 
@@ -57,36 +55,28 @@ class Both:
         return max(float(4.0 * y @ solve(G, y[:, None])[:, 0]), 0.0)
 
 
-def as_written(found: Found, aircraft: Aircraft, model: ReplayModel, setup: Setup, flown: Flown) -> tuple[Setup, Point]:
-    """Setup and point of flights that an aircraft with everything of ``found`` in its XML flew."""
-    setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), model)
-    values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
-    return setup, replace(flown.point, values=values, effects={c.key: c.value for c in found.selection.chosen})
-
-
 def linearised(
     found: Found, aircraft: Aircraft, side: Side, setup: Setup, flown: Flown, map_: Processes
 ) -> tuple[Setup, Fit]:  # fmt: skip
-    """Replays that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
-    with Bench(aircraft, side.measured, side.ideal) as bench:
-        own, point = as_written(found, aircraft, bench.model, setup, flown)
-        return own, Linear(bench.model, bench.straight, own, found.names, map_).fit_at(replace(flown, point=point))
+    """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
+    values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
+    point = replace(flown.point, values=values, effects=found.selection.values)
+    with Bench(aircraft, setup) as bench:
+        setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), bench.model)
+        if side.air is None:
+            fit = Linear(bench.model, bench.straight, setup, found.names, map_).fit_at(replace(flown, point=point))
+            return setup, fit
+        fitted = gust_refit(bench.model, bench.straight, setup, point, found.names, {}, map_, side.air, 1, known=True)
+        return fitted.setup, fitted.fit
 
 
 def both_sides(found: Found, train: Evidence, aircraft: Aircraft, side: Side, shown: Shown, map_: Processes) -> Both:
     """train: evidence of the train flights about no effect; aircraft: with every effect of ``found``, which flew the hold-out
     flights as ``shown``."""
-    chosen = {c.key: c.value for c in found.selection.chosen}
+    chosen = found.selection.values
     effects = [found.effects[key] for key in chosen]
-    if side.air is None:
-        setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
-        test = column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects))
-    else:
-        with Bench(aircraft, side.measured, side.ideal) as bench:
-            setup, point = as_written(found, aircraft, bench.model, side.setup, shown.flown)
-            fitted = gust_refit(bench.model, bench.straight, setup, point, found.names, {}, map_, side.air, 1, known=True)
-        columns = effect_columns(fitted.setup, fitted.fit.probes, fitted.fit.flown, effects)
-        test = gust_evidence(fitted.setup, fitted, columns)
+    setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
+    test = column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects), side.air)
     zero = dict.fromkeys(chosen, 0.0)
     before = {n: found.after.flown.point.values[n] for n in found.names}
     after = {n: v for n, (v, _) in found.parameters.items()}

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from sysid.effects import FAR, Choice, Columns, Evidence, Gusts, corrected_each
+from sysid.effects import FAR, Choice, Columns, Evidence, corrected_each
 from sysid.parallel import Processes
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found, in_one_step, with_resolution
 from uqharness.refinement.fit import merged
-from uqharness.refinement.gusts import GustFit, gust_evidence
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.hold_out import Both, both_sides
-from uqharness.refinement.rounds import column_evidence
 from uqharness.refinement.showing.show import Shown, left_in, show, with_replays
 from uqharness.refinement.types import Point, Setup, Side, in_dynamics
 from uqharness.simulator import Aircraft
@@ -96,18 +96,23 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     whole: the aircraft with every effect of ``found``; write: one of a model's own
     """
 
-    def written(model: Found) -> tuple[Aircraft, dict[str, float]]:
-        return flown_as(model, found, whole) or (write(model), {})
-
     def flown(model: Found, side: Side, near: Point | None) -> Shown:
-        aircraft, values = written(model)
+        aircraft, values = flown_as(model, found, whole, write)
         return show(aircraft, side, map_, written_at(model, values, near))
 
-    def replayed(shown: Shown, model: Found, side: Side) -> Shown:
+    def shown(model: Found, side: Side, before: Shown) -> Shown:
         if side.air is None:
-            return shown
-        aircraft, values = written(model)
-        return with_replays(shown, aircraft, side, map_, written_at(model, values))
+            return before
+        aircraft, values = flown_as(model, found, whole, write)
+        return with_replays(before, aircraft, side, map_, written_at(model, values))
+
+    @cache
+    def evidence() -> Evidence:
+        return evidence_of(found)
+
+    @cache
+    def both() -> Both:
+        return both_sides(found, evidence(), whole, test, everything, map_)
 
     own = found.after.flown.point
     pair = flown(bare(found), train, found.before.flown.point)
@@ -115,8 +120,6 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     before = flown(bare(found), test, None)
     standing, after = found, flown(found, test, None) if found.selection.chosen else before
     everything = after
-    evidence: Evidence | None = None
-    both: Both | None = None
     verdicts: dict[str, Verdict] = {}
     gone: list[Choice] = []
     while standing.selection.chosen:
@@ -125,18 +128,15 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             if len(standing.selection.chosen) == 1:
                 without[c.key] = bare(standing), before
                 continue
-            evidence = evidence_of(found, train.air) if evidence is None else evidence
-            less = left_out(found, evidence, [*(g.key for g in gone), c.key])
+            less = left_out(found, evidence(), [*(g.key for g in gone), c.key])
             without[c.key] = less, flown(less, test, after.flown.point)
         spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
-        now = {k: gap_change(k, shown, after, test.setup, fitted, spare[k]) for k, (_, shown) in without.items()}
+        now = {k: gap_change(k, without[k][1], after, test.setup, fitted, spare[k]) for k in without}
         # Two effects may undo each other: then neither alone is in the way.
         together = gap_change("", before, after, test.setup, fitted) if len(now) > 1 else None
         if any(v is not None and v.says == "grew" for v in (*now.values(), together)):
-            evidence = evidence_of(found, train.air) if evidence is None else evidence
-            both = both or both_sides(found, evidence, written(found)[0], test, everything, map_)
-            now = {k: surer(v, both, without[k][1], after, list(now)) for k, v in now.items()}
-            together = together and surer(together, both, before, after, list(now))
+            now = {k: surer(v, both(), without[k][1], after, list(now)) for k, v in now.items()}
+            together = together and surer(together, both(), before, after, list(now))
         verdicts |= now
         worst = min(now.values(), key=lambda v: v.z)
         if worst.says != "grew" and together is not None and together.says == "grew":
@@ -150,11 +150,13 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
         gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
         standing, after = without[worst.key]
     settled = fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
-    pair, before = (replayed(shown, bare(found), side) for shown, side in ((pair, train), (before, test)))
-    if not standing.selection.chosen:
-        return Judged(standing, tuple(gone), verdicts, (train.setup, pair, pair), (test.setup, before, before), (train, test))
-    settled, after = (replayed(shown, standing, side) for shown, side in ((settled, train), (after, test)))
-    return Judged(standing, tuple(gone), verdicts, (train.setup, pair, settled), (test.setup, before, after), (train, test))
+
+    def both_ways(side: Side, plain: Shown, with_: Shown) -> tuple[Setup, Shown, Shown]:
+        first = shown(bare(found), side, plain)
+        return side.setup, first, first if with_ is plain else shown(standing, side, with_)
+
+    on_train, on_test = both_ways(train, pair, settled), both_ways(test, before, after)
+    return Judged(standing, tuple(gone), verdicts, on_train, on_test, (train, test))
 
 
 def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequence[str]) -> Verdict:
@@ -167,18 +169,18 @@ def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequ
     return replace(verdict, std=std, beyond=both.t(verdict.key, keys) ** 2 - both.found.limit**2 if verdict.key else np.inf)
 
 
-def flown_as(model: Found, found: Found, whole: Aircraft) -> tuple[Aircraft, dict[str, float]] | None:
-    """The aircraft with every effect of ``found`` and the properties with which it flies as ``model``: each XML of its own would be
-    compiled anew. None where a number of the model stands in the XML alone."""
+def flown_as(model: Found, found: Found, whole: Aircraft, write: Write) -> tuple[Aircraft, dict[str, float]]:
+    """The aircraft with every effect of ``found``, and properties with which it flies as ``model``: each XML of its own would be
+    compiled anew. One that is written where a number of the model stands in the XML alone."""
     values = property_values(model, found)
-    return None if values is None else (whole, values)
+    return (write(model), {}) if values is None else (whole, values)
 
 
 def property_values(model: Found, found: Found) -> dict[str, float] | None:
     """Properties with which an aircraft that has the effects of ``found`` flies as ``model`` does, which has some of them;
     None where a number stands in the XML alone."""
     values = {name: value for name, (value, _) in model.parameters.items()}
-    own = {c.key: c.value for c in model.selection.chosen}
+    own = model.selection.values
     for c in found.selection.chosen:
         if not in_dynamics(found.effects[c.key]):
             continue
@@ -192,7 +194,7 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
 
 def sensed_by(found: Found) -> dict[str, float]:
     """Values of the chosen effects that are the sensors', by key."""
-    return {c.key: c.value for c in found.selection.chosen if not in_dynamics(found.effects[c.key])}
+    return {k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])}
 
 
 def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
@@ -236,20 +238,15 @@ def _mean_square(shown: Shown) -> float:
     return shown.cost / sum(int(np.isfinite(w).sum()) for w in shown.white)
 
 
-def evidence_of(found: Found, air: Gusts | None, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
+def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
     """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects, the
     candidates ``also``, and ``more``, one set a segment."""
     flown = {e.key for e in found.setup.active}
-    keys = dict.fromkeys([*(c.key for c in found.selection.chosen), *also])
+    keys = dict.fromkeys([*found.selection.values, *also])
     rest = [found.effects[k] for k in keys if k not in flown]
     columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
     columns = merged(columns, more) if len(more) else columns
-    if found.gusty:
-        assert air is not None
-        evidence = gust_evidence(found.setup, GustFit(found.after, air, [], found.setup), columns)
-    else:
-        evidence = column_evidence(found.setup, found.after, columns)
-    return evidence.taken_out(found.flown) if found.flown else evidence
+    return column_evidence(found.setup, found.after, columns, found.gusts).taken_out(found.flown)
 
 
 def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
@@ -257,14 +254,11 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     kept = [c for c in found.selection.chosen if c.key not in keys]
     if not kept:
         return bare(found)
-    effects = {e.key for e in found.setup.active} | {c.key for c in found.selection.chosen}
+    effects = {e.key for e in found.setup.active} | found.selection.values.keys()
     free = [n for n in evidence.names if n not in effects]
-    some = [*free, *(c.key for c in kept)]
-    found_each = corrected_each(evidence, some, [c.key for c in kept])
-    chosen = []
-    for c in kept:
-        value, std, _ = found_each[c.key]
-        chosen.append(replace(c, value=value, std=std, t=value / std))
+    rest = [c.key for c in kept]
+    now = corrected_each(evidence, [*free, *rest], rest)
+    chosen = [replace(c, value=value, std=std, t=value / std) for c, (value, std, _) in zip(kept, now.values(), strict=True)]
     estimated = replace(found.selection, chosen=tuple(chosen))
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
     parameters = in_one_step(evidence, found.names, found.after, selection, found.gusty)

@@ -7,15 +7,16 @@ column stands for the effect. Once an effect is flown, its column is the slope a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import Choice, Columns, Evidence, Selection, corrected, scores
+from sysid.effects import Choice, Columns, Gusts, Selection, corrected, scores
 from uqharness.refinement.candidates import HERE, NEAR, in_dead_zone, surface_change
-from uqharness.refinement.reference import Probe
+from uqharness.refinement.fit import Fit
+from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.round import Round
 from uqharness.refinement.types import Setup
 from uqharness.replay import CONTROLS, runs_per_row
@@ -31,37 +32,31 @@ WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one moves a surface at once."""
 
 
-def limits_tried(
-    setup: Setup, probes: Sequence[Probe], free: Sequence[str], evidence_of: Callable[[list[Columns]], Evidence]
-) -> Setup:
-    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes. evidence_of:
-    evidence with columns besides."""
+def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
+    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes, by a fit without
+    effects."""
     if not setup.servos:
         return setup
     tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
     columns = []
-    for segment, p in zip(setup.segments, probes, strict=True):
-        inputs = {}
-        for surface, asked in tried.items():
-            k, servo = CONTROLS.index(surface), setup.servos[surface]
-            for limit in asked:
-                moved = surface_change("rate_limit", servo, segment, k, (servo.rate, limit))
-                inputs[_key(surface, limit)] = (-1, p.by_control[:, :, k] * moved[:, None])
-            for width in WIDTHS_DEG:
-                moved = in_dead_zone(p.controls[:, k], width)
-                inputs[_zone(surface, width)] = (-1, p.by_control[:, :, k] * moved[:, None])
+    for segment, p in zip(setup.segments, fit.probes, strict=True):
+        inputs: dict[str, tuple[int, Array]] = {}
+        for surface, servo in setup.servos.items():
+            k = CONTROLS.index(surface)
+            moved = {_key(surface, x): surface_change("rate_limit", servo, segment, k, (servo.rate, x)) for x in tried[surface]}
+            moved |= {_zone(surface, width): in_dead_zone(p.controls[:, k], width) for width in WIDTHS_DEG}
+            inputs |= {name: (-1, p.by_control[:, :, k] * by[:, None]) for name, by in moved.items()}
         columns.append(Columns(tuple(inputs), inputs, {}))
-    evidence = evidence_of(columns)
+    evidence, free = column_evidence(setup, fit, columns, gusts), fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
-    for surface in tried:
+    for surface, servo in setup.servos.items():
         found = scores(evidence, free, [_zone(surface, width) for width in WIDTHS_DEG])
         zone = just_so(widths, found.estimate / widths, found.t)
         if zone is not None:
             zones[surface] = zone
-    for surface, asked in tried.items():
+        asked = tried[surface]
         if not asked:
             continue
-        servo = setup.servos[surface]
         found = scores(evidence, free, [_key(surface, limit) for limit in asked])
         speeds = np.array(asked)
         wanted = found.estimate / (1.0 / speeds - 1.0 / servo.rate)
@@ -118,23 +113,28 @@ def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     return float(max(found, default=0.0))
 
 
+def _surface(key: str) -> str:
+    """Of which surface's servo an effect is; another text where it is of none."""
+    return key.removeprefix("effect/actuator.").partition("/")[0]
+
+
 def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
     """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
 
     def within(c: Choice) -> Choice:
-        part, term = c.key.removeprefix("effect/").split("/", 1)
-        surface = part.removeprefix("actuator.")
-        servo = setup.servos.get(surface)
-        if term != "rate_limit" or servo is None or not np.isfinite(servo.rate):
+        servo = setup.servos.get(_surface(c.key))
+        if not c.key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
             return c
-        least = _least(setup, surface, servo)
+        least = _least(setup, c.key)
         return c if c.value >= least else replace(c, value=least, t=least / c.std)
 
     return tuple(within(c) for c in chosen)
 
 
-def _least(setup: Setup, surface: str, servo: Actuator) -> float:
+def _least(setup: Setup, key: str) -> float:
     """Value [s/deg] of a rate limit effect below which nothing changes any more."""
+    surface = _surface(key)
+    servo = setup.servos[surface]
     return min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
 
 
@@ -146,8 +146,7 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
         here = c.key + HERE
         if here not in found.evidence.names:
             return c
-        surface = c.key.removeprefix("effect/actuator.").partition("/")[0]
-        least = _least(found.setup, surface, found.setup.servos[surface])
+        least = _least(found.setup, c.key)
         value = found.about.flown[c.key]
         flown = found.evidence.taken_out({c.key: -value})
         step, std, _ = corrected(flown, [n for n in found.free if n != c.key], here)
@@ -160,6 +159,5 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
 
 def is_fastest(choice: Choice, setup: Setup) -> bool:
     """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that it may be any number above."""
-    surface = choice.key.removeprefix("effect/actuator.").partition("/")[0]
-    servo = setup.servos.get(surface)
-    return servo is not None and np.isfinite(servo.rate) and choice.value - 2.0 * choice.std <= _least(setup, surface, servo)
+    servo = setup.servos.get(_surface(choice.key))
+    return servo is not None and np.isfinite(servo.rate) and choice.value - 2.0 * choice.std <= _least(setup, choice.key)

@@ -2,84 +2,106 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import (
-    EARNED,
-    OVERWHELMING,
-    STANDS,
-    TWINS,
-    UNKNOWN_ROWS,
-    Columns,
-    Effect,
-    Evidence,
-    MadeColumns,
-    Selection,
-    gather,
-    judged,
-    scores,
-    select,
-    whiten_each,
-)
-from uqharness.refinement.begin import About, joint_point
+from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, TWINS, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
+from uqharness.plugin import Estimate
 from uqharness.refinement.candidates import effect_columns, slopes_here
-from uqharness.refinement.fit import PRIOR, Fit, best_flown, merged, refit
-from uqharness.refinement.gusts import gust_evidence, gust_refit
+from uqharness.refinement.fit import best_flown, refit
+from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.rates import felt
-from uqharness.refinement.read_once import far_off
-from uqharness.refinement.round import Round, Start
-from uqharness.refinement.setup import Bench, confirming_segments, with_sensors_of
+from uqharness.refinement.round import About, Round, Start, joint_point
+from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.types import Point, Setup, in_dynamics
+from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
 from uqharness.simulator import Aircraft, find_aircraft
 
+HELD_FLIGHTS = 8
+"""Flights in which a number that JSBSim reads once may come to its value."""
 _OF_TIME = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
 
 
 def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
-    """The effects flown, everything estimated with them, and what would be chosen there; None where no filter can follow the
-    flights with them. about: where it begins."""
+    """The effects flown, everything estimated with them, again until the numbers that JSBSim reads once (mass, servos) stand, and
+    what would be chosen there; None where no filter can follow the flights with them. about: where it begins.
+
+    Until they stand, what they leave looks like other effects. One whose estimated change is as large as before it was changed, and
+    no likelier for it, does not do what its column says, and is left out.
+    """
+    now = _fly_once(start, selection, about, folder)
+    last: dict[str, tuple[float, float]] = {}
+    merit = float("inf")
+    for number in range(HELD_FLIGHTS):
+        if now is None or not now.far:
+            break
+        chosen = []
+        for c in now.selection.chosen:
+            if c.key not in now.far:
+                chosen.append(c)
+                continue
+            here = (now.far[c.key], c.value - now.far[c.key])
+            nearer = c.key not in last or here[1] * np.sign(last[c.key][1]) < abs(last[c.key][1])
+            if nearer or merit - now.merit > DIFFERENT**2:
+                chosen.append(replace(c, value=here[0] + ahead(last.get(c.key), here)))
+            last[c.key] = here
+        merit = now.merit
+        again = folder.with_name(f"{folder.name}-{number}")
+        following = _fly_once(start, Selection(tuple(chosen)), now.about, again) if chosen else None
+        if following is None:
+            break
+        now = following
+    return now
+
+
+def _fly_once(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
     try:
         return _flown(start, selection, about, folder)
     except np.linalg.LinAlgError:
         return None
 
 
+def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
+    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice
+    the value.
+
+    A lag's slope falls off with the lag: the next estimated change is a small part of the whole.
+    """
+    value, change = here
+    if last is None or last[0] == value:
+        return change
+    slope = (change - last[1]) / (value - last[0])
+    most = max(abs(change), abs(value))
+    return change if not slope < 0.0 else float(np.clip(-change / slope, -most, most))
+
+
 def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
-    by_key = {e.key: e for e in start.effects}
-    selection = replace(selection, chosen=felt(selection.chosen, start.setup))
-    keys = [c.key for c in selection.chosen]
-    staged, setup = stage(start.aircraft, start.setup, [by_key[k] for k in keys], selection, start.before, folder)
-    joint = joint_point(about, start.setup, start.before.flown.point, start.free, keys, start.limits)
-    begin, names = with_effects(joint, selection), [*start.names, *keys]
-    rest = [e for e in start.effects if e.key not in keys]
-
-    def columns(fit: Fit) -> MadeColumns:
-        return effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
-
-    with Bench(staged, start.measured, start.ideal) as bench:
-        gusts, surprise = start.gusts, float("nan")
+    written = replace(selection, chosen=felt(selection.chosen, start.setup)).values
+    keys = list(written)
+    staged, setup = stage(start, written, folder)
+    begin, names = replace(joint_point(start, about, keys), effects=written), [*start.names, *keys]
+    with Bench(staged, setup) as bench:
+        gusts = start.gusts
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
             found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
-            fit, gusts, setup, surprise = found.fit, found.gusts, found.setup, found.surprise
-            evidence = gust_evidence(setup, found, columns(fit))
+            fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.surprise
         else:
-            options = [begin, with_effects(start.before.flown.point, selection)]
+            options = [begin, replace(start.before.flown.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
-            evidence = column_evidence(setup, fit, columns(fit))
-    written = {c.key: c.value for c in selection.chosen}
+            cost = fit.flown.cost
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
-    evidence = evidence.taken_out(values)
+    rest = [e for e in start.effects.values() if e.key not in keys]
+    columns = effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
+    evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
     again = select(
@@ -87,37 +109,20 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
         alone=OVERWHELMING,
     )  # fmt: skip
     again = replace(again, chosen=felt(again.chosen, start.setup))
-    standing = {c.key for c in again.chosen} == set(keys)
-    own = again.chosen if standing else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
-    # What JSBSim reads once (mass, servos) has to be written anew until the number stands.
-    held = [c for c in own if c.key not in setup.carriers and in_dynamics(by_key[c.key])]
-    moving = [c for c in held if abs(c.value - written[c.key]) > STANDS * c.std]
-    cost = fit.flown.cost if gusts is None else surprise
-    merit = cost + sum(by_key[k].odds + EARNED * start.limit**2 for k in keys)
+    same = again.values.keys() == set(keys)
+    own = again.chosen if same else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
+    merit = cost + sum(start.effects[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, fit, evidence, Selection(own, again.refused, again.trail), again, standing and not moving, merit, gusts,
-        About(fit.flown.point, evidence, values), {c.key: written[c.key] for c in held}, far_off(held, written),
+        setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
+        About(fit.flown.point, evidence, values), {k: written[k] for k in setup.held},
     )  # fmt: skip
 
 
 def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
     """What may be chosen at a flight's evidence, what is ``chosen`` there included, and the gain asked of each besides; free:
     columns estimated there."""
-    found = eligible([e for e in start.effects if e.key not in chosen], start.setup, free, evidence)
-    found |= {e.key: e.odds for e in start.effects if e.key in chosen}
-    return {k: o + start.handicap.get(k, 0.0) for k, o in found.items()}
-
-
-def candidate_evidence(setup: Setup, fit: Fit, effects: Sequence[Effect]) -> Evidence:
-    """Evidence of a fit's own columns and of every candidate's."""
-    return column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects))
-
-
-def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns]) -> Evidence:
-    """Evidence of a fit's own columns beside others."""
-    columns = merged(fit.columns, extra)
-    white = whiten_each(fit.steps, setup.measured, columns, setup.which, setup.noise)
-    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)
+    open_ = eligible([e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence)
+    return {k: start.odds(start.effects[k]) for k in (*open_, *(k for k in start.effects if k in chosen))}
 
 
 def resolved(start: Start, found: Round) -> Selection:
@@ -125,11 +130,10 @@ def resolved(start: Start, found: Round) -> Selection:
 
     A time too short to be named may still be what is there: among the alternatives it stands, if it explains as much.
     """
-    by_key = {e.key: e for e in start.effects}
-    chosen = found.selection.chosen
-    kept = [c.key for c in chosen if _resolves(by_key[c.key], c.value, start.setup)]
+    chosen = found.selection.values
+    kept = [k for k, value in chosen.items() if _resolves(start.effects[k], value, start.setup)]
     free = [n for n in found.free if n not in found.keys]
-    rest = [e for e in start.effects if e.key in found.evidence.names and e.key not in kept]
+    rest = [e for e in start.effects.values() if e.key in found.evidence.names and e.key not in kept]
     open_ = list(eligible(rest, start.setup, found.free, found.evidence))
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
@@ -190,27 +194,25 @@ def largest_step(setup: Setup, effect: Effect) -> float:
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in setup.segments)
 
 
-def stage(
-    aircraft: Aircraft, setup: Setup, chosen: Sequence[Effect], selection: Selection, fit: Fit, folder: Path
-) -> tuple[Aircraft, Setup]:
-    """A copy of the aircraft that carries the effects, and the setup that knows of them."""
-    value = {c.key: c.value for c in selection.chosen}
-    slopes = control_slopes(fit)
-    staged = write_staged(aircraft, [Written(e, value[e.key], "", slopes) for e in chosen], folder)
-    carriers = {e.key: found for e in chosen if (found := carrier(e, aircraft)) is not None}
-    return staged, replace(with_sensors_of(setup, staged), active=tuple(chosen), carriers=carriers, slopes=slopes)
+def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, Setup]:
+    """A copy of the aircraft that carries effects of such values, by key, and the setup that knows of them."""
+    slopes, effects = control_slopes(start.before), [start.effects[k] for k in values]
+    staged = write_staged(start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder)
+    carriers = {e.key: found for e in effects if (found := carrier(e, start.aircraft)) is not None}
+    setup = with_sensors_of(start.setup, staged)
+    return staged, replace(setup, active=tuple(effects), carriers=carriers, slopes=slopes)
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
     """A copy of the aircraft in ``folder`` with effects that have a property of their own at none: whoever flies it sets them, and
     the same effects give the same file, compiled once."""
+    still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
+    return write_copy(aircraft, still, {}, folder)
+
+
+def write_copy(aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], folder: Path) -> Aircraft:
+    """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its engines and systems."""
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
-    still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
-    write_effects(aircraft, still, {}, target)
+    write_effects(aircraft, effects, estimates, target)
     return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
-
-
-def with_effects(point: Point, selection: Selection) -> Point:
-    """The point with every chosen effect at its value."""
-    return replace(point, effects={c.key: c.value for c in selection.chosen})

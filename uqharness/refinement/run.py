@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.fit import positions
-from uqharness.refinement.judge import Judged, bare, flown_as, judge, sensed_by
-from uqharness.refinement.rounds import write_staged
+from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, sensed_by
+from uqharness.refinement.rounds import write_copy, write_staged
 from uqharness.refinement.setup import Bench, file_hash, make_setup, refuse_shared, setup_in_gusts
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
@@ -40,7 +41,7 @@ from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
 from uqharness.refinement.types import Setup, Side
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.writing.effects import Written
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS, Flight, read_flights, renamed
 from uqharness.scratch import scratch_folder
@@ -99,7 +100,7 @@ class _Flights:
 
     def later(self, seconds: float) -> _Flights:
         """Controls moved later than recorded."""
-        return replace(self, flights=later(self.flights, seconds)) if seconds else self
+        return replace(self, flights=later(self.flights, seconds))
 
     def set(self) -> FlightSet:
         return FlightSet(tuple(self.flights), self.measured, self.hashes)
@@ -126,13 +127,11 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = stages(
             "effects",
             Found,
-            lambda: find_effects(
-                aircraft, setup, train.measured, train.ideal, request.extra, work / "effects", map_, say, stages
-            ),
-        )  # fmt: skip
+            lambda: find_effects(aircraft, setup, request.extra, work / "effects", map_, say, stages),
+        )
         train, test = train.later(chosen.late_s), test.later(chosen.late_s)
         whole = _whole(request, chosen, work / "chosen")
-        named = _named(request, chosen, whole, train, work, map_)
+        named = named_beside(chosen, _side(request, chosen, train), whole, map_)
         if named.selection.chosen != chosen.selection.chosen:
             whole = _whole(request, named, work / "named")
         chosen = named
@@ -141,20 +140,20 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         judged = shown("judged", Judged, lambda: _judged(request, chosen, whole, train, test, work, map_))
         say("writing the aircraft")
         target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)
-        models, flown = {"before": target}, {"before": judged.found}
+
+        def job(model: Found, made: Aircraft) -> IntervalJob:
+            flown = flown_as(model, chosen, whole, lambda _: made)
+            return IntervalJob(made, *flown, train.set(), test.set(), request.ideal_servos)
+
+        jobs = [job(judged.found, target)]
         if judged.found.selection.chosen:
-            models = {
-                "before": _put(_write(request, bare(chosen), work / "plain"), aircraft, request.out / "before"),
-                "after": target,
-            }
-            flown = {"before": bare(chosen), "after": judged.found}
+            plain = _put(_write(request, bare(chosen), work / "plain"), aircraft, request.out / "before")
+            models = {"before": plain, "after": target}
+            jobs = [job(bare(chosen), plain), *jobs]
         else:
+            models = {"before": target}
             _remove_stale(request.out, aircraft)
         say("intervals of both models")
-        jobs = [
-            IntervalJob(m, *(flown_as(flown[name], chosen, whole) or (m, {})), train.set(), test.set(), request.ideal_servos)
-            for name, m in models.items()
-        ]
         intervals = shown("intervals", tuple[Intervals, Intervals], lambda: before_and_after(jobs, map_))
         document = document_of(chosen, judged, aircraft, _controls(aircraft, train))
         document["remaining"] |= _unnamed(request, document, judged, work, map_, say)
@@ -189,14 +188,7 @@ def _side(request: Request, chosen: Found, flights: _Flights) -> Side:
         setup = setup_in_gusts(request.aircraft, setup)
     if setup.outputs == chosen.setup.outputs:
         setup = replace(setup, noise=chosen.setup.noise)
-    return Side(setup, flights.measured, flights.ideal, chosen.gusts)
-
-
-def _named(request: Request, chosen: Found, whole: Aircraft, train: _Flights, work: Path, map_: Processes) -> Found:
-    def written() -> tuple[Aircraft, Mapping[str, float]]:
-        return flown_as(chosen, chosen, whole) or (_write(request, chosen, work / "all"), {})
-
-    return named_beside(chosen, _side(request, chosen, train), written, map_)
+    return Side(setup, chosen.gusts)
 
 
 def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:
@@ -212,14 +204,9 @@ def _judged(
     other = _side(request, chosen, test)
     if chosen.gusts is not None:
         model = _write(request, chosen, work / "air")
-        air = air_of(model, other.setup, other.measured, other.ideal, map_, sensed_by(chosen), chosen.gusts)
+        air = air_of(model, other.setup, map_, sensed_by(chosen), chosen.gusts)
         other = replace(other, air=air)
-    number = iter(range(1000))
-
-    def write(found: Found) -> Aircraft:
-        return _write(request, found, work / f"model{next(number)}")
-
-    return judge(chosen, whole, write, _side(request, chosen, train), other, map_)
+    return judge(chosen, whole, _writer(request, work / "model"), _side(request, chosen, train), other, map_)
 
 
 def _unnamed(
@@ -232,17 +219,18 @@ def _unnamed(
     if document["verdict"] != "unexplained":
         return {"smooth": None, "smooth_reason": EXPLAINED}
     say("looking for a smooth term in what is left")
-    number = iter(range(1000))
-
-    def write(found: Found) -> Aircraft:
-        return _write(request, found, work / f"unnamed{next(number)}")
-
-    found = offered(judged, write, map_)
+    found = offered(judged, _writer(request, work / "unnamed"), map_)
     if isinstance(found, str):
         return {"smooth": None, "smooth_reason": found}
     made = _put(found.aircraft, request.aircraft, request.out / UNNAMED)
     model = f"{UNNAMED}/aircraft/{made.folder.name}/{made.xml.name}"
     return {"smooth": {**found.document, "model": model}, "smooth_reason": None}
+
+
+def _writer(request: Request, folder: Path) -> Write:
+    """Writes each model as an aircraft in a folder of its own: the name of ``folder``, and a number."""
+    number = count()
+    return lambda found: _write(request, found, folder.with_name(f"{folder.name}{next(number)}"))
 
 
 def _write(request: Request, found: Found, folder: Path) -> Aircraft:
@@ -255,10 +243,7 @@ def _write(request: Request, found: Found, folder: Path) -> Aircraft:
         Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command, found.limit), slopes)
         for c in found.selection.chosen
     ]
-    target = folder / "aircraft" / aircraft.folder.name
-    target.parent.mkdir(parents=True)
-    write_effects(aircraft, effects, estimates, target)
-    return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    return write_copy(aircraft, effects, estimates, folder)
 
 
 def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
@@ -283,8 +268,9 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 
 def _controls(aircraft: Aircraft, train: _Flights) -> list[Any]:
-    with Bench(aircraft, train.measured, train.ideal) as bench:
-        return positions(bench.model, train.setup(aircraft))
+    setup = train.setup(aircraft)
+    with Bench(aircraft, setup) as bench:
+        return positions(bench.model, setup)
 
 
 def _mission(

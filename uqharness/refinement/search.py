@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,7 @@ from sysid.effects import (
     scores,
     select,
 )
-from uqharness.refinement.begin import About
-from uqharness.refinement.read_once import at_values
-from uqharness.refinement.round import Round, Start
+from uqharness.refinement.round import About, Round, Start
 from uqharness.refinement.rounds import fly, odds_at
 from uqharness.replay import SENSOR_OF
 
@@ -59,25 +58,21 @@ class Searched:
     notes: tuple[str, ...] = ()
 
 
-def search(start: Start, evidence: Evidence, odds: Mapping[str, float], work: Path, say: Say) -> Searched:
+def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
     """The best model about ``evidence`` of the flight without effects; one without delays of single channels where such a delay was
-    chosen beside another time: a servo whose command comes late looks like a gyro and an attitude that are, and a lag.
-
-    odds: of the candidates there, as `odds_at` has them
-    """
-    found = _search(start, evidence, odds, work / "round", say)
+    chosen beside another time: a servo whose command comes late looks like a gyro and an attitude that are, and a lag."""
+    found = _search(start, evidence, work / "round", say)
     chosen = () if found.best is None else found.best.selection.chosen
-    doubtful = lone_among_times(chosen, {e.key: e for e in start.effects})
+    doubtful = lone_among_times(chosen, start.effects)
     if not doubtful:
         return found
-    without = replace(start, effects=[e for e in start.effects if not _lone(e)])
-    known = {e.key for e in without.effects}
-    again = _search(without, evidence, {k: o for k, o in odds.items() if k in known}, work / "whole", say)
+    without = replace(start, effects={k: e for k, e in start.effects.items() if not _lone(e)})
+    again = _search(without, evidence, work / "whole", say)
     return replace(again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),))
 
 
-def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder: Path, say: Say) -> Searched:
-    about = About(start.before.flown.point, evidence, {})
+def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
+    about, odds = About(start.before.flown.point, evidence, {}), odds_at(start, start.free, evidence)
     first = proposal = select(
         evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
     )  # fmt: skip
@@ -85,22 +80,18 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
     doubted = 0
-
-    def flight(selection: Selection, about: About, folder: Path) -> Round | None:
-        now = fly(start, selection, about, folder)
-        return now and at_values(now, lambda *asked: fly(start, *asked), folder)
-
+    flight = partial(fly, start)
     for number in range(2, ROUNDS + 2):
         if not proposal.chosen:
             break
         here = folder.with_name(f"{folder.name}{number}")
-        say(f"round {number}: flying with {_listed(c.key for c in proposal.chosen)}")
+        say(f"round {number}: flying with {_listed(proposal.values)}")
         proposed = flight(proposal, about, here)
         trail += [f"round {number}: {line}" for line in proposed.again.trail] if proposed is not None else []
         others = instead_of(start, proposed, proposal, about)[: SEVERAL - doubted]
         doubted += len(others)
         if others:
-            say(f"flying {'; '.join(_listed(c.key for c in o.chosen) for o in others)} instead")
+            say(f"flying {'; '.join(_listed(o.values) for o in others)} instead")
         folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
         tried = [flight(o, about, f) for o, f in zip(others, folders, strict=True)]
         now = likeliest([r for r in (*tried, proposed) if r is not None])
@@ -108,13 +99,13 @@ def _search(start: Start, evidence: Evidence, odds: Mapping[str, float], folder:
             trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
             break
         if now is not proposed:
-            trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(c.key for c in proposal.chosen)}")
+            trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(proposal.values)}")
         # Those that are not the best of what they judge would take the most memory.
         flown = [*(r for r in flown if r is likeliest([*flown, r])), now]
         if now.standing:
             break
         seen.add(now.keys)
-        following = frozenset(c.key for c in now.again.chosen)
+        following = frozenset(now.again.values)
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
@@ -137,7 +128,7 @@ def instead_of(start: Start, now: Round | None, proposal: Selection, about: Abou
         several = abs(new[0].t) > OVERWHELMING and sum(c.key not in now.keys for c in now.again.chosen) >= SEVERAL
         if not several and (now.gusts is None or not np.any(now.gusts.moments > CERTAIN_T**2)):
             return []
-    kept = [c.key for c in proposal.chosen if c.key != new[0].key]
+    kept = [k for k in proposal.values if k != new[0].key]
     free = [*start.free, *kept]
     odds = odds_at(start, [*start.free, *about.flown], about.evidence, kept)
     names = comparable(about.evidence, free, [k for k in odds if k not in kept], new[0].key)

@@ -24,8 +24,8 @@ def as_sensed(
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.
-    between: the same outputs between the rows of a replay as well, for those that are late; along (n, m): how far each goes in a
-    row; without either along a cubic.
+    Where some are late, between: the same outputs between the rows of a replay as well, or along (n, m): how far each goes in a
+    row.
     """
     forward = vane_place_m(point)
     if forward:
@@ -37,8 +37,8 @@ def as_sensed(
             rows = late / segment.dt_s
             if along is not None:
                 y[:, k] -= rows * along[:, k]
-            else:
-                y[:, k] = moved_later(y[:, k], rows) if between is None else late_rows(between[:, k], len(y), rows)
+            elif between is not None:
+                y[:, k] = late_rows(between[:, k], len(y), rows)
         y[:, k] *= sensor_gain(c, point)
         y[:, k] += sensor_offset(c, segment, point)
     return y

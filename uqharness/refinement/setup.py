@@ -20,7 +20,7 @@ from uqharness.errors import BadInputError
 from uqharness.identification import BIASES, OUTPUTS
 from uqharness.refinement.fit import states_of
 from uqharness.refinement.types import Flown, Setup
-from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, ReplayModel, measured_outputs
+from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, measured_outputs
 from uqharness.replay.flights import segments
 from uqharness.simulator import Actuator, Aircraft
 from uqharness.simulator.actuators import actuators
@@ -56,7 +56,7 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
     late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
     return Setup(
         tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
-        tuple(b for b in BIASES if b in outputs), late, servos=servos_of(aircraft, measured, ideal),
+        tuple(b for b in BIASES if b in outputs), late, tuple(measured), tuple(ideal), servos=servos_of(aircraft, measured, ideal),
         timed=tuple(f.name for f in flights if f.name not in late),
     )  # fmt: skip
 
@@ -81,13 +81,12 @@ def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str])
 class Bench:
     """An aircraft staged for replay, as it flies and with every control straight through. A context."""
 
-    def __init__(self, aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> None:
-        self.aircraft, self.measured, self.ideal = aircraft, tuple(measured), tuple(ideal)
+    def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
+        self._folders = [ReplayFolder(aircraft, measured=setup.positions, ideal=ideal) for ideal in (setup.ideal, CONTROLS)]
         self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
-        self.model: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=self.ideal))
-        self.straight: ReplayModel = self._stack.enter_context(ReplayFolder(self.aircraft, measured=self.measured, ideal=CONTROLS))
+        self.model, self.straight = (self._stack.enter_context(folder) for folder in self._folders)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sysid.effects import DIFFERENT, RESOLVED_ROWS, Effect, Evidence, agreement, corrected, scores, solve
+from sysid.effects import DIFFERENT, RESOLVED_ROWS, Effect, Evidence, agreement, corrected, projected, scores, solve
 from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
@@ -49,17 +49,13 @@ def controls_late(
 
 def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> float:
     """Rise of twice the log likelihood by several candidates at once, u' g^-1 u with the free columns taken out."""
-    G, u = evidence.everything
-    b, c = evidence.index(free), evidence.index(keys)
-    x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
-    g = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ x[:, :-1]
-    left = u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    g, left = projected(*evidence.everything, evidence.index(free), evidence.index(keys))
     return float(left @ solve(g, left[:, None])[:, 0])
 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
     """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
-    return [f.with_commands_later(late_s) for f in flights] if late_s else list(flights)
+    return [f.with_commands_later(late_s) if late_s else f for f in flights]
 
 
 def words(late_s: float, std_s: float, dt_s: float) -> str:

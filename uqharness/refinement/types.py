@@ -55,7 +55,8 @@ class Carrier:
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
-    measured [(n, m)] outputs as logged; noise (m,); late: flight -> sensors whose delay is estimated; timed: flights of which it is
+    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the record has, ideal: controls that are
+    passed straight through; late: flight -> sensors whose delay is estimated; timed: flights of which it is
     estimated how late the controls act (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels;
     active: effects that the model being flown has, or that its sensors have; carriers: key -> carrier of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
@@ -72,6 +73,8 @@ class Setup:
     noise: Array
     biased: tuple[str, ...]
     late: Mapping[str, Sequence[str]]
+    positions: tuple[str, ...] = ()
+    ideal: tuple[str, ...] = ()
     active: tuple[Effect, ...] = ()
     carriers: Mapping[str, Carrier] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
@@ -126,11 +129,9 @@ def unseen_share(point: Point, flight: str) -> float:
 
 @dataclass(frozen=True)
 class Side:
-    """Train or test flights: setup, surfaces with measured positions, controls passed straight through, the air or None."""
+    """Train or test flights: setup, the air or None."""
 
     setup: Setup
-    measured: tuple[str, ...]
-    ideal: tuple[str, ...]
     air: Gusts | None = None
 
 

@@ -13,15 +13,10 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import (
-    SmoothFit,
-    forms_like,
-    held_out_gain,
-    known_forms,
-)
+from sysid.effects import SmoothFit, forms_like, held_out_gain, known_forms
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.refinement.curves import STATES, About, Estimated, Inputs
+from uqharness.refinement.curves import STATES, CurvesAbout, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
 from uqharness.refinement.judge import Judged, Write, gap_change, written_at
 from uqharness.refinement.showing.show import Shown, gap_document, left_in, show, with_replays
@@ -50,7 +45,7 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
     write: a model as an aircraft in a folder of its own
     """
     train, test = judged.sides
-    about = About(judged.found, judged.found.after)
+    about = CurvesAbout(judged.found, judged.found.after)
     fits = [f for c in COEFFICIENTS for f in about.fits(about.terms(c))]
     best = max(fits, key=lambda f: f.merit, default=None)
     if best is None:
@@ -79,7 +74,7 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
         if before.replays is not None:
             after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
-    instead = [c.key for c in judged.found.selection.chosen if c.key in round_.instead]
+    instead = [k for k in judged.found.selection.values if k in round_.instead]
     return Offer(
         round_.fit, aircraft,
         {
@@ -101,13 +96,13 @@ class _Done:
     beside it, and the train flights of that."""
 
     searched: SmoothFit
-    about: About
+    about: CurvesAbout
     round: Estimated
     aircraft: Aircraft
     shown: Shown
 
 
-def _settled(about: About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
+def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
     """A term flown, and estimated once more about the flight with it, which is nearer to what was measured."""
     done = _flown(about, fit, train, write, map_)
     if about.found.gusty or not np.isfinite(done.shown.cost):
@@ -116,7 +111,7 @@ def _settled(about: About, fit: SmoothFit, train: Side, write: Write, map_: Proc
     return again if again.shown.cost < done.shown.cost else done
 
 
-def _flown(about: About, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
+def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
     round_ = about.estimated(fit.term)
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
@@ -124,11 +119,11 @@ def _flown(about: About, fit: SmoothFit, train: Side, write: Write, map_: Proces
     return _Done(fit, about, round_, aircraft, shown)
 
 
-def _beside(done: _Done, train: Side, map_: Processes) -> About:
+def _beside(done: _Done, train: Side, map_: Processes) -> CurvesAbout:
     """The flight with the term in it, linearised anew."""
     found = done.round.found
     setup, fit = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
-    return About(found, fit, setup, done.round)
+    return CurvesAbout(found, fit, setup, done.round)
 
 
 def _term(round_: Estimated) -> dict[str, Any]:

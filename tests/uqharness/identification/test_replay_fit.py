@@ -42,7 +42,7 @@ def flight():
 def refined(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
-    with Bench(aircraft, (), ()) as bench:
+    with Bench(aircraft, setup) as bench:
         fit, kept, excited, _ = base_fit(aircraft, bench, setup, NAMES, limits, ALONE)
     assert kept == excited == NAMES
     return fit.flown.point
@@ -68,13 +68,13 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
     setup = make_setup(aircraft, [flight], ())
-    shown = show(aircraft, Side(setup, (), ()), ALONE, Point({}, {}, ()))
+    shown = show(aircraft, Side(setup), ALONE, Point({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
     scaled = prepare("f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ())
     setup = make_setup(aircraft, [scaled], ())
-    side, scale = Side(setup, (), ()), {"effect/sensor.alpha_rad/scale": 0.1}
+    side, scale = Side(setup), {"effect/sensor.alpha_rad/scale": 0.1}
     blind, told = (show(aircraft, side, ALONE, Point({}, {}, (), s)).cost for s in ({}, scale))
     assert told < blind - 100.0
 
@@ -97,7 +97,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
 def test_predictions_are_asked_what_replays_have_at_a_bound(aircraft, flight):
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
-    with Bench(aircraft, (), ()) as bench:
+    with Bench(aircraft, setup) as bench:
         fit, kept, excited, _ = base_fit(aircraft, bench, setup, names, limits, ALONE)
     assert kept == ("aero/Cm_q",)
     assert excited == names

@@ -96,9 +96,9 @@ def flown(monkeypatch):
     models = []
 
     def asked(found, residual):
-        side = SimpleNamespace(setup=SETUP, measured=(), ideal=(), air=None)
+        side = SimpleNamespace(setup=SETUP, air=None)
         monkeypatch.setattr(refine_beside, "show", lambda aircraft, *_: models.append(aircraft) or shown(residual))
-        return named_beside(found, side, lambda: (found.selection.chosen, {}), map)
+        return named_beside(found, side, found.selection.chosen, map)
 
     def left_out(found, evidence, keys):
         kept = tuple(replace(c, t=1.1 * c.t) for c in found.selection.chosen if c.key not in keys)
@@ -106,8 +106,9 @@ def flown(monkeypatch):
 
     monkeypatch.setattr(refine_beside, "bent", lambda found: None)
     monkeypatch.setattr(refine_beside, "left_out", left_out)
-    monkeypatch.setattr(refine_beside, "evidence_of", lambda found, air: None)
+    monkeypatch.setattr(refine_beside, "evidence_of", lambda found: None)
     monkeypatch.setattr(refine_beside, "written_at", lambda *_: None)
+    monkeypatch.setattr(refine_beside, "property_values", lambda *_: {})
     return asked, models
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,7 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
 def along(aircraft: Aircraft, setup: Setup, values: dict[str, float]) -> tuple[Flown, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with Bench(aircraft, (), ()) as bench:
+    with Bench(aircraft, replace(setup, positions=())) as bench:
         point = Point(values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments))
         flown = replayed(bench.model, setup, point, ALONE)
         found = probes(bench.straight, setup, flown, positions(bench.model, setup), (), ALONE)

@@ -135,7 +135,7 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: boo
     monkeypatch.setattr(refine_judge, "surer", lambda verdict, *_: verdict)
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
-    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]), (), ())  # type: ignore[arg-type]
+    side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]))  # type: ignore[arg-type]
     done = refine_judge.judge(found, None, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
     return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
 
@@ -225,7 +225,7 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
 def test_a_model_flies_as_the_aircraft_with_every_effect_does_at_its_values(monkeypatch):
     whole = object()
     monkeypatch.setattr(refine_judge, "property_values", lambda model, found: {"aero/Cm_q": -14.0})
-    assert refine_judge.flown_as(None, None, whole) == (whole, {"aero/Cm_q": -14.0})  # type: ignore[arg-type]
+    assert refine_judge.flown_as(None, None, whole, None) == (whole, {"aero/Cm_q": -14.0})  # type: ignore[arg-type]
     # A number of the model that stands in the XML alone: it flies by itself.
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)
-    assert refine_judge.flown_as(None, None, whole) is None  # type: ignore[arg-type]
+    assert refine_judge.flown_as(None, None, whole, lambda _: "its own") == ("its own", {})  # type: ignore[arg-type]

@@ -90,7 +90,7 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(l
         selection=Selection((Choice(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),)), free=keys,
         evidence=gather([white], keys, [0], {}), keys=frozenset([effect.key]),
     )  # fmt: skip
-    assert bool(resolved(SimpleNamespace(setup=setup, effects=[effect]), found).chosen) is named  # type: ignore[arg-type]
+    assert bool(resolved(SimpleNamespace(setup=setup, effects={effect.key: effect}), found).chosen) is named  # type: ignore[arg-type]
 
 
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
@@ -104,7 +104,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     evidence = gather([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
-    effects = [SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units]
+    effects = {k: SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units}
     start = SimpleNamespace(setup=setup, effects=effects)
 
     def kept(late_s: float) -> list[str]:
@@ -132,10 +132,10 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     evidence = gather([white], [term, delay], [0], {})
     start = SimpleNamespace(
         setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}),
-        effects=[
-            SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2])
+        effects={
+            k: SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2])
             for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
-        ],
+        },
     )  # fmt: skip
     chosen = (Choice(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
     found = SimpleNamespace(selection=Selection(chosen), free=(term,), evidence=evidence, keys=frozenset([term]))

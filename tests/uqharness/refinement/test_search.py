@@ -14,9 +14,7 @@ from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement import search as module
-from uqharness.refinement.begin import About
-from uqharness.refinement.round import Start
-from uqharness.refinement.rounds import odds_at
+from uqharness.refinement.round import About, Start
 from uqharness.refinement.search import comparable, likeliest, lone_among_times, search, without_weak
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
@@ -66,9 +64,7 @@ def started(merit: float = 1e4, gusts: object = None) -> Start:
     effects = [SimpleNamespace(key=k, unit="1", positive=False, odds=0.0, subsystem=None, term=k) for k in KEYS[1:]]
     before = SimpleNamespace(columns=[SimpleNamespace(names=("free",))], flown=SimpleNamespace(point="plain"))
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], late={}, servos={})
-    return Start(
-        None, setup, before, (), effects, {}, 4.0, (), (), map, merit, gusts, {}
-    )  # type: ignore[arg-type]  # fmt: skip
+    return Start(None, setup, before, (), {e.key: e for e in effects}, {}, 4.0, map, merit, gusts)  # type: ignore[arg-type]
 
 
 def chosen(**t: float) -> Selection:
@@ -100,7 +96,7 @@ class Flights:
 def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, evidence: Evidence, flights: Flights, **start: float):
     monkeypatch.setattr(module, "fly", flights)
     begun = started(**start)
-    return search(begun, evidence, odds_at(begun, begun.free, evidence), tmp_path, lambda _: None)
+    return search(begun, evidence, tmp_path, lambda _: None)
 
 
 def test_a_model_that_proposes_itself_ends_the_search(monkeypatch, tmp_path, evidence):
@@ -271,13 +267,13 @@ def test_then_the_search_is_made_without_such_delays(monkeypatch, tmp_path, evid
     names = ("free", "effect/actuator.aileron/lag", "effect/sensor.p_radps/delay", "twin", "other")
     renamed = gather([white], names, [0], {})
     start = started()
-    effects = [LONE[k] for k in names[1:3]]
+    effects = {k: LONE[k] for k in names[1:3]}
     both = {names[1]: 50.0, names[2]: 40.0}
     ends = {"_".join(sorted(both)): round_of(50.0, True, **both), names[1]: round_of(90.0, True, **{names[1]: 50.0})}
     flights = Flights(**{**ends, names[2]: round_of(100.0, again=chosen(**both), **{names[2]: 40.0})})
     monkeypatch.setattr(module, "fly", flights)
     object.__setattr__(start, "effects", effects)
-    found = search(start, renamed, odds_at(start, start.free, renamed), tmp_path, lambda _: None)
+    found = search(start, renamed, tmp_path, lambda _: None)
     assert found.best.keys == {names[1]}
     assert "late by itself was not believed" in found.notes[0]
     assert "p_radps" in found.notes[0]

@@ -137,7 +137,7 @@ class Nearest:
 
     def __init__(self, found: Found) -> None:
         self.found = found
-        self.evidence = evidence_of(found, found.gusts, list(found.effects))
+        self.evidence = evidence_of(found, list(found.effects))
         self.free = [n for n in self.evidence.names if n not in found.effects] + [c.key for c in found.selection.chosen]
         rest = [e for e in found.effects.values() if e.key not in self.free]
         # What flew and does not stand is among the columns of the fit, beside which nothing of it would be left.

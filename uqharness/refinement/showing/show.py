@@ -76,11 +76,11 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     In air one-step predictions take the place of replays; their biases and delays are sought from those of the point.
     """
     setup, gusts = side.setup, side.air
-    with Bench(aircraft, side.measured, side.ideal) as bench:
+    with Bench(aircraft, setup) as bench:
         setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
         pieces = [(f, p) for f in setup.flights for p in f.pieces]
-        cut = [_as_felt(s, f, side.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
+        cut = [_as_felt(s, f, setup.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
         noise = setup.noise if gusts is not None else _told_noise(aircraft, setup)
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
@@ -127,7 +127,7 @@ def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes) -
 def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
     setup = side.setup
-    with Bench(aircraft, side.measured, side.ideal) as bench:
+    with Bench(aircraft, setup) as bench:
         noise = _known_noise(aircraft, setup)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
@@ -162,13 +162,10 @@ def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Arra
     return out
 
 
-def air_of(
-    aircraft: Aircraft, setup: Setup, measured: Sequence[str], ideal: Sequence[str], map_: Processes, sensed: Mapping[str, float],
-    near: Gusts,
-) -> Gusts:  # fmt: skip
+def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, sensed: Mapping[str, float], near: Gusts) -> Gusts:
     """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
     follows the flights with such a model."""
-    with Bench(aircraft, measured, ideal) as bench:
+    with Bench(aircraft, setup) as bench:
         setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
         try:

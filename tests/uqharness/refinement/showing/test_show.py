@@ -131,7 +131,7 @@ def test_choice_is_that_of_the_train_flights(contradicted):
 def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     """The linear estimate beside which one is left out is the choice itself; leaving all out is the model without effects."""
     chosen = judged_flights[1].chosen
-    evidence = refine_judge.evidence_of(chosen, None)
+    evidence = refine_judge.evidence_of(chosen)
     same = refine_judge.left_out(chosen, evidence, [])
     for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
         assert (one.key, one.value, one.std) == (other.key, pytest.approx(other.value), pytest.approx(other.std))
@@ -341,7 +341,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Side(setup, (), ()), ALONE, Point({}, {}, ()))
+    shown = with_replays(predicted, aircraft, Side(setup), ALONE, Point({}, {}, ()))
     found = gap_document(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}

@@ -13,10 +13,10 @@ from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.reference import Probe, ProbeJob, probe
-from uqharness.refinement.setup import Bench
 from uqharness.refinement.types import Point
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes, inflow_numbers, of_lift_slope
+from uqharness.replay import ReplayFolder
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
@@ -36,8 +36,8 @@ def probed(
     controls[:, CONTROLS.index("throttle")] = THROTTLE_PCT
     controls[:, CONTROLS.index("elevator")] = elevator_deg
     segment = Segment("level", "f", 0.02 * np.arange(N), controls, np.zeros(9), 100.0, 100.0)
-    with Bench(aircraft, (), ()) as bench:
-        return probe(ProbeJob(bench.straight, segment, x, controls, {}, (), consistent, np.full(N, 100.0)))
+    with ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+        return probe(ProbeJob(straight, segment, x, controls, {}, (), consistent, np.full(N, 100.0)))
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import regressors
 from sysid.distributions import student_quantile
-from sysid.model_form import CoefficientBounds, Information, Outside, thinned
+from sysid.model_form.model_form import CoefficientBounds, Outside
+from sysid.model_form.worth import Information, thinned
 
 FloatArray = NDArray[np.float64]
 _MAX_STATES = 500

@@ -9,9 +9,9 @@ import pytest
 
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
-from uqharness.refinement.begin import About, joint_point
 from uqharness.refinement.candidates import around, servo_change
 from uqharness.refinement.rates import SHARES, just_so
+from uqharness.refinement.round import About, joint_point
 from uqharness.refinement.types import Point
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import Actuator
@@ -38,13 +38,16 @@ def test_parameters_and_start_states_move_with_the_effects():
     about = About(Point({"aero/a": 10.0}, {}, starts), evidence, {"effect/two": 0.5})
     setup = SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=())
     plain = Point({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
-    found = joint_point(about, setup, plain, ["aero/a"], ["effect/one"], {})  # type: ignore[arg-type]
+    before = SimpleNamespace(flown=SimpleNamespace(point=plain))
+    start = SimpleNamespace(setup=setup, before=before, free=["aero/a"], limits={})
+    found = joint_point(start, about, ["effect/one"])  # type: ignore[arg-type]
     assert found.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)
     V = STATES.index("V_mps")
     for at, begun, w in zip(found.starts, starts, evidence.white, strict=True):
         # Two of a and three of one more than was flown, and a half of the other less.
         assert at[V] - begun[V] == pytest.approx(w.start[0] @ [1.0, 2.0, 3.0, -0.5], abs=1e-4)
-    within = joint_point(about, setup, plain, ["aero/a"], ["effect/one"], {"aero/a": (0.0, 11.0)})  # type: ignore[arg-type]
+    start.limits["aero/a"] = (0.0, 11.0)
+    within = joint_point(start, about, ["effect/one"])  # type: ignore[arg-type]
     assert within.values["aero/a"] == 11.0
 
 
