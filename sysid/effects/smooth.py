@@ -23,7 +23,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from scipy.interpolate import BSpline
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects.catalogue import coefficient_effect, words
@@ -117,6 +116,9 @@ def smooth_term(coefficient: str, state: str, times: str | None, found: Mapping[
 
 
 def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
+    # Takes a tenth of a second to load, and few flights ask for a smooth term.
+    from scipy.interpolate import BSpline
+
     inside = np.clip(x, knots[3], knots[-4])
     if not derivative:
         return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())

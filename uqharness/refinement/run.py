@@ -136,7 +136,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
             whole = _whole(request, named, work / "named")
         chosen = named
         say("flying the test flights with both models")
-        shown = Stages(request.out / FOLDER, [*identity, *test.hashes])
+        # Kept where a mission follows, which takes minutes.
+        shown = Stages(request.out / FOLDER if request.pbox else None, [*identity, *test.hashes])
         judged = shown("judged", Judged, lambda: _judged(request, chosen, whole, train, test, work, map_))
         say("writing the aircraft")
         target = _put(_write(request, judged.found, work / "refined"), aircraft, request.out)

@@ -92,13 +92,16 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
         doubted += len(others)
         if others:
             say(f"flying {'; '.join(_listed(o.values) for o in others)} instead")
-        folders = [here.with_name(f"{here.name}-instead{k}") for k in range(len(others))]
-        tried = [flight(o, about, f) for o, f in zip(others, folders, strict=True)]
-        now = likeliest([r for r in (*tried, proposed) if r is not None])
+        # One at a time, and the better one stays: a round takes a tenth of a gigabyte and more.
+        now, proposed = proposed, None
+        for k, other in enumerate(others):
+            tried = flight(other, about, here.with_name(f"{here.name}-instead{k}"))
+            now = likeliest([r for r in (tried, now) if r is not None])
+            del tried
         if now is None:
             trail.append(f"round {number}: no filter follows flights with these effects; what was flown before stands")
             break
-        if now is not proposed:
+        if now.keys != proposal.values.keys():
             trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(proposal.values)}")
         # Those that are not the best of what they judge would take the most memory.
         flown = [*(r for r in flown if r is likeliest([*flown, r])), now]

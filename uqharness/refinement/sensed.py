@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
 from uqharness.refinement.reference import Probe
@@ -64,6 +63,9 @@ def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
 
 def moved_later(values: Array, rows: float) -> Array:
     """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
+    # Takes a tenth of a second to load, and few flights have a late sensor.
+    from scipy.interpolate import CubicSpline
+
     at = np.arange(len(values), dtype=float)
     return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
 

@@ -16,6 +16,7 @@ from tests.helpers.flown import fly
 from tests.helpers.page_checks import problems
 from tests.helpers.sixdof import Airframe, derivative
 from uqharness.cli.main import main
+from uqharness.refinement.showing.pboxes import no_pbox
 
 TRAIN = (("pitch-3211", 22.0), ("roll-yaw", 22.0), ("yaw-roll", 20.0), ("roll-yaw", 19.0))
 TEST = (("yaw-roll", 22.0),)
@@ -180,8 +181,10 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
     out = tmp_path / "out"
     arguments = [
         "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--out", str(out),
-        "--workers", "1", "--no-figures", "--no-pbox",
+        "--workers", "1", "--no-figures",
     ]  # fmt: skip
+    # What was judged is kept where a mission follows.
+    monkeypatch.setattr(refine_run, "_mission", lambda *_: no_pbox("not flown here"))
     with monkeypatch.context() as patch:
         patch.setattr(refine_run, "before_and_after", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(arguments) == 130
