@@ -61,5 +61,6 @@ from .tuned import RESOLVED_ROWS as RESOLVED_ROWS
 from .tuned import SEVERAL as SEVERAL
 from .tuned import STANDS as STANDS
 from .tuned import UNKNOWN_ROWS as UNKNOWN_ROWS
+from .turbulence import REMEMBERED_AIRS as REMEMBERED_AIRS
 from .turbulence import Gusts as Gusts
 from .turbulence import gust_intensity as gust_intensity

@@ -16,6 +16,7 @@ Gusts that pass at one speed, taken to pass at the airspeed, were damping and st
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -56,6 +57,9 @@ _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
 """Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at which it ends; that of a filter that
 fails; the least curvature that it takes."""
 _FEW, _MOST_DESCENTS = 4, 25
+REMEMBERED_AIRS = 2
+"""Ways in which gusts act whose linear systems are remembered: the one searched about and the one tried. Each takes as much
+memory as a fit."""
 NOISE_PRIOR = np.log(2.0)
 """Standard deviation of the logarithm of a sensor's noise about what the card says."""
 
@@ -208,7 +212,7 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: dict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=dict)
+    asked: OrderedDict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=OrderedDict)
 
     def score(
         self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray, factors: FloatArray, slopes: bool = True
@@ -219,6 +223,9 @@ class _Search:
         if key not in self.asked:
             data = [self.measured[k] for k in some]
             self.asked[key] = AirLikelihood(self.linear(some, acting), data, self.which, self.by)
+            while len(self.asked) > REMEMBERED_AIRS:
+                self.asked.popitem(last=False)
+        self.asked.move_to_end(key)
         return self.asked[key](factors * self.noise, self.process(some, states, values), slopes)
 
     def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:

@@ -8,6 +8,7 @@ what the aircraft did from one sample to the next can be predicted from there.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import (
+    REMEMBERED_AIRS,
     Columns,
     Evidence,
     Followed,
@@ -245,12 +247,13 @@ def unfiltered(
 
 
 class _Linear:
-    """Linear systems of the segments by what gusts do in them, each made once; measured: `in_step`, which they speak of."""
+    """Linear systems of the segments by what gusts do in them, those asked for last remembered; measured: `in_step`, which they
+    speak of."""
 
     def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe], by: Processes) -> None:
         self.setup, self.flown, self.found, self.by = setup, flown, found, by
         self.measured = in_step(setup, flown.point)
-        self.made: dict[tuple[int, GustStates], Steps] = {}
+        self.made: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         asked = list(zip(some, states, strict=True))
@@ -268,7 +271,12 @@ class _Linear:
             along = self._along(self.found[k], s, y[:, which], acting) if any(part) else None
             y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows, along=along)
             self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part) if any(part) else s.H)
-        return [self.made[key] for key in asked]
+        for key in asked:
+            self.made.move_to_end(key)
+        out = [self.made[key] for key in asked]
+        while len(self.made) > REMEMBERED_AIRS * len(self.found):
+            self.made.popitem(last=False)
+        return out
 
     def _along(self, p: Probe, steps: Steps, y: Array, acting: GustStates) -> Array:
         """(n, m) how far outputs ``y`` (n, m) of the reference go in a row, as the model moves its states and as controls move what
