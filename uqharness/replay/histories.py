@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -81,15 +82,24 @@ def read_histories(path: Path) -> list[History]:
     if not path.is_file():
         return []
     table = _checked(read_table(path), path)
-    frame = table.to_pandas()
-    names = [name for name in frame if name not in _KEYS]
+    number, time_s = _values(table.column("segment")), _values(table.column("time_s"))
+    flights, manoeuvres = table.column("flight"), table.column("manoeuvre")
+    values = {name: _values(table.column(name)) for name in table.column_names if name not in _KEYS}
+    rows_of = [np.flatnonzero(number == k) for k in np.unique(number)]
     return [
         History(
-            int(str(number)), str(rows["flight"].iloc[0]), str(rows["manoeuvre"].iloc[0]), rows["time_s"].to_numpy(dtype=float),
-            {str(name): rows[name].to_numpy(dtype=float) for name in names},
+            int(number[rows[0]]), flights[rows[0]].as_py(), manoeuvres[rows[0]].as_py(), time_s[rows],
+            {name: value[rows] for name, value in values.items()},
         )
-        for number, rows in frame.groupby("segment", sort=True)
+        for rows in rows_of
     ]  # fmt: skip
+
+
+def _values(column: pa.ChunkedArray) -> NDArray[Any]:
+    """(n,) numbers of a column, NaN where there is none."""
+    whole = column.combine_chunks()
+    # to_numpy would load pandas; what this program wrote has no gaps.
+    return np.asarray(whole.to_numpy(zero_copy_only=False) if whole.null_count else np.from_dlpack(whole))
 
 
 def have(pieces: Sequence[History], names: Iterable[str]) -> bool:

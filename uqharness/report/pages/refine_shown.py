@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.errors import BadInputError
-from uqharness.report.campaign import read_found
-from uqharness.report.overlay import overlay_section
 from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Section, Table, Words, percent, shown
 from uqharness.report.svg import Scale, rows_chart
 
@@ -77,6 +75,10 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
     mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
     if mission.get("reason") is not None:
         return Section(title, (Words(f"Not shown: {mission['reason']}."),))
+    # With these pandas is loaded, and not every refinement flies a mission.
+    from uqharness.report.campaign import read_found
+    from uqharness.report.overlay import overlay_section
+
     folders = mission["folders"]
     said = (
         f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']} flights of "
