@@ -62,8 +62,10 @@ NO_AIR = (
 )
 IN_TURBULENCE = (
     "the residuals of replays showed turbulence: effects and parameters were judged by predictions one sample ahead, with process "
-    "noise estimated ({:.4g} more in twice the log likelihood than calm air; {})"
+    "noise estimated ({} more in twice the log likelihood than calm air; {})"
 )
+DIVERGED = 1e6
+"""Gain over calm air that says no more than that the model leaves such flights in calm air."""
 Say = Callable[[str], None]
 
 
@@ -194,7 +196,7 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
     selection, slopes = of_lift_slope(selection, start.before, after)
     open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
     plain = in_one_step(evidence, start.names, start.before, Selection(()), gusty, moved=gusty)
-    note = () if gusts is None else (IN_TURBULENCE.format(gusts.gain, gusts.words),)
+    note = () if gusts is None else (_of_gusts(gusts),)
     trail = [f"one-step predictions: {line}" if gusty else line for line in searched.trail]
     return Found(
         setup, start.names, start.before, after, selection, start.effects, parameters, (*searched.notes, *note),
@@ -291,6 +293,10 @@ def left_beside(
     t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
     order = np.argsort(-np.abs(t))
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
+
+
+def _of_gusts(gusts: Gusts) -> str:
+    return IN_TURBULENCE.format(f"{gusts.gain:.4g}" if gusts.gain < DIVERGED else "over a million", gusts.words)
 
 
 def in_one_step(
