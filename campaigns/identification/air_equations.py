@@ -132,7 +132,8 @@ class AirEquations:
         """dx/dt."""
         body = self.body
         V, alpha, beta, p, q, r = x[:6]
-        sf, cf, st, ct = trig = sines(x)
+        trig = sines(x)
+        sf, cf, st, ct = trig[:4]
         ax, ay, az, L, M, N = self._loads(x, u, theta, trig)
         sa, ca, sb, cb = np.sin(alpha), np.cos(alpha), np.sin(beta), np.cos(beta)
         ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
