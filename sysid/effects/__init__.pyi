@@ -23,6 +23,7 @@ from .score import corrected as corrected
 from .score import corrected_each as corrected_each
 from .score import gather as gather
 from .score import likeness as likeness
+from .score import projected as projected
 from .score import scores as scores
 from .score import shared as shared
 from .score import solve as solve
@@ -32,7 +33,6 @@ from .selection import Refusal as Refusal
 from .selection import Selection as Selection
 from .selection import chance_limit as chance_limit
 from .selection import judged as judged
-from .selection import projected as projected
 from .selection import select as select
 from .selection import threshold as threshold
 from .smooth import SPANS as SPANS

@@ -164,15 +164,18 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray((basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None])
 
 
+def projected(G: FloatArray, u: FloatArray, free: Index, some: Index) -> tuple[FloatArray, FloatArray]:
+    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out, as in (LM)."""
+    x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
+    return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[np.ix_(some, free)] @ x[:, -1]
+
+
 def shared(evidence: Evidence, names: Sequence[str], at: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that times their values there (n,):
     what evidence of other flights adds to. at: values about which the columns are."""
     G, u = evidence.everything
     own = [n for n in evidence.names if n not in names and not n.startswith("effect/")]
-    b, c = evidence.index(names), evidence.index(own)
-    x = solve(G[np.ix_(c, c)], np.column_stack([G[np.ix_(c, b)], u[c]]))
-    information = G[np.ix_(b, b)] - G[np.ix_(b, c)] @ x[:, :-1]
-    left = u[b] - G[np.ix_(b, c)] @ x[:, -1]
+    information, left = projected(G, u, evidence.index(own), evidence.index(names))
     return information, left + information @ np.array([at[n] for n in names])
 
 
@@ -265,9 +268,7 @@ def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDA
 
 def likeness(evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]) -> FloatArray:
     """Correlation (C,) of what is left of a column with what is left of others, the free columns taken out."""
-    G, _ = evidence.everything
-    b, c = evidence.index(free), evidence.index([first, *others])
-    left = G[np.ix_(c, c)] - G[np.ix_(c, b)] @ solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
+    left, _ = projected(*evidence.everything, evidence.index(free), evidence.index([first, *others]))
     size = np.sqrt(np.maximum(np.diagonal(left), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(left[0, 1:] / (size[0] * size[1:]))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
-from sysid.effects.score import DEPENDENT, Evidence, Index, agreement, corrected, corrected_each, likeness, scores, solve
+from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, projected, scores
 from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 FloatArray = NDArray[np.float64]
@@ -85,12 +85,6 @@ class Selection:
 def threshold(candidates: int, family: float = FAMILY) -> float:
     """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
-
-
-def projected(G: FloatArray, u: FloatArray, free: Index, some: Index) -> tuple[FloatArray, FloatArray]:
-    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out, as in (LM) of score.py."""
-    x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
-    return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[np.ix_(some, free)] @ x[:, -1]
 
 
 def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:

@@ -112,9 +112,8 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     count: dict[str, int] = {}
     out = []
     for s in setup.segments:
-        kind = s.label.split(",")[0]
-        count[kind] = count.get(kind, -1) + 1
-        out.append(count[kind] % 3 == 1)
+        count[s.kind] = count.get(s.kind, -1) + 1
+        out.append(count[s.kind] % 3 == 1)
     found = np.array(out)
     if not found.any() and len(found) > 2:
         found[1::3] = True
