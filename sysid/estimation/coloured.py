@@ -16,6 +16,7 @@ is kept over a few tapered lags. The double sum is evaluated as an integral over
 from __future__ import annotations
 
 import numpy as np
+from scipy import fft
 
 from sysid.arrays import Array
 from sysid.linalg.blocks import Blocks
@@ -120,14 +121,14 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
     blocks = sensitivity if isinstance(sensitivity, Blocks) else Blocks.listed(sensitivity)
     m, k = residual[0].shape[1], blocks.k
     models, variances = residual_models(residual)
-    size = 1 << int(2 * max(part.shape[0] for part in residual)).bit_length()
+    size = fft.next_fast_len(2 * max(part.shape[0] for part in residual), real=True)
     frequencies = size // 2 + 1
     shape = np.empty((frequencies, m), dtype=complex)
     for channel, model in enumerate(models):
         shape[:, channel] = 1.0 / np.fft.rfft(np.concatenate(([1.0], -model)), size)
 
     # What whitening each output leaves between outputs: cross-covariances of e, if significant.
-    gamma = np.diag(variances).astype(complex)[None].repeat(frequencies, axis=0)
+    root = None
     if m > 1:
         n = sum(part.shape[0] for part in residual)
         lags = min(CROSS_LAGS, n // 10, min(part.shape[0] for part in residual) - 1)
@@ -151,22 +152,25 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
                 block[np.arange(m), np.arange(m)] = 0.0
                 turn = (omega**lag)[:, None, None]
                 gamma += block * turn + block.T * np.conj(turn)
-            gamma = _positive(gamma)
-    spectrum = gamma * shape[:, :, None] * np.conj(shape)[:, None, :]
-
+            root = _root(gamma)
     weight = np.full(frequencies, 2.0 / size)
-    weight[0] = weight[-1] = 1.0 / size
+    weight[0] = 1.0 / size
+    if size % 2 == 0:
+        weight[-1] = 1.0 / size
+    shape = np.conj(shape) * np.sqrt(weight)[:, None]
+    if root is None:
+        shape *= np.sqrt(variances)
     bracket = np.zeros((k, k))
     for part, columns in blocks:
-        wave = np.fft.rfft(part, size, axis=0)
-        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic.
-        bracket[np.ix_(columns, columns)] += np.einsum(
-            "fak,f,fab,fbl->kl", np.conj(wave), weight, spectrum, wave, optimize=True
-        ).real
-    return 0.5 * (bracket + bracket.T)
+        # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic. P = R^H R.
+        wave = fft.rfft(part, size, axis=0)
+        wave *= shape[:, :, None]
+        flat = (wave if root is None else root @ wave).reshape(-1, columns.size)
+        bracket[np.ix_(columns, columns)] += sum(np.dot(half.T, half) for half in (flat.real.copy(), flat.imag.copy()))
+    return bracket
 
 
-def _positive(spectrum: Array) -> Array:
-    """The nearest non-negative Hermitian matrices (F, m, m): estimated cross-spectra may stray below zero."""
+def _root(spectrum: Array) -> Array:
+    """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra may stray below zero."""
     values, vectors = np.linalg.eigh(spectrum)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.conj(np.swapaxes(vectors, 1, 2)))
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.conj(np.swapaxes(vectors, 1, 2)))

@@ -7,6 +7,7 @@ A command's module is loaded when the command is named: ``uqharness --help`` wai
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
 import os
 import sys
@@ -23,6 +24,10 @@ _EXAMPLE = """examples:
   uqharness campaign run campaigns/demo/campaign.toml --out results
 
 uqharness COMMAND --help gives the options."""
+
+_SELDOM = 5_000, 10, 10
+"""Objects made until Python looks for those that refer to each other, and how many young looks until an older one: with the usual
+700 a command looks through its libraries' objects, which all stay, for a twentieth of its time."""
 
 COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
@@ -91,6 +96,7 @@ def run_words(words: Sequence[str] | None) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the process's exit code."""
+    gc.set_threshold(*_SELDOM)
     with clean_terminal():
         return _run(argv)
 
