@@ -165,7 +165,7 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
         # (MK) by Parseval: sum_ij s(i)' r(i-j) s(j) = mean over frequency of S^H P S; padded, so not cyclic. P = R^H R.
         wave = fft.rfft(part, size, axis=0)
         wave *= shape[:, :, None]
-        flat = (wave if root is None else root @ wave).reshape(-1, columns.size)
+        flat = (wave if root is None else root @ wave).reshape(frequencies * m, columns.size)
         bracket[np.ix_(columns, columns)] += sum(np.dot(half.T, half) for half in (flat.real.copy(), flat.imag.copy()))
     return bracket
 

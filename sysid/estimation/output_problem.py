@@ -33,13 +33,14 @@ class OutputErrorProblem:
     secant: bool = False
     told: Told | None = None
     runs: int = 0
-    target: float | None = None
     last_failure: str = ""
     sensitivity: Blocks = field(default_factory=lambda: Blocks((), (), 0))
     _last: tuple[Array, Array] | None = None
     _fresh: tuple[Array, Blocks, Array] | None = None
     _metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
+    _target: float | None = None
+    _begun: bool = False
 
     @property
     def edges(self) -> list[int]:
@@ -124,17 +125,18 @@ class OutputErrorProblem:
         return near
 
     def _difference(self, theta: Array, outputs: Array, central: bool) -> None:
-        """Sensitivities by differences; the first time, also how small their steps may be."""
-        found = sensitivities(
-            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
-            central=central, map_=self.map_, target=self.target or TARGET,
-        )  # fmt: skip
-        self.step, self.runs = found.step, self.runs + found.runs
-        if self.target is None:
+        """Sensitivities by differences; the second time, how small their steps may be as well: a fit that begins where it ends asks
+        once."""
+        if self._begun and self._target is None:
             small = np.zeros_like(self.step)
             small[self.columns] = 1e-3 * self.step[self.columns]
             rough, runs = roughness(self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_)
-            self.target, self.runs = target_for(rough), self.runs + runs
+            self._target, self.runs = target_for(rough), self.runs + runs
+        found = sensitivities(
+            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
+            central=central, map_=self.map_, target=self._target or TARGET,
+        )  # fmt: skip
+        self.step, self.runs, self._begun = found.step, self.runs + found.runs, True
         self.sensitivity, self._updates = found.sensitivity, 0
 
     def _line(self, outputs: Array) -> Linearisation:

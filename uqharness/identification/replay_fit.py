@@ -32,6 +32,7 @@ class Observed:
     biases  channels with a constant bias, one a flight       late  flight -> sensors, or CONTROL_DELAY, whose delay is estimated
     late_s  channel -> time by which it is known to come late besides
     properties  values of properties in all replays      held  parameters that are not estimated, and why
+    begin   values of biases, delays and shares, by their names in the layout, from which they are sought; 0 for the others
     """
 
     cut: Sequence[Segment]
@@ -42,6 +43,7 @@ class Observed:
     late_s: Mapping[str, float] = field(default_factory=dict)
     properties: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, str] = field(default_factory=dict)
+    begin: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ def fit_replays(
     held = observed.held
     tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
     free = [n for n in layout.names if n not in held]
-    fit = _first_that_flies(lambda theta: fit_from(theta, free), layout, tries)
+    rest = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
+    fit = _first_that_flies(lambda theta: fit_from(theta, free), [np.concatenate([values, rest]) for values in tries])
     fit = replace(fit, status={**fit.status, **dict.fromkeys(held, "not-identified")}, reason={**fit.reason, **held})
     lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
     if lost:
@@ -120,12 +123,10 @@ def jumping_in(model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Se
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
-def _first_that_flies(fit_from: Callable[[Array], OutputErrorFit], layout: Layout, tries: Sequence[Array]) -> OutputErrorFit:
+def _first_that_flies(fit_from: Callable[[Array], OutputErrorFit], tries: Sequence[Array]) -> OutputErrorFit:
     """The fit from the first of some values at which the segments can be flown."""
     failure: ValueError | None = None
-    for values in tries:
-        theta = np.zeros(len(layout.names))
-        theta[: len(values)] = values
+    for theta in tries:
         try:
             return fit_from(theta)
         except ValueError as error:

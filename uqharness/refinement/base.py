@@ -131,3 +131,9 @@ def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mappi
     point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
     gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in nuisance}
     return replace(point, nuisance={n: value * gains[n] for n, value in nuisance.items()})
+
+
+def begun_at(point: Point) -> dict[str, float]:
+    """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
+    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in point.nuisance}
+    return {n.replace("lateness/", "delay/"): value / gains[n] for n, value in point.nuisance.items()}

@@ -199,8 +199,9 @@ def sensed_by(found: Found) -> dict[str, float]:
 
 def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
     """The point of an aircraft that was written as ``found``, but for properties of other ``values``: its sensors' effects, and
-    the nuisance of another model's point in the same flights."""
-    return Point(values or {}, {} if near is None else near.nuisance, (), sensed_by(found))
+    nuisance and start states of another model's point in the same flights."""
+    nuisance, starts = ({}, ()) if near is None else (near.nuisance, near.starts)
+    return Point(values or {}, nuisance, starts, sensed_by(found))
 
 
 def bare(found: Found) -> Found:

@@ -17,7 +17,7 @@ from sysid.estimation import NOISE_FLOOR, channel_noise, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
-from uqharness.refinement.base import observed, point_of
+from uqharness.refinement.base import begun_at, observed, point_of
 from uqharness.refinement.fit import fly
 from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, estimated_channels, with_sensors_of
@@ -73,7 +73,8 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a point, and sensors that have its
     effects; only start states, biases and (of logs) delays are estimated.
 
-    In air one-step predictions take the place of replays; their biases and delays are sought from those of the point.
+    Biases and delays are sought from those of the point; start states from those it has, or as measured, and in air, where
+    one-step predictions take the place of replays, always as measured.
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, setup) as bench:
@@ -87,7 +88,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
         found = [(demand - said, change) for demand, said, change in gaps]
         if gusts is None:
-            flown = _replayed(bench.model, setup, start, map_)
+            flown = _replayed(bench.model, setup, start, map_, at)
             residual = _residual(setup, flown)
             white = [r / setup.noise for r in residual]
             cost = flown.cost
@@ -113,12 +114,15 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
 
 
-def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes) -> Flown:
-    """Replays from the start states, biases and delays that fit best, as `compare` has them."""
+def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None) -> Flown:
+    """Replays from the start states, biases and delays that fit best, as `compare` has them; near: where they are sought from."""
     flown = fly(model, setup, start, map_)
     if not np.isfinite(flown.cost):
         return flown
     seen = replace(observed(setup, start.effects), properties=start.values)
+    if near is not None and near.starts:
+        cut = [replace(s, start=own) for s, own in zip(seen.cut, near.starts, strict=True)]
+        seen = replace(seen, cut=cut, begin=begun_at(near))
     fit = fit_replays(model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
     fit.replay.forget()
     return fly(model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_)
