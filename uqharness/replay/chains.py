@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from uqharness import batch
@@ -35,7 +36,7 @@ _AGREES = 1e-9
 """Largest difference of a position between the engines, in units of the largest."""
 _STILL = tuple(f"simulation/integrator/{what}/{kind}" for what in ("rate", "position") for kind in ("rotational", "translational"))
 _staged: OrderedDict[str, tuple[Staging, Scratch]] = OrderedDict()
-_programs: OrderedDict[tuple[object, ...], _Program | None] = OrderedDict()
+_programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_STAGED)
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,6 @@ def _program(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> _Prog
         if sum(s.time_s[-1] - s.time_s[0] for s in cut) < WORTH_S or batch.available() is not None:
             return None
         _programs[key] = _judged(asked, chain, min(cut, key=lambda s: len(s.time_s)), _made(asked, chain, shape.dt_s, shape.stride))
-        while len(_programs) > _STAGED:
-            _programs.popitem(last=False)
-    _programs.move_to_end(key)
     return _programs[key]
 
 

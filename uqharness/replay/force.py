@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
@@ -25,7 +25,6 @@ _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a i
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
 _WEIGHED = 8
-_weighed: OrderedDict[tuple[object, ...], MassProperties] = OrderedDict()
 
 
 @dataclass(frozen=True)
@@ -116,16 +115,12 @@ def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) ->
     return fdm
 
 
+@cached(LRUCache(_WEIGHED), key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())))
 def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
-    """Mass properties of a model; those asked for last are remembered."""
-    key = (model.identity, *sorted(properties.items()))
-    if key not in _weighed:
-        fdm = _opened(model, dt_s, properties)
-        engine.run_ic(fdm)
-        _weighed[key] = mass_properties(fdm, model)
-        while len(_weighed) > _WEIGHED:
-            _weighed.popitem(last=False)
-    return _weighed[key]
+    """Mass properties of a model."""
+    fdm = _opened(model, dt_s, properties)
+    engine.run_ic(fdm)
+    return mass_properties(fdm, model)
 
 
 def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:

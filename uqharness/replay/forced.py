@@ -7,11 +7,11 @@ not decide who answers: a run that goes on after an interruption gets the same d
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
@@ -64,7 +64,7 @@ class _Known:
     refused: bool = False
 
 
-_known: OrderedDict[str, _Known] = OrderedDict()
+_known: LRUCache[str, _Known] = LRUCache(_KEPT)
 
 
 def by_batch(
@@ -73,9 +73,6 @@ def by_batch(
 ) -> Array | None:  # fmt: skip
     """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
     known = _known.setdefault(model.identity, _Known())
-    _known.move_to_end(model.identity)
-    while len(_known) > _KEPT:
-        _known.popitem(last=False)
     if known.refused or len(asked.controls) < WORTH_ROWS:
         return None
     names = {*properties, *(known.program.given if known.program is not None else ())}

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
@@ -89,10 +89,7 @@ class _Program:
 
 _Alike = tuple[str, tuple[str, ...], int]
 """What jobs that one program flies have in common: the aircraft, what is recorded, the runs between two outputs."""
-_controls: OrderedDict[tuple[object, ...], Array] = OrderedDict()
-"""Controls of replays by what makes them: those of one stretch are asked for anew with every estimate, by segments cut anew."""
-_programs: OrderedDict[_Alike, _Program | None] = OrderedDict()
-_levels: OrderedDict[tuple[str, float], tuple[float, float]] = OrderedDict()
+_programs: LRUCache[_Alike, _Program | None] = LRUCache(_KEPT)
 
 
 def forget_programs() -> None:
@@ -118,12 +115,9 @@ def _program(jobs: Sequence[ReplayJob]) -> _Program | None:
     if key in _programs:
         known = _programs[key]
         if known is None or wanted <= known.names:
-            _programs.move_to_end(key)
             return known
         wanted |= known.names
     _programs[key] = _judged(job, _made(job, wanted))
-    while len(_programs) > _KEPT:
-        _programs.popitem(last=False)
     return _programs[key]
 
 
@@ -177,18 +171,18 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
     return [found[k] for k in range(len(jobs))]
 
 
-def _controls_of(job: ReplayJob, shape: Shape) -> Array:
-    """Controls of every run, one array for all jobs that have them in common."""
+def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
     segment = job.segment
     content = (segment.at_commands().controlled, segment.dt_s, segment.per_row, shape)
-    key = (job.model.identity, frozenset(job.model.measured), content, job.late_s, job.unseen)
-    if key not in _controls:
-        _, places = job.model.fed()
-        _controls[key] = run_controls(job.model, segment, shape, job.late_s, job.unseen)[:, places]
-        while len(_controls) > _TIMINGS:
-            _controls.popitem(last=False)
-    _controls.move_to_end(key)
-    return _controls[key]
+    return (job.model.identity, frozenset(job.model.measured), content, job.late_s, job.unseen)
+
+
+@cached(LRUCache(_TIMINGS), key=_content)
+def _controls_of(job: ReplayJob, shape: Shape) -> Array:
+    """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
+    estimate, by segments cut anew."""
+    _, places = job.model.fed()
+    return run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
 
 
 def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
@@ -211,17 +205,13 @@ def sources_of(model: ReplayModel) -> batch.Sources:
     return batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
 
 
+@cached(LRUCache(_LEVELS), key=lambda model, altitude_m: (model.identity, altitude_m))
 def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
     """Geodetic latitude [rad] and height [ft] of a start at an altitude above sea level, as JSBSim has them."""
-    key = model.identity, altitude_m
-    if key not in _levels:
-        fdm = model.open(0.01)
-        fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-        fdm["ic/h-sl-ft"] = altitude_m / FT_M
-        _levels[key] = (float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"]))
-        while len(_levels) > _LEVELS:
-            _levels.popitem(last=False)
-    return _levels[key]
+    fdm = model.open(0.01)
+    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    fdm["ic/h-sl-ft"] = altitude_m / FT_M
+    return float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"])
 
 
 def _outputs(program: _Program, rows: Array, job: ReplayJob, shape: Shape) -> Array:

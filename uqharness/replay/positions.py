@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
 from uqharness.errors import BadInputError
@@ -36,8 +37,7 @@ _AGREES = 1e-9
 """Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
 _TRIED_ROWS, _LEAST_ROWS = 100, 10
 _stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
-_chains: OrderedDict[tuple[object, ...], ControlChain | None] = OrderedDict()
-_tried: OrderedDict[tuple[str, str], bool] = OrderedDict()
+_chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_CHAINS)
 
 
 def surface_positions(
@@ -112,9 +112,6 @@ def _chain_of(asked: Asked, cut: Sequence[Segment]) -> ControlChain | None:
     if key not in _chains:
         chain = _found(asked)
         _chains[key] = chain if chain is None or _agrees(asked, chain, min(cut, key=lambda s: len(s.time_s))) else None
-        while len(_chains) > _CHAINS:
-            _chains.popitem(last=False)
-    _chains.move_to_end(key)
     return _chains[key]
 
 
@@ -132,11 +129,9 @@ def _found(asked: Asked) -> ControlChain | None:
     return control_chain(files, asked.known.values(), (*fed, *model.servos))
 
 
+@cached(LRUCache(_CHAINS), key=lambda asked, chain, segment: (chain.xml, repr(set_by(asked.model))))
 def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
     """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
-    tried = (chain.xml, repr(set_by(asked.model)))
-    if tried in _tried:
-        return _tried[tried]
     short = _beginning(segment)
     extra = tuple(asked.known.values())
     theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[:, len(CHANNELS) :]
@@ -148,10 +143,7 @@ def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
         _LOG.info("positions are flown by whole aircraft: %s", error)
         apart = np.full((1, 1), np.nan)
     # An aircraft that falls from the sky at once shows nothing.
-    _tried[tried] = bool(flew.sum() >= min(len(theirs), _LEAST_ROWS) and (apart <= _AGREES).all())
-    while len(_tried) > _CHAINS:
-        _tried.popitem(last=False)
-    return _tried[tried]
+    return bool(flew.sum() >= min(len(theirs), _LEAST_ROWS) and (apart <= _AGREES).all())
 
 
 def _beginning(segment: Segment) -> Segment:

@@ -13,12 +13,12 @@ then, and so do they.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
@@ -64,7 +64,6 @@ _KINK = 1.0 / 12.0
 """Of a line's change of direction: what sums over runs have too little."""
 _REMEMBERED = 64
 """Segments whose controls are remembered by runs."""
-_made: OrderedDict[tuple[object, ...], Array] = OrderedDict()
 _ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
 """Properties that the channels are made of."""
@@ -235,21 +234,17 @@ def _later(values: Array, late: float) -> Array:
     return out
 
 
-def _on_time(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
-    """`by_run` of controls that are not late, before what a row has seen of a jump; those asked for last are remembered: a
-    segment's are wanted with every lateness that an estimator tries."""
+def _content(
+    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None
+) -> tuple[object, ...]:
     asked = (segment.controls, segment.targets, limits, held, lags)
-    key = (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
-    if key not in _made:
-        _made[key] = _make(segment, runs, held, lags, limits)
-        _made[key].setflags(write=False)
-        while len(_made) > _REMEMBERED:
-            _made.popitem(last=False)
-    _made.move_to_end(key)
-    return _made[key]
+    return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
 
 
-def _make(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
+@cached(LRUCache(_REMEMBERED), key=_content)
+def _on_time(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
+    """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
+    remembered: a segment's are wanted with every lateness that an estimator tries."""
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
     fits = runs >= len(_RETURN)
@@ -274,6 +269,7 @@ def _make(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np
     if fits:
         out[1::runs, ~held] += _KINK * np.diff(out, 2, axis=0, prepend=out[:1])[::runs, ~held]
     out[:, jumps] = _spread(out[:, jumps], _JUMP if fits else (0.5, 0.5))
+    out.setflags(write=False)
     return out
 
 

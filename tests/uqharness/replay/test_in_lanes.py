@@ -123,7 +123,7 @@ def test_what_is_not_understood_is_flown_by_jsbsim(model: ReplayModel, monkeypat
     def refused(*_: object, **__: object) -> None:
         raise BadInputError("x.xml:3: not understood")
 
-    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr("uqharness.batch.read_sources", refused)
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
@@ -133,7 +133,7 @@ def test_an_engine_that_differs_is_not_used(
     model: ReplayModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     real = module._in_lanes
-    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr(module, "_in_lanes", lambda program, some: [rows * (1.0 + 1e-5) for rows in real(program, some)])
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
@@ -141,7 +141,7 @@ def test_an_engine_that_differs_is_not_used(
 
 
 def test_without_a_compiler_jsbsim_flies(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_programs", module.OrderedDict())
+    monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))

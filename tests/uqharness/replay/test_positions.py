@@ -24,8 +24,9 @@ LAG = "<lag>25</lag>"
 @pytest.fixture(autouse=True)
 def nothing_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever other tests asked for is forgotten."""
-    for name in ("_stood", "_chains", "_tried"):
+    for name in ("_stood", "_chains"):
         monkeypatch.setattr(module, name, OrderedDict())
+    module._agrees.cache.clear()
 
 
 @pytest.fixture
@@ -149,7 +150,7 @@ def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
     assert flights["whole"] == 1
     monkeypatch.setattr(module, "fly_chain", real)
     module._chains.clear()
-    module._tried.clear()
+    module._agrees.cache.clear()
     monkeypatch.setattr(
         module, "by_jsbsim", lambda job: by_jsbsim(job) * np.where(np.arange(len(job.segment.time_s)) < 3, 1.0, np.nan)[:, None]
     )
@@ -176,7 +177,7 @@ def in_both(
 ) -> list[list[np.ndarray]]:
     """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
     flown = []
-    monkeypatch.setattr(chains, "_programs", OrderedDict())
+    monkeypatch.setattr(chains, "_programs", {})
     real = chains._in_lanes
     monkeypatch.setattr(chains, "_in_lanes", lambda program, asked, some: flown.append(len(some)) or real(program, asked, some))
     out = []
@@ -200,7 +201,7 @@ def test_the_batch_engine_moves_the_components_as_jsbsim_does(model: ReplayModel
 
 
 def test_where_the_engines_differ_jsbsim_moves_the_components(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chains, "_programs", OrderedDict())
+    monkeypatch.setattr(chains, "_programs", {})
     monkeypatch.setattr(chains, "WORTH_S", 0.0)
     real = chains._in_lanes
     monkeypatch.setattr(chains, "_in_lanes", lambda *asked: [1.001 * rows for rows in real(*asked)])
