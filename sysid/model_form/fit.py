@@ -170,7 +170,7 @@ def _fit_apart(
     n_effective = effective_samples(left)
     s2 = sum(float(e @ e) for e in left) / n
     inverse = found.covariance / (s2 * (n / n_effective))
-    leverage = float(np.einsum("ni,ij,nj->n", x, inverse, x).max())
+    leverage = float(np.einsum("nj,nj->n", x @ inverse, x).max())
     noise = np.concatenate([noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)] for p in residuals.pieces if p.noise])
     bounds = CoefficientBounds(
         states=design.states, centre=np.array([scaling[s][0] for s in design.states]),

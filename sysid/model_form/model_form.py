@@ -143,7 +143,7 @@ class CoefficientBounds:
     def leverage(self, z: FloatArray) -> FloatArray:
         """(n,) x'(X'X)^-1 x at normalised states (n, k)."""
         x = regressors(z, self.terms)
-        return np.asarray(np.einsum("ni,ij,nj->n", x, self.XtX_inv, x))
+        return np.asarray(np.einsum("nj,nj->n", x @ self.XtX_inv, x))
 
     def t_at(self, confidence: float) -> float:
         """Two-sided quantile ``t`` at another confidence."""
