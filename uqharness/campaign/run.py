@@ -103,11 +103,8 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     from uqharness.campaign.aircraft import find_copied_mission, named_aircraft, needs_copy
     from uqharness.simulator import content_hash, find_script
 
-    script_named = spec.path.resolve().parent / spec.campaign.mission
     aircraft = named_aircraft(spec)
-    script: Path | None = None
-    if spec.start is None:
-        script = (script_named if script_named.is_file() else find_script(spec.campaign.mission)).resolve()
+    script = None if spec.start is not None else find_script(spec.campaign.mission, spec.path.resolve().parent)
     if needs_copy(spec):
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None

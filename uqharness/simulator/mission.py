@@ -38,10 +38,11 @@ class Script:
     manoeuvres: Mapping[int, str] = field(default_factory=dict)
 
 
-def find_script(name_or_path: str | Path) -> Path:
-    """The script file of that path, or of that name under ./scripts or the project's scripts/. Raises BadInputError."""
+def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
+    """The script file of that path from the folder ``beside``, from here, or of that name under ./scripts or the project's scripts/.
+    Raises BadInputError."""
     given = Path(name_or_path)
-    candidates = [given, given.with_suffix(".xml")]
+    candidates = [*([] if beside is None else [beside / given]), given, given.with_suffix(".xml")]
     for root in (Path.cwd(), PROJECT_ROOT):
         candidates += [root / given, root / "scripts" / given, (root / "scripts" / given).with_suffix(".xml")]
     for path in candidates:

@@ -308,9 +308,8 @@ class _Planner:
 
     def _script(self, name: str, *location: str | int) -> Path:
         """A run script relative to the study's file, else as every command finds one."""
-        beside = self.spec.beside(name)
         try:
-            return beside.resolve() if beside.is_file() else find_script(name)
+            return find_script(name, self.spec.folder)
         except BadInputError as error:
             raise self._refused(error, *location) from None
 
