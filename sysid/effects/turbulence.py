@@ -27,7 +27,6 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_score import AirLikelihood, Score
-from sysid.effects.prediction import surprise
 from sysid.effects.tuned import CERTAIN_T
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
@@ -73,7 +72,7 @@ class Gusts:
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     across    the part of it that is lost without gusts across the path, in alpha and beta
     moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
-    factors   (m,) on the noise that the sensors are said to have; 1, or (): as it is said
+    factors   (m,) on the noise that the sensors are said to have
     """
 
     states: tuple[GustStates, ...]
@@ -82,9 +81,9 @@ class Gusts:
     passing: Mapping[str, float]
     process: Process
     gain: float
-    across: float = np.inf
-    moments: FloatArray = field(default_factory=lambda: np.zeros(3))
-    factors: FloatArray = field(default_factory=lambda: np.ones(0))
+    across: float
+    moments: FloatArray
+    factors: FloatArray
 
     @property
     def air(self) -> bool:
@@ -96,9 +95,9 @@ class Gusts:
         """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
         gusts that pass at one speed pass at their mean airspeed."""
         first = self.states[0]
-        of = _members(flights)
-        passing = {f: self.passing.get(f, bool(first.passing_mps) * _mean_speed(V, members)) for f, members in of.items()}
-        own = {f: self.own.get(f, self.values) for f in of}
+        passing = {f: bool(first.passing_mps) * float(np.mean([V[k] for k in part])) for f, part in _members(flights).items()}
+        passing |= self.passing
+        own = {f: self.own.get(f, self.values) for f in flights}
         states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
         return replace(self, states=states, own=own, passing=passing, process=_process([own[f] for f in flights], V, states))
 
@@ -151,7 +150,7 @@ def gust_intensity(
     their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for
     twice as noisy as they are follows them late: that looks like a servo's lag.
     """
-    known = np.ones(len(noise)) if near is None or not len(near.factors) else near.factors
+    known = np.ones(len(noise)) if near is None else near.factors
     search = _Search(linear, measured, which, noise / known, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
@@ -173,12 +172,9 @@ def gust_intensity(
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
-    along = _Point(here.states, _ALONG * here.values, here.factors)
-    gain = near.gain if near is not None else search.calm(some, here) - here.cost
-    across = near.across if near is not None else search.best(some, [along]).cost - here.cost
+    gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     axes = np.eye(len(_START), dtype=bool)[_MOMENTS]
-    without = [replace(here, values=np.where(axis, _NONE, 1.0) * here.values) for axis in axes]
-    lost = np.array([search.best(some, [point]).cost - here.cost for point in without])
+    lost = np.array([search.lost(some, here, np.where(axis, _NONE, 1.0)) for axis in axes])
     moments = np.where(np.isfinite(lost), lost, np.nan)
     own = dict.fromkeys(flights, here.values)
     for flight in own if len(own) > 1 else ():
@@ -186,7 +182,7 @@ def gust_intensity(
         begin = here.values if near is None else near.own[flight]
         own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
     process = _process([own[f] for f in flights], V, here.states)
-    passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
+    passing = {f: s.passing_mps for f, s in zip(flights, here.states, strict=True)}
     return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
 
 
@@ -214,11 +210,9 @@ class _Search:
     by: Processes
     asked: OrderedDict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=OrderedDict)
 
-    def score(
-        self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray, factors: FloatArray, slopes: bool = True
-    ) -> Score:  # fmt: skip
-        """That of the segments ``some``, by gusts and factors on the sensors' noise."""
-        acting = [states[k] for k in some]
+    def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
+        """That of the segments ``some``."""
+        acting = [point.states[k] for k in some]
         key = tuple(zip(some, acting, strict=True))
         if key not in self.asked:
             data = [self.measured[k] for k in some]
@@ -226,7 +220,7 @@ class _Search:
             while len(self.asked) > REMEMBERED_AIRS:
                 self.asked.popitem(last=False)
         self.asked.move_to_end(key)
-        return self.asked[key](factors * self.noise, self.process(some, states, values), slopes)
+        return self.asked[key](point.factors * self.noise, self.process(some, point.states, point.values), slopes)
 
     def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:
         """Noise that gusts make in the segments ``some``."""
@@ -237,16 +231,14 @@ class _Search:
         airspeed: the lowest point of a parabola through three."""
         states = list(point.states)
         for members in flights.values():
-            speed = _mean_speed(self.V, members)
+            speed = float(np.mean([self.V[k] for k in members]))
             some = _spread(members, _FOR_SPEED)
             tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
-            slower, here, faster = (self.score(some, p.states, p.values, p.factors, slopes=False).cost for p in tried)
-            if np.isfinite([slower, here, faster]).all():
-                bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
-                steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
-            else:
-                # Where no filter follows there is no parabola.
-                steps = 0.0
+            slower, here, faster = (self.score(some, p, slopes=False).cost for p in tried)
+            bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+            steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
+            # Where no filter follows there is no parabola.
+            steps = steps if np.isfinite([slower, here, faster]).all() else 0.0
             own = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
             for k in members:
                 states[k] = states[k]._replace(passing_mps=own)
@@ -254,8 +246,11 @@ class _Search:
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
         """The likeliest of points."""
-        found = [replace(p, cost=self.score(some, p.states, p.values, p.factors, slopes=False).cost) for p in points]
-        return min(found, key=lambda p: p.cost)
+        return min((replace(p, cost=self.score(some, p, slopes=False).cost) for p in points), key=lambda p: p.cost)
+
+    def lost(self, some: Sequence[int], point: _Point, left: FloatArray | float) -> float:
+        """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a point found."""
+        return self.score(some, replace(point, values=left * point.values), slopes=False).cost - point.cost
 
     def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
         """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a quasi-Newton search in the
@@ -263,11 +258,10 @@ class _Search:
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
         at, size = len(point.values), len(point.values) + len(unlike)
-        lone = [np.where(np.arange(at) == j, point.values, 0.0) for j in range(at)]
-        each = [self.process(some, point.states, values) for values in lone]
+        each = [self.process(some, point.states, alone) for alone in np.diag(point.values)]
 
-        def here(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return point.values * np.exp(x[:at]), point.factors * np.exp(x[at:] @ shared)
+        def here(x: FloatArray) -> _Point:
+            return replace(point, values=point.values * np.exp(x[:at]), factors=point.factors * np.exp(x[at:] @ shared))
 
         def by_each(x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray) -> FloatArray:
             # The noise of a step, and the air at the start, go with each intensity in a straight line.
@@ -278,13 +272,13 @@ class _Search:
         none = np.zeros(size)
         # From what the sensors are said to have to where the search begins.
         off = np.concatenate([np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)])
-        first = self.score(some, point.states, *here(none))
+        first = self.score(some, point)
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
         scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.where(np.arange(size) < at, 1.0, 2.0), _LEAST_BENT))
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             x = y / scale
-            found = self.score(some, point.states, *here(x)) if y.any() else first
+            found = self.score(some, here(x)) if y.any() else first
             if not np.isfinite(found.cost):
                 # A filter that fails is as unlikely as can be, and no slope.
                 return _FAILED, none
@@ -295,13 +289,7 @@ class _Search:
         bounds = Bounds(-_REACH * scale, _REACH * scale)
         found = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = found.x / scale
-        values, factors = here(x)
-        return replace(point, values=values, factors=factors, cost=float(found.fun) - float(prior @ (x + off) ** 2))
-
-    def calm(self, some: Sequence[int], point: _Point) -> float:
-        """Minus twice the log likelihood in calm air."""
-        data = [self.measured[k] for k in some]
-        return surprise(self.linear(some, [point.states[k] for k in some]), data, self.which, point.factors * self.noise)
+        return replace(here(x), cost=float(found.fun) - float(prior @ (x + off) ** 2))
 
 
 def _members(flights: Sequence[str]) -> dict[str, list[int]]:
@@ -309,15 +297,10 @@ def _members(flights: Sequence[str]) -> dict[str, list[int]]:
     return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
 
 
-def _mean_speed(V: Sequence[float], members: Sequence[int]) -> float:
-    """Mean airspeed of a flight's segments."""
-    return float(np.mean([V[k] for k in members]))
-
-
 def _process(values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]) -> Process:
     """Of segments with such values and airspeeds."""
-    made = [process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)]
-    return Process(np.stack([noise for noise, _ in made]), np.stack([begin for _, begin in made]))
+    noise, begin = zip(*(process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)), strict=True)
+    return Process(np.stack(noise), np.stack(begin))
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:

@@ -82,13 +82,13 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
     steps, rng = system(9, 3), np.random.default_rng(4)
     z, Q = rng.standard_normal((9, M)), rng.random(NX)
     process = Process(Q[None], np.zeros((1, NX)))
-    followed = follow([steps], [z], range(M), np.ones(M), process)
+    followed = [*follow([steps], [z], range(M), np.ones(M), process)]
     for seed in (5, 6):
         columns = [Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})]
         (ours,), (alone,) = whitened(followed, columns), whiten([steps], [z], columns, range(M), np.ones(M), process)
         for name in ("residual", "columns", "start", "deviation", "path"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(alone, name))
-        np.testing.assert_array_equal(ours.path, followed[0].path)
+        np.testing.assert_array_equal(ours.path, followed[0].alone.path)
     (calm,) = whiten([steps], [z], columns, range(M), np.ones(M))
     assert not np.array_equal(calm.residual, ours.residual)
 
