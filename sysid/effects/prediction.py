@@ -56,11 +56,9 @@ class MadeColumns(Sequence[Columns]):
         return self._count
 
     def __getitem__(self, k):  # type: ignore[no-untyped-def]
-        if isinstance(k, slice):
-            return [self[i] for i in range(*k.indices(self._count))]
-        if not -self._count <= k < self._count:
+        if not 0 <= k < self._count:
             raise IndexError(k)
-        return self.some(k % self._count, self.names)
+        return self.some(k, self.names)
 
     def some(self, k: int, names: Sequence[str]) -> Columns:
         """Of a segment, those ``names`` alone, in this order."""
@@ -79,7 +77,6 @@ class White:
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
     column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
     channels' units;
-    path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
     more: makes columns (n, m, C) by names, where they can be made again
     """
 
@@ -89,7 +86,6 @@ class White:
     start: FloatArray
     there: NDArray[np.bool_]
     deviation: FloatArray
-    path: FloatArray
     more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
 
 
@@ -178,7 +174,7 @@ def _whitened(one: Followed, own: Columns) -> White:
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0]
     fitted[:, 1:] *= -1.0
-    return White(residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation, found.path)
+    return White(residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation)
 
 
 def minus_twice_log(white: Sequence[White]) -> float:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,7 @@ class Evidence:
 
     gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior (K,): information held besides
     held   names of the columns that ``white`` has, in its order; None: all. Others it makes again, or has not
+    remembered  what `corrected_each` has found: a search asks for the same columns again and again
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class Evidence:
     prior: FloatArray
     white: Sequence[White]
     held: tuple[str, ...] | None = None
+    remembered: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
     def index(self, names: Iterable[str]) -> Index:
         """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
@@ -74,11 +76,6 @@ class Evidence:
         """(S,) segments not of the first group, which confirm what that says and it them; None where it is alone."""
         part = self.group > 0
         return part if part.any() and not part.all() else None
-
-    @cached_property
-    def remembered(self) -> dict[frozenset[str], dict[str, Estimate]]:
-        """What `corrected_each` has found: a search asks for the same columns again and again."""
-        return {}
 
     def series(self, w: White, some: Index) -> FloatArray:
         """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""

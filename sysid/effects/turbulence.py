@@ -111,29 +111,25 @@ class Gusts:
     def words(self) -> str:
         """How the gusts act."""
         rotating, turning_with, at_one_speed = self.kind
-        turning = "turn with the aircraft" if turning_with else "do not turn with the aircraft"
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
-        return f"gusts that {'rotate the air' if rotating else 'do not rotate the air'} and {turning}{passing}"
+        rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
+        return f"gusts that {rotate}rotate the air and {turn}turn with the aircraft{passing}"
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the seven values of
     _START. Spectra of the velocities go with the speed at which the gusts pass."""
-    passing = states.passing_mps or V
-    faster = passing / V_REFERENCE
-    lags = states.lags_s(V)
+    faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
     noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
     # A coefficient's noise is a moment's by dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
-    for k in range(3):
-        # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
-        tied = noise[k] if k and states.rotating else 0.0
-        begin[8 + k] = 0.5 * lags[k] * (noise[8 + k] + tied)
-    if states.turning_with:
-        begin[11], begin[12] = 0.5 * _MEMORY_S * noise[0], 0.5 * _MEMORY_S * noise[2]
+    # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
+    tied = states.rotating * np.array([0.0, noise[1], noise[2]])
+    begin[8:11] = 0.5 * np.array(states.lags_s(V)) * (noise[8:11] + tied)
+    begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]]
     return noise, begin
 
 
@@ -257,7 +253,7 @@ class _Search:
         logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995)."""
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
-        at, size = len(point.values), len(point.values) + len(unlike)
+        at, sizes = len(point.values), (len(point.values), len(unlike))
         each = [self.process(some, point.states, alone) for alone in np.diag(point.values)]
 
         def here(x: FloatArray) -> _Point:
@@ -268,13 +264,13 @@ class _Search:
             air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
             return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
 
-        prior = np.where(np.arange(size) < at, 0.0, NOISE_PRIOR**-2)
-        none = np.zeros(size)
+        prior = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
+        none = np.zeros(len(prior))
         # From what the sensors are said to have to where the search begins.
         off = np.concatenate([np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)])
         first = self.score(some, point)
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
-        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.where(np.arange(size) < at, 1.0, 2.0), _LEAST_BENT))
+        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT))
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             x = y / scale
