@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects.effect_terms import Term, parse
+from sysid.effects.effect_terms import VARIABLES, Term, parse
 
 _NAMES = ("axial force", "side force", "normal force", "rolling moment", "pitching moment", "yawing moment")
 """Of COEFFICIENTS."""
@@ -185,8 +185,8 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
     parsed = parse(term)
     physics, regime, reference = _TERMS.get(parsed.text, ("a term of your own", "", ""))
     mirrored = parsed.odd_lateral != (coefficient in _LATERAL)
-    deflections = sum(abs(f.power) for f in parsed.factors if f.variable in ("de", "da", "dr"))
-    plain = parsed.text in ("de", "da", "dr")
+    surfaces = ("de", "da", "dr")
+    degree, deflections = (sum(abs(f.power) for f in parsed.factors if f.variable in some) for some in (VARIABLES, surfaces))
     return Effect(
         coefficient,
         None,
@@ -197,7 +197,7 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
         "",
         reference,
         "1" if not deflections else "1/deg" if deflections == 1 else f"1/deg^{deflections}",
-        0.5 * (parsed.degree - 1) + (2.0 if mirrored and not plain else 0.0),
+        0.5 * (degree - 1) + (2.0 if mirrored and parsed.text not in surfaces else 0.0),
     )
 
 

@@ -91,15 +91,13 @@ def dependence(
     """
     y = np.concatenate([g[:, coefficient] for g in gap])
     y = y - y.mean()
-    total = float(y @ y)
+    n, total = len(y), float(y @ y)
     out = []
     for name in states[0]:
         x = np.concatenate([s[name] for s in states])
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 11)[1:-1]))
         where = np.searchsorted(edges, x)
-        count = np.bincount(where)
-        explained = float(np.sum(np.bincount(where, y) ** 2 / np.maximum(count, 1)))
+        explained = float(np.sum(np.bincount(where, y) ** 2 / np.maximum(np.bincount(where), 1)))
         share = explained / total if total > 0 else 0.0
-        n = len(y)
         out.append((name, 1.0 - (1.0 - share) * (n - 1) / max(n - len(edges) - 1, 1)))
     return sorted(out, key=lambda r: -r[1])[:most]

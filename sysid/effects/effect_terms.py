@@ -63,11 +63,6 @@ class Term:
         return "_".join(out)
 
     @property
-    def degree(self) -> int:
-        """Sum of the factors' powers, signs dropped."""
-        return sum(abs(f.power) for f in self.factors)
-
-    @property
     def variables(self) -> tuple[str, ...]:
         """Names of the variables, each once, in order of appearance."""
         return tuple(dict.fromkeys(f.variable for f in self.factors))

@@ -65,8 +65,7 @@ class AirLikelihood:
         order = np.argsort(np.concatenate(self._groups))
         cost, by_noise, by_process, by_begin = (np.stack(part)[order] for part in zip(*found, strict=True))
         followed = float(np.isfinite(cost).all())
-        bent = by_noise[:, 0].sum(axis=0), by_process[:, 0], by_begin[:, 0]
-        square = by_noise[:, 1].sum(axis=0), by_process[:, 1], by_begin[:, 1]
+        bent, square = ((by_noise[:, k].sum(axis=0), by_process[:, k], by_begin[:, k]) for k in (0, 1))
         own, air, begin = (followed * (b - s) for b, s in zip(bent, square, strict=True))
         return Score(float(cost.sum()), own, air, begin, bent)
 

@@ -1,8 +1,7 @@
 """One-step predictions along linearised flights: white innovations, and how each candidate would have moved them.
 
-A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a
-column of extra
-coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
+A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a column of
+extra coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
@@ -76,8 +75,7 @@ class White:
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
     column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
-    channels' units;
-    more: makes columns (n, m, C) by names, where they can be made again
+    channels' units; more: makes columns (n, m, C) by names, where they can be made again
     """
 
     residual: FloatArray
@@ -125,12 +123,9 @@ def whiten(
     return whitened(follow(steps, measured, which, noise, process), columns)
 
 
-def whiten_each(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], columns: MadeColumns, which: Sequence[int],
-    noise: FloatArray, process: Process | None = None,
-) -> Iterator[White]:  # fmt: skip
-    """`whiten`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
-    for k, one in enumerate(follow(steps, measured, which, noise, process)):
+def whiten_each(followed: Iterable[Followed], columns: MadeColumns) -> Iterator[White]:
+    """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
+    for k, one in enumerate(followed):
         yield replace(_whitened(one, columns[k]), more=_Again(one, columns, k))
 
 

@@ -5,9 +5,8 @@ With columns b of the parameters already free and one column c per candidate (st
     g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),   gain u^2/g          (LM)
 
 the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where residuals are coloured, t is
-corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted
-and any other
-asked whether it agrees.
+corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted and any
+other asked whether it agrees.
 """
 
 from __future__ import annotations

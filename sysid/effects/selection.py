@@ -148,12 +148,11 @@ def judged(
     evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], twins: Twins | None = None,
 ) -> tuple[Choice, ...]:  # fmt: skip
     """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
+    open_ = [k for k in candidates if k not in here]
     out = []
     for key in here:
-        others = [*free, *[o for o in here if o != key]]
-        open_ = [k for k in candidates if k not in here]
-        choice = _judged(evidence, others, key)
-        out.append(_with_alternatives(evidence, others, choice, open_, twins or {}))
+        others = [*free, *(o for o in here if o != key)]
+        out.append(_with_alternatives(evidence, others, _judged(evidence, others, key), open_, twins or {}))
     return tuple(sorted(out, key=lambda c: -c.gain))
 
 
@@ -188,20 +187,17 @@ def _entering(
 def _best(
     evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool
 ) -> Choice | Refusal | None:
-    if not open_:
-        return None
     found = scores(evidence, free, open_)
+    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
+    if not np.isfinite(merit).any():
+        return None
     # A candidate that is really there moves few of the others: their median does not know of it.
     spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
-    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
-    order = np.argsort(-merit)
-    best = int(order[0])
-    if not np.isfinite(merit[best]):
-        return None
+    best, *next_ = np.argsort(-merit)[:LOOKED_AT].tolist()
     choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        others = (_judged(evidence, free, open_[k]) for k in order[1:LOOKED_AT] if merit[k] >= limit**2)
+        others = (_judged(evidence, free, open_[k]) for k in next_ if merit[k] >= limit**2)
         choice = next((c for c in others if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
@@ -220,8 +216,7 @@ def _exchange(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float]
     for k, key in enumerate(here):
         others = [*free, *here[:k], *here[k + 1 :]]
         open_ = [c for c in odds if c not in here or c == key]
-        merit = scores(evidence, others, open_).gain - np.array([odds[c] for c in open_])
-        merit = np.nan_to_num(merit, nan=-np.inf)
+        merit = np.nan_to_num(scores(evidence, others, open_).gain - np.array([odds[c] for c in open_]), nan=-np.inf)
         best = int(np.argmax(merit))
         if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
             here[k] = open_[best]

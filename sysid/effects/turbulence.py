@@ -1,10 +1,9 @@
 """How gusty the air was: process noise of the linearised flight by maximum likelihood.
 
 Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning with the aircraft, is in the
-states of `sysid.aerodynamics.gust_states`. Whether they do either is decided by the likelihood. The spectra go with the
-airspeed V and with
-the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each flight has
-intensities of its own.
+states of `sysid.aerodynamics.gust_states`. Whether they do either is decided by the likelihood. The spectra go with the airspeed V
+and with the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each
+flight has intensities of its own.
 Where gusts were made beforehand for one speed, as simulations often do, they pass at that speed however fast the aircraft flies.
 Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
 its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
@@ -151,8 +150,7 @@ def gust_intensity(
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if near is None:
-        alike = (states,) * len(measured)
-        first = search.best(some, [_Point(alike, f * _START, known) for f in _FACTORS])
+        first = search.best(some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS])
         here = search.descend(some, first, kinds)
         besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
@@ -169,14 +167,13 @@ def gust_intensity(
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
-    axes = np.eye(len(_START), dtype=bool)[_MOMENTS]
-    lost = np.array([search.lost(some, here, np.where(axis, _NONE, 1.0)) for axis in axes])
+    without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
+    lost = np.array([search.lost(some, here, left) for left in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
     own = dict.fromkeys(flights, here.values)
-    for flight in own if len(own) > 1 else ():
-        part = _spread(of[flight], _OF_A_FLIGHT)
-        begin = here.values if near is None else near.own[flight]
-        own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
+    if len(own) > 1:
+        begin = own if near is None else near.own
+        own = {f: search.descend(_spread(of[f], _OF_A_FLIGHT), replace(here, values=begin[f]), ()).values for f in own}
     process = _process([own[f] for f in flights], V, here.states)
     passing = {f: s.passing_mps for f, s in zip(flights, here.states, strict=True)}
     return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known

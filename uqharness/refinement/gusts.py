@@ -349,5 +349,5 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gus
     """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
     columns = merged(fit.columns, extra)
     measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
-    white = whiten_each(fit.steps, measured, columns, setup.which, setup.noise, process)
+    white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
     return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -240,7 +240,7 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
 
     group = [0, 1, 2]
     whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {})
-    white = whiten_each(steps, z, MadeColumns(names, make, 3), range(M), np.ones(M), process)
+    white = whiten_each(follow(steps, z, range(M), np.ones(M), process), MadeColumns(names, make, 3))
     held = gather(white, names, group, {}, ("off", "b", "a"))
     assert held.white[0].columns.shape == (n, M, 3)
     np.testing.assert_array_equal(held.gram, whole.gram)
