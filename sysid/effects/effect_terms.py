@@ -21,7 +21,6 @@ VARIABLES: Mapping[str, str] = {
 }  # fmt: skip
 """Variables of a term and their units, in the order in which a term's factors stand."""
 V_REFERENCE_MPS = 22.2
-_ORDER = list(VARIABLES)
 _FACTOR = re.compile(r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?")
 
 
@@ -82,8 +81,7 @@ class Term:
 def parse(text: str) -> Term:
     """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
     gathered: dict[tuple[str, bool], int] = {}
-    parts = text.replace(" ", "").split("*")
-    for part in parts:
+    for part in text.replace(" ", "").split("*"):
         found = _FACTOR.fullmatch(part)
         name = (found["absolute"] or found["plain"]) if found else ""
         if found is None or name not in VARIABLES:
@@ -96,5 +94,4 @@ def parse(text: str) -> Term:
     factors = [Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power]
     if not factors:
         raise ValueError(f"term '{text}': the factors cancel; a constant is the coefficient's own _0")
-    factors.sort(key=lambda f: (_ORDER.index(f.variable), not f.absolute))
-    return Term(tuple(factors))
+    return Term(tuple(sorted(factors, key=lambda f: ([*VARIABLES].index(f.variable), not f.absolute))))

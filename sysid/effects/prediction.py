@@ -139,8 +139,7 @@ class _Again:
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """(n, m, C) in single precision, the start state fitted."""
-        missing = [n for n in names if n not in self.made]
-        if missing:
+        if missing := [n for n in names if n not in self.made]:
             left, _ = _without_start(self.one.carried(self.columns.some(self.k, missing)).columns, self.q)
             self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
         out = np.stack([self.made[n] for n in names], axis=2)
