@@ -73,8 +73,7 @@ def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tu
     """The region, a third of some state's samples, in which most of the samples outside are gathered."""
     found = []
     for name, values in states.items():
-        edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-        for low, high in pairwise(edges.tolist()):
+        for low, high in pairwise(np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]).tolist()):
             mask = (values >= low) & (values <= high)
             if mask.sum() >= 10 and high > low:
                 found.append(((name, low, high), mask))

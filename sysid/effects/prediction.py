@@ -10,7 +10,6 @@ The start state is estimated, one a segment: its columns are projected out of ev
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -135,7 +134,7 @@ class _Again:
     def __init__(self, one: Followed, columns: MadeColumns, k: int) -> None:
         self.one, self.columns, self.k = one, columns, k
         self.q = start_fitted(one.alone.innovations, one.alone.starts)[1]
-        self.made: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+        self.made: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """(n, m, C) in single precision, the start state fitted."""
@@ -143,10 +142,8 @@ class _Again:
             left, _ = _without_start(self.one.carried(self.columns.some(self.k, missing)).columns, self.q)
             self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
         out = np.stack([self.made[n] for n in names], axis=2)
-        for n in names:
-            self.made.move_to_end(n)
-        while len(self.made) > _REMEMBERED:
-            self.made.popitem(last=False)
+        last = [*(n for n in self.made if n not in names), *names][-_REMEMBERED:]
+        self.made = {n: self.made[n] for n in last}
         return out
 
 

@@ -174,11 +174,9 @@ def _entering(
     first: Refusal | None = None
     for _ in range(TURNS):
         found = _best(evidence, free, open_, odds, limit, empirical)
-        if isinstance(found, Choice) or found is None:
-            return found or first
+        if not (isinstance(found, Refusal) and found.unconfirmed):
+            return found if isinstance(found, Choice) else first or found
         first = first or found
-        if not found.unconfirmed:
-            break
         alike = likeness(evidence, free, found.key, open_)
         open_ = [k for k, a in zip(open_, alike, strict=True) if k != found.key and abs(np.nan_to_num(a)) < UNLIKE]
     return first
