@@ -80,7 +80,7 @@ class Evidence:
         """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""
         if self.held is None:
             return w.columns[:, :, some].astype(np.float64)
-        names = np.array(self.names)[some]
+        names = np.array([self.names[k] for k in some], dtype=str)
         here = np.isin(names, self.held)
         out = np.empty((*w.residual.shape, len(names)))
         out[:, :, here] = w.columns[:, :, [self.held.index(n) for n in names[here]]]
