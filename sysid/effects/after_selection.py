@@ -28,16 +28,12 @@ def conditional_interval(value: float, std: float, limit: float, confidence: flo
     if not t > limit:
         reach = -float(special.ndtri(tail)) * std
         return value - reach, value + reach
-    low, high = (_theta(t, limit, share) for share in (1.0 - tail, tail))
-    return (low * std, high * std) if value > 0.0 else (-high * std, -low * std)
 
-
-def _theta(t: float, limit: float, share: float) -> float:
-    """theta at which a share of what is beyond the limit lies below t > 0."""
-
-    def excess(theta: float) -> float:
+    def excess(theta: float, share: float) -> float:
         # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are small.
         above, beyond = special.ndtr(theta - t), special.ndtr(theta - limit) + special.ndtr(-limit - theta)
-        return float(above / beyond) - (1.0 - share)
+        return float(above / beyond) - share
 
-    return float(optimize.brentq(excess, -min(_FAR, 8.0 + t), t + 8.0, xtol=1e-10))
+    ends = (optimize.brentq(excess, -min(_FAR, 8.0 + t), t + 8.0, (share,), xtol=1e-10) for share in (tail, 1.0 - tail))
+    low, high = (theta * std for theta in ends)
+    return (low, high) if value > 0.0 else (-high, -low)

@@ -9,17 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import effect_terms
-from sysid.effects.effect_terms import Term, parse
+from sysid.effects.effect_terms import VARIABLES, Term, parse
 
-_NAMES = {
-    "CX": "axial force",
-    "CY": "side force",
-    "CZ": "normal force",
-    "Cl": "rolling moment",
-    "Cm": "pitching moment",
-    "Cn": "yawing moment",
-}
+_NAMES = ("axial force", "side force", "normal force", "rolling moment", "pitching moment", "yawing moment")
+"""Of COEFFICIENTS."""
 _LATERAL = ("CY", "Cl", "Cn")
 _WORDS = {
     "alpha": "angle of attack",
@@ -37,7 +30,7 @@ _WORDS = {
     "V_rel": "airspeed",
     "h_over_b": "height in spans",
 }
-_POWERS = {2: "squared", 3: "cubed"}
+_POWERS = {1: "", 2: " squared", 3: " cubed"}
 JATEGAONKAR = "Jategaonkar, Flight Vehicle System Identification (2015)"
 KLEIN = "Klein and Morelli, Aircraft System Identification (2006)"
 ETKIN = "Etkin and Reid, Dynamics of Flight (1996)"
@@ -77,9 +70,8 @@ class Effect:
     @property
     def property_name(self) -> str:
         """Property that carries its value."""
-        if self.coefficient is not None:
-            return effect_terms.property_name(self.coefficient, self.term)
-        assert self.subsystem is not None
+        if self.subsystem is None:
+            return f"aero/{self.coefficient}_{parse(self.term).suffix}"
         part, _, what = self.subsystem.partition(".")
         return f"effect/{part}/{what + '-' if what else ''}{self.term}"
 
@@ -181,14 +173,8 @@ def words(term: str) -> str:
     """A term in words: ``roll rate squared``."""
     out = []
     for f in parse(term).factors:
-        word = _WORDS[f.variable]
-        if f.absolute:
-            word = f"magnitude of {word}"
-        if f.power == -1:
-            word = f"inverse of {word}"
-        elif f.power != 1:
-            word = f"{word} {_POWERS.get(f.power, f'to the power {f.power}')}"
-        out.append(word)
+        word = f"magnitude of {_WORDS[f.variable]}" if f.absolute else _WORDS[f.variable]
+        out.append(f"inverse of {word}" if f.power == -1 else f"{word}{_POWERS.get(f.power, f' to the power {f.power}')}")
     return " times ".join(out)
 
 
@@ -199,19 +185,19 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
     parsed = parse(term)
     physics, regime, reference = _TERMS.get(parsed.text, ("a term of your own", "", ""))
     mirrored = parsed.odd_lateral != (coefficient in _LATERAL)
-    deflections = sum(abs(f.power) for f in parsed.factors if f.variable in ("de", "da", "dr"))
-    plain = parsed.text in ("de", "da", "dr")
+    surfaces = ("de", "da", "dr")
+    degree, deflections = (sum(abs(f.power) for f in parsed.factors if f.variable in some) for some in (VARIABLES, surfaces))
     return Effect(
         coefficient,
         None,
         parsed.text,
-        f"{_NAMES[coefficient]} due to {words(parsed.text)}",
+        f"{_NAMES[COEFFICIENTS.index(coefficient)]} due to {words(parsed.text)}",
         physics,
         regime,
         "",
         reference,
         "1" if not deflections else "1/deg" if deflections == 1 else f"1/deg^{deflections}",
-        0.5 * (parsed.degree - 1) + (2.0 if mirrored and not plain else 0.0),
+        0.5 * (degree - 1) + (2.0 if mirrored and parsed.text not in surfaces else 0.0),
     )
 
 

@@ -18,22 +18,15 @@ _LEAST_S = 0.5
 
 
 @dataclass(frozen=True)
-class Region:
-    """A state's range [low, high] in its own unit."""
-
-    state: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Disagreement:
-    """Share of the samples of a manoeuvre, in a region, at which a coefficient lies outside its 95 % interval; rms there over the
-    allowed standard deviation; seconds outside and in all."""
+    """Share of the samples of a manoeuvre, where a state is from ``low`` to ``high`` in its own unit, at which a coefficient lies
+    outside its 95 % interval; rms there over the allowed standard deviation; seconds outside and in all."""
 
     coefficient: str
     manoeuvre: str
-    region: Region
+    state: str
+    low: float
+    high: float
     share: float
     size: float
     outside_s: float
@@ -42,11 +35,9 @@ class Disagreement:
     @property
     def words(self) -> str:
         """One sentence: coefficient, manoeuvre, state region, share and time outside the 95 % interval."""
-        r = self.region
         return (
-            f"{self.coefficient}, {self.manoeuvre}, {r.state} {r.low:.3g} to {r.high:.3g}: "
-            f"{100 * self.share:.0f} % of samples outside the "
-            f"95 % interval, {self.outside_s:.1f} s of {self.total_s:.1f} s; "
+            f"{self.coefficient}, {self.manoeuvre}, {self.state} {self.low:.3g} to {self.high:.3g}: "
+            f"{100 * self.share:.0f} % of samples outside the 95 % interval, {self.outside_s:.1f} s of {self.total_s:.1f} s; "
             f"rms {self.size:.1f} times what noise and parameters allow"
         )
 
@@ -61,8 +52,7 @@ def disagreements(
     Each entry is the third of a state's range, of the state that tells most, in which the share outside is largest.
     """
     out: list[Disagreement] = []
-    kinds = list(dict.fromkeys(labels))
-    for kind in kinds:
+    for kind in dict.fromkeys(labels):
         mine = [k for k, label in enumerate(labels) if label == kind]
         ratio = np.concatenate([gap[k] / allowed[k] for k in mine])
         found = {n: np.concatenate([states[k][n] for k in mine]) for n in states[mine[0]]}
@@ -72,33 +62,22 @@ def disagreements(
             if not len(z) or outside.mean() < DISAGREES:
                 continue
             region, mask = _telling(outside, found)
-            seconds = float(outside[mask].sum()) * dt_s
-            if seconds < _LEAST_S:
-                continue
-            out.append(
-                Disagreement(
-                    coefficient,
-                    kind,
-                    region,
-                    float(outside[mask].mean()),
-                    float(np.sqrt(np.mean(z[mask] ** 2))),
-                    seconds,
-                    len(z) * dt_s,
-                )
-            )
+            seconds, size = float(outside[mask].sum()) * dt_s, float(np.sqrt(np.mean(z[mask] ** 2)))
+            if seconds >= _LEAST_S:
+                share = float(outside[mask].mean())
+                out.append(Disagreement(coefficient, kind, *region, share, size, seconds, len(z) * dt_s))
     return sorted(out, key=lambda d: -d.size * d.outside_s)[:most]
 
 
-def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tuple[Region, NDArray[np.bool_]]:
+def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tuple[tuple[str, float, float], NDArray[np.bool_]]:
     """The region, a third of some state's samples, in which most of the samples outside are gathered."""
     found = []
     for name, values in states.items():
-        edges = np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-        for low, high in pairwise(edges.tolist()):
+        for low, high in pairwise(np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]).tolist()):
             mask = (values >= low) & (values <= high)
             if mask.sum() >= 10 and high > low:
-                found.append((Region(name, low, high), mask))
-    everywhere = Region("all", math.nan, math.nan), np.ones(len(outside), dtype=bool)
+                found.append(((name, low, high), mask))
+    everywhere = ("all", math.nan, math.nan), np.ones(len(outside), dtype=bool)
     return max(found, key=lambda f: float(outside[f[1]].mean()), default=everywhere)
 
 
@@ -111,15 +90,13 @@ def dependence(
     """
     y = np.concatenate([g[:, coefficient] for g in gap])
     y = y - y.mean()
-    total = float(y @ y)
+    n, total = len(y), float(y @ y)
     out = []
     for name in states[0]:
         x = np.concatenate([s[name] for s in states])
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 11)[1:-1]))
         where = np.searchsorted(edges, x)
-        count = np.bincount(where)
-        explained = float(np.sum(np.bincount(where, y) ** 2 / np.maximum(count, 1)))
+        explained = float(np.sum(np.bincount(where, y) ** 2 / np.maximum(np.bincount(where), 1)))
         share = explained / total if total > 0 else 0.0
-        n = len(y)
         out.append((name, 1.0 - (1.0 - share) * (n - 1) / max(n - len(edges) - 1, 1)))
     return sorted(out, key=lambda r: -r[1])[:most]

@@ -21,8 +21,7 @@ VARIABLES: Mapping[str, str] = {
 }  # fmt: skip
 """Variables of a term and their units, in the order in which a term's factors stand."""
 V_REFERENCE_MPS = 22.2
-_ORDER = list(VARIABLES)
-_FACTOR = re.compile(r"(?:abs\((\w+)\)|(\w+?))(?:\^(-?\d))?")
+_FACTOR = re.compile(r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?")
 
 
 @dataclass(frozen=True)
@@ -58,19 +57,9 @@ class Term:
         """What stands behind ``aero/Cm_`` in a property: letters, digits and underscores alone."""
         out = []
         for f in self.factors:
-            name = f.variable.removesuffix("_hat")
-            name = f"abs{name}" if f.absolute else name
-            if f.power < 0:
-                name = f"over{name}" if f.power == -1 else f"over{name}{-f.power}"
-            elif f.power > 1:
-                name = f"{name}{f.power}"
-            out.append(name)
+            before, power = ("over" if f.power < 0 else "") + ("abs" if f.absolute else ""), abs(f.power)
+            out.append(f"{before}{f.variable.removesuffix('_hat')}{power if power > 1 else ''}")
         return "_".join(out)
-
-    @property
-    def degree(self) -> int:
-        """Sum of the factors' powers, signs dropped."""
-        return sum(abs(f.power) for f in self.factors)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -85,36 +74,24 @@ class Term:
 
     def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
         """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
-        out = np.ones_like(next(iter(found.values())))
-        for f in self.factors:
-            value = np.abs(found[f.variable]) if f.absolute else found[f.variable]
-            out = out * value ** float(f.power) if f.power != 1 else out * value
-        return np.asarray(out, dtype=np.float64)
+        each = [(np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power) for f in self.factors]
+        return np.asarray(np.prod(each, axis=0), dtype=np.float64)
 
 
 def parse(text: str) -> Term:
     """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
     gathered: dict[tuple[str, bool], int] = {}
-    parts = text.replace(" ", "").split("*")
-    for part in parts:
-        inverse = part.startswith("1/")
-        found = _FACTOR.fullmatch(part.removeprefix("1/"))
-        name = (found.group(1) or found.group(2)) if found else ""
+    for part in text.replace(" ", "").split("*"):
+        found = _FACTOR.fullmatch(part)
+        name = (found["absolute"] or found["plain"]) if found else ""
         if found is None or name not in VARIABLES:
             raise ValueError(
                 f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable), variable^n and 1/variable with "
                 f"variable one of {', '.join(VARIABLES)}, joined by *"
             )
-        power = int(found.group(3) or 1) * (-1 if inverse else 1)
-        key = (name, found.group(1) is not None)
-        gathered[key] = gathered.get(key, 0) + power
+        key = (name, found["absolute"] is not None)
+        gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (-1 if found["inverse"] else 1)
     factors = [Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power]
     if not factors:
         raise ValueError(f"term '{text}': the factors cancel; a constant is the coefficient's own _0")
-    factors.sort(key=lambda f: (_ORDER.index(f.variable), not f.absolute))
-    return Term(tuple(factors))
-
-
-def property_name(coefficient: str, term: Term | str) -> str:
-    """``aero/Cm_p2`` of Cm and ``p_hat^2``."""
-    return f"aero/{coefficient}_{(parse(term) if isinstance(term, str) else term).suffix}"
+    return Term(tuple(sorted(factors, key=lambda f: ([*VARIABLES].index(f.variable), not f.absolute))))

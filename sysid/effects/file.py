@@ -37,11 +37,9 @@ def read_effects(path: Path) -> list[Effect]:
         where = f"[[effect]] {number}"
         if not isinstance(row, dict) or {"coefficient", "term"} - set(row):
             raise LogError("needs coefficient and term", path, where)
-        unknown = set(row) - _KEYS
-        if unknown:
-            raise LogError(f"unknown key '{sorted(unknown)[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where)
-        wrong = [k for k, v in row.items() if not isinstance(v, str)]
-        if wrong:
+        if unknown := sorted(set(row) - _KEYS):
+            raise LogError(f"unknown key '{unknown[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where)
+        if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
         try:
             effect = coefficient_effect(row["coefficient"], row["term"])

@@ -57,22 +57,15 @@ class AirLikelihood:
         count = min(by.count, len(order))
         self._groups = [order[k::count] for k in range(count)]
         self._shared = [by.share([Seen.of(steps[k], measured[k], which) for k in group]) for group in self._groups]
-        self._size = steps[0].phi.shape[1]
 
     def __call__(self, noise: FloatArray, process: Process, slopes: bool = True) -> Score:
         """noise (m,) standard deviations of the sensors; without ``slopes`` they are zero."""
-        S = sum(map(len, self._groups))
         jobs = [(shared, noise, process.of(group), slopes) for shared, group in zip(self._shared, self._groups, strict=True)]
-        cost, by_noise = np.zeros(S), np.zeros((S, 2, len(noise)))
-        by_process, by_begin = np.zeros((2, S, 2, self._size))
-        for group, found in zip(self._groups, self._by(_scored, jobs), strict=True):
-            for k, one in zip(group, found, strict=True):
-                cost[k] = np.inf if one is None else one[0]
-                if one is not None:
-                    by_noise[k], by_process[k], by_begin[k] = one[1:]
+        found = [one for some in self._by(_scored, jobs) for one in some]
+        order = np.argsort(np.concatenate(self._groups))
+        cost, by_noise, by_process, by_begin = (np.stack(part)[order] for part in zip(*found, strict=True))
         followed = float(np.isfinite(cost).all())
-        bent = by_noise[:, 0].sum(axis=0), by_process[:, 0], by_begin[:, 0]
-        square = by_noise[:, 1].sum(axis=0), by_process[:, 1], by_begin[:, 1]
+        bent, square = ((by_noise[:, k].sum(axis=0), by_process[:, k], by_begin[:, k]) for k in (0, 1))
         own, air, begin = (followed * (b - s) for b, s in zip(bent, square, strict=True))
         return Score(float(cost.sum()), own, air, begin, bent)
 
@@ -80,25 +73,25 @@ class AirLikelihood:
 _Slopes = tuple[float, FloatArray, FloatArray, FloatArray]
 
 
-def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes | None]:
-    """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m), (2, x) and (2, x); None where
-    no filter follows."""
+def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
+    """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m), (2, x) and (2, x); infinite,
+    its slopes zero, where no filter follows."""
     shared, noise, process, sloping = job
     return [_one(seen, noise, (q, p), sloping) for seen, q, p in zip(shared.value, process.noise, process.begin, strict=True)]
 
 
-def _one(seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool) -> _Slopes | None:
+def _one(seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool) -> _Slopes:
+    flat = np.zeros((2, len(noise))), np.zeros((2, len(air[0]))), np.zeros((2, len(air[0])))
     try:
         found = gains(seen, noise, air, every=False)
     except np.linalg.LinAlgError:
-        return None
+        return np.inf, *flat
     through = carried(seen, found)
     if not np.isfinite(through.starts).all():
-        return None
+        return np.inf, *flat
     white, _, _ = start_fitted(through.innovations, through.starts)
     cost = float(np.sum(white**2)) + 2.0 * found.logdet  # (1)
-    m, x = seen.H.shape[1:]
     if not sloping:
-        return cost, np.zeros((2, m)), np.zeros((2, x)), np.zeros((2, x))
+        return cost, *flat
     own, process, begin = slopes(seen, found, white, air[0])
     return cost, 2.0 * noise**2 * own, process, begin

@@ -1,8 +1,7 @@
 """One-step predictions along linearised flights: white innovations, and how each candidate would have moved them.
 
-A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a
-column of extra
-coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
+A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a column of
+extra coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
@@ -11,8 +10,7 @@ The start state is estimated, one a segment: its columns are projected out of ev
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -56,11 +54,9 @@ class MadeColumns(Sequence[Columns]):
         return self._count
 
     def __getitem__(self, k):  # type: ignore[no-untyped-def]
-        if isinstance(k, slice):
-            return [self[i] for i in range(*k.indices(self._count))]
-        if not -self._count <= k < self._count:
+        if not 0 <= k < self._count:
             raise IndexError(k)
-        return self.some(k % self._count, self.names)
+        return self.some(k, self.names)
 
     def some(self, k: int, names: Sequence[str]) -> Columns:
         """Of a segment, those ``names`` alone, in this order."""
@@ -78,9 +74,7 @@ class White:
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
     column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
-    channels' units;
-    path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
-    more: makes columns (n, m, C) by names, where they can be made again
+    channels' units; more: makes columns (n, m, C) by names, where they can be made again
     """
 
     residual: FloatArray
@@ -89,41 +83,31 @@ class White:
     start: FloatArray
     there: NDArray[np.bool_]
     deviation: FloatArray
-    path: FloatArray
     more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
 
 
 @dataclass(frozen=True)
 class Followed:
-    """One segment as a filter follows it: what was measured, the gains, and whitened innovations without any columns.
-
-    path (n, 8 or 13): predicted state less the reference, from what was measured before each sample.
-    """
+    """One segment as a filter follows it: what was measured, the gains, and whitened innovations without any columns."""
 
     seen: Seen
     gains: Gains
     alone: Whitened
 
-    @property
-    def path(self) -> FloatArray:
-        """That of the innovations."""
-        return self.alone.path
+    def carried(self, own: Columns) -> Whitened:
+        """The same with columns."""
+        return carried(self.seen, self.gains, own.names, own.inputs, own.outputs, own.ends, own.felt, self.alone)
 
 
 def follow(
     steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process | None = None
-) -> list[Followed]:
-    """Filter every segment; arguments of `whiten`, which makes columns white by what is given here. Raises LinAlgError where no
-    filter follows."""
-    return [_followed(system, z, which, noise, process, k) for k, (system, z) in enumerate(zip(steps, measured, strict=True))]
-
-
-def _followed(
-    system: Steps, z: FloatArray, which: Sequence[int], noise: FloatArray, process: Process | None, k: int
-) -> Followed:  # fmt: skip
-    seen = Seen.of(system, z, which)
-    found = gains(seen, noise, None if process is None else (process.noise[k], process.begin[k]))
-    return Followed(seen, found, carried(seen, found))
+) -> Iterator[Followed]:
+    """Filter every segment, one after the other; arguments of `whiten`, which makes columns white by what is given here. Raises
+    LinAlgError where no filter follows."""
+    for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
+        seen = Seen.of(system, z, which)
+        found = gains(seen, noise, None if process is None else (process.noise[k], process.begin[k]))
+        yield Followed(seen, found, carried(seen, found))
 
 
 def whiten(
@@ -135,19 +119,13 @@ def whiten(
     which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
     Raises LinAlgError where no filter follows.
     """
-    both = enumerate(zip(steps, measured, strict=True))
-    names = names_of(columns)
-    return [_whitened(_followed(system, z, which, noise, process, k), names, columns[k]) for k, (system, z) in both]
+    return whitened(follow(steps, measured, which, noise, process), columns)
 
 
-def whiten_each(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], columns: MadeColumns, which: Sequence[int],
-    noise: FloatArray, process: Process | None = None,
-) -> Iterator[White]:  # fmt: skip
-    """`whiten`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
-    for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
-        one = _followed(system, z, which, noise, process, k)
-        yield replace(_whitened(one, columns.names, columns[k]), more=_Again(one, columns, k))
+def whiten_each(followed: Iterable[Followed], columns: MadeColumns) -> Iterator[White]:
+    """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
+    for k, one in enumerate(followed):
+        yield replace(_whitened(one, columns[k]), more=_Again(one, columns, k))
 
 
 class _Again:
@@ -156,48 +134,43 @@ class _Again:
     def __init__(self, one: Followed, columns: MadeColumns, k: int) -> None:
         self.one, self.columns, self.k = one, columns, k
         self.q = start_fitted(one.alone.innovations, one.alone.starts)[1]
-        self.made: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+        self.made: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """(n, m, C) in single precision, the start state fitted."""
-        missing = [n for n in names if n not in self.made]
-        if missing:
-            own = self.columns.some(self.k, missing)
-            found = carried(self.one.seen, self.one.gains, missing, own.inputs, own.outputs, own.ends, own.felt, self.one.alone)
-            left = _without_start(found.columns, self.q)[0]
+        if missing := [n for n in names if n not in self.made]:
+            left, _ = _without_start(self.one.carried(self.columns.some(self.k, missing)).columns, self.q)
             self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
         out = np.stack([self.made[n] for n in names], axis=2)
-        for n in names:
-            self.made.move_to_end(n)
-        while len(self.made) > _REMEMBERED:
-            self.made.popitem(last=False)
+        last = [*(n for n in self.made if n not in names), *names][-_REMEMBERED:]
+        self.made = {n: self.made[n] for n in last}
         return out
 
 
-def whitened(followed: Sequence[Followed], columns: Sequence[Columns]) -> list[White]:
+def whitened(followed: Iterable[Followed], columns: Sequence[Columns]) -> list[White]:
     """`whiten` of segments that a filter has followed."""
-    names = names_of(columns)
-    return [_whitened(one, names, columns[k]) for k, one in enumerate(followed)]
+    return [_whitened(one, columns[k]) for k, one in enumerate(followed)]
 
 
-def _whitened(one: Followed, names: Sequence[str], own: Columns) -> White:
-    seen, found = one.seen, one.gains
-    whole = np.where(seen.there, found.whole, 0.0).sum(axis=0)
-    deviation = np.sqrt(whole / np.maximum(seen.there.sum(axis=0), 1))
-    through = carried(seen, found, names, own.inputs, own.outputs, own.ends, own.felt, one.alone)
-    return _projected(through, found.logdet, seen.there, deviation)
+def _whitened(one: Followed, own: Columns) -> White:
+    """The segment with its start state fitted and taken out of everything."""
+    there = one.seen.there
+    deviation = np.sqrt(np.where(there, one.gains.whole, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+    found = one.carried(own)
+    residual, q, r = start_fitted(found.innovations, found.starts)
+    left, inside = _without_start(found.columns, q)
+    inside = np.column_stack([q.T @ found.innovations.ravel(), inside])
+    try:
+        fitted = np.linalg.solve(r, inside)
+    except np.linalg.LinAlgError:
+        fitted = np.linalg.lstsq(r, inside, rcond=None)[0]
+    fitted[:, 1:] *= -1.0
+    return White(residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation)
 
 
 def minus_twice_log(white: Sequence[White]) -> float:
     """Minus twice the log likelihood of filtered segments."""
     return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
-
-
-def surprise(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process | None = None
-) -> float:
-    """The same of segments that are filtered for it alone; arguments of `whiten`."""
-    return minus_twice_log(whiten(steps, measured, [Columns((), {}, {})] * len(steps), which, noise, process))
 
 
 def start_fitted(innovations: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -209,19 +182,6 @@ def start_fitted(innovations: FloatArray, starts: FloatArray) -> tuple[FloatArra
     q, r = np.linalg.qr(flat / scale)
     left = innovations.ravel()
     return np.asarray((left - q @ (q.T @ left)).reshape(innovations.shape)), q, r * scale
-
-
-def _projected(found: Whitened, logdet: float, there: NDArray[np.bool_], deviation: FloatArray) -> White:
-    """The segment with its start state fitted and taken out of everything."""
-    residual, q, r = start_fitted(found.innovations, found.starts)
-    left, own = _without_start(found.columns, q)
-    inside = np.column_stack([q.T @ found.innovations.ravel(), own])
-    try:
-        fitted = np.asarray(np.linalg.solve(r, inside), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        fitted = np.asarray(np.linalg.lstsq(r, inside, rcond=None)[0], dtype=np.float64)
-    fitted[:, 1:] *= -1.0
-    return White(residual, left, logdet, fitted, there, deviation, found.path)
 
 
 def _without_start(columns: NDArray[np.float32], q: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:

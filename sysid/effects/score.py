@@ -5,16 +5,15 @@ With columns b of the parameters already free and one column c per candidate (st
     g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),   gain u^2/g          (LM)
 
 the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where residuals are coloured, t is
-corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted
-and any other
-asked whether it agrees.
+corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted and any
+other asked whether it agrees.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +24,8 @@ from sysid.estimation import coloured_information
 
 FloatArray = NDArray[np.float64]
 Index = NDArray[np.intp]
+Estimate = tuple[float, float, float]
+"""Value, standard error corrected for colour, and that of white residuals."""
 DEPENDENT = 1e-5
 """Share of a column that must be left after the free parameters' part is taken out; less is no information."""
 
@@ -35,6 +36,7 @@ class Evidence:
 
     gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior (K,): information held besides
     held   names of the columns that ``white`` has, in its order; None: all. Others it makes again, or has not
+    remembered  what `corrected_each` has found: a search asks for the same columns again and again
     """
 
     names: tuple[str, ...]
@@ -44,11 +46,11 @@ class Evidence:
     prior: FloatArray
     white: Sequence[White]
     held: tuple[str, ...] | None = None
+    remembered: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
-    def index(self, names: Sequence[str]) -> Index:
+    def index(self, names: Iterable[str]) -> Index:
         """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
-        where = self._where
-        return np.array([where[n] for n in names], dtype=np.intp)
+        return np.array([self._where[n] for n in names], dtype=np.intp)
 
     @cached_property
     def _where(self) -> dict[str, int]:
@@ -74,36 +76,29 @@ class Evidence:
         part = self.group > 0
         return part if part.any() and not part.all() else None
 
-    @cached_property
-    def remembered(self) -> dict[tuple[frozenset[str], float], dict[str, tuple[float, float, float]]]:
-        """What `corrected_each` has found: a search asks for the same columns again and again."""
-        return {}
-
     def series(self, w: White, some: Index) -> FloatArray:
         """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""
         if self.held is None:
             return w.columns[:, :, some].astype(np.float64)
-        at = {name: k for k, name in enumerate(self.held)}
-        names = [self.names[k] for k in some]
-        here = [i for i, n in enumerate(names) if n in at]
+        names = np.array([self.names[k] for k in some], dtype=str)
+        here = np.isin(names, self.held)
         out = np.empty((*w.residual.shape, len(names)))
-        out[:, :, here] = w.columns[:, :, [at[names[i]] for i in here]]
-        if len(here) < len(names):
-            there = [i for i, n in enumerate(names) if n not in at]
+        out[:, :, here] = w.columns[:, :, [self.held.index(n) for n in names[here]]]
+        if missing := names[~here].tolist():
             if w.more is None:
-                raise KeyError(names[there[0]])
-            out[:, :, there] = w.more([names[i] for i in there])
+                raise KeyError(missing[0])
+            out[:, :, ~here] = w.more(missing)
         return out
 
     def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
         """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
         _, u = self.everything
-        delta = self.fitted(self.index([n for n in self.names if n not in held]))
+        delta = self.fitted(self.index(n for n in self.names if n not in held))
         return delta, math.sqrt(max(float(delta @ u), 0.0))
 
-    def fitted(self, free: Index, segments: NDArray[np.bool_] | None = None) -> FloatArray:
+    def fitted(self, free: Index) -> FloatArray:
         """(K,) estimates of the free columns, 0 elsewhere."""
-        G, u = self.part(segments)
+        G, u = self.everything
         out = np.zeros(len(self.names))
         out[free] = solve(G[np.ix_(free, free)], u[free, None])[:, 0]
         return out
@@ -114,8 +109,7 @@ class Evidence:
         So one flight, flown with the effects chosen, serves to choose again.
         """
         v = np.zeros(len(self.names))
-        for name, value in values.items():
-            v[self._where[name]] = value
+        v[self.index(values)] = [*values.values()]
         used = np.flatnonzero(v)
         white = [replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white]
         return replace(self, score=self.score + self.gram @ v, white=white)
@@ -148,7 +142,7 @@ def gather(
         gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
         kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
-    known = np.array([1.0 / prior[n.split("/")[0]] ** 2 if n.split("/")[0] in prior else 0.0 for n in names])
+    known = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
     return Evidence(tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held))
 
 
@@ -195,40 +189,31 @@ def scores(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], s
     """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free columns do not."""
     G, u = evidence.part(segments)
     b, c = evidence.index(free), evidence.index(candidates)
-    right = np.column_stack([G[np.ix_(b, c)], u[b]])
-    x = solve(G[np.ix_(b, b)], right)
+    x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
     own = np.diagonal(G)[c]
     g = own - np.einsum("bc,bc->c", G[np.ix_(b, c)], x[:, :-1])
     left = u[c] - G[np.ix_(c, b)] @ x[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(own > 0.0, g / own, 0.0)
-        known = share > DEPENDENT
-        g = np.where(known, g, np.nan)
+        g = np.where(share > DEPENDENT, g, np.nan)
         return Scores(tuple(candidates), left / g, g, left / np.sqrt(g), left**2 / g, share)
 
 
-def corrected(evidence: Evidence, free: Sequence[str], candidate: str, scale: float = 1.0) -> tuple[float, float, float]:
-    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white.
-
-    scale: residuals' standard deviation in units of the noise used (1 for the noise itself).
-    """
-    return corrected_each(evidence, [*free, candidate], [candidate], scale)[candidate]
+def corrected(evidence: Evidence, free: Sequence[str], candidate: str) -> Estimate:
+    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white."""
+    return corrected_each(evidence, [*free, candidate], [candidate])[candidate]
 
 
-def corrected_each(
-    evidence: Evidence, names: Sequence[str], wanted: Sequence[str], scale: float = 1.0
-) -> dict[str, tuple[float, float, float]]:
+def corrected_each(evidence: Evidence, names: Sequence[str], wanted: Sequence[str]) -> dict[str, Estimate]:
     """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
     colour, is the same for all of them and computed once."""
-    known = evidence.remembered.setdefault((frozenset(names), scale), {})
+    known = evidence.remembered.setdefault(frozenset(names), {})
     if not known.keys() >= {*wanted}:
-        known |= _corrected(evidence, names, [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)], scale)
+        known |= _corrected(evidence, names, [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)])
     return {n: known[n] for n in wanted}
 
 
-def _corrected(
-    evidence: Evidence, names: Sequence[str], wanted: Sequence[str], scale: float
-) -> dict[str, tuple[float, float, float]]:  # fmt: skip
+def _corrected(evidence: Evidence, names: Sequence[str], wanted: Sequence[str]) -> dict[str, Estimate]:
     names, some = list(names), evidence.index(names)
     G = evidence.everything[0][np.ix_(some, some)]
     delta = evidence.fitted(some)[some]
@@ -237,9 +222,8 @@ def _corrected(
     places = [names.index(name) for name in wanted]
     for k, c in enumerate(places):
         b = np.flatnonzero(np.arange(len(some)) != c)
-        x = solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0]
-        alone[b, k], alone[c, k] = -x, 1.0
-        g[k] = G[c, c] - G[c, b] @ x
+        alone[b, k], alone[c, k] = -solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0], 1.0
+        g[k] = G[c] @ alone[:, k]
     own, left = [], []
     for w in evidence.white:
         columns = evidence.series(w, some)
@@ -249,7 +233,7 @@ def _corrected(
     # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no standard error.
     with np.errstate(invalid="ignore", divide="ignore"):
         plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
-        std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, scale * plain)
+        std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
     return {n: (float(delta[c]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
 
 
@@ -258,12 +242,10 @@ def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDA
 
     The free columns are fitted anew on either side: only the effect itself is carried over.
     """
-    here = scores(evidence, free, [candidate], part)
-    there = scores(evidence, free, [candidate], ~part)
-    a, b = float(here.estimate[0]), float(there.estimate[0])
-    ga, gb = float(here.information[0]), float(there.information[0])
+    sides = [scores(evidence, free, [candidate], side) for side in (part, ~part)]
+    (a, ga), (b, gb) = ((float(s.estimate[0]), float(s.information[0])) for s in sides)
     gain = gb * (2.0 * a * b - a * a)  # 2 u a - g a^2 with u = g b
-    return gain, (a - b) / float(np.sqrt(1.0 / ga + 1.0 / gb)) if ga > 0 and gb > 0 else float("nan")
+    return gain, (a - b) / math.sqrt(1.0 / ga + 1.0 / gb)
 
 
 def likeness(evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]) -> FloatArray:

@@ -8,7 +8,7 @@ What it replaces is taken out again. Candidates without which the answer would b
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ class Selection:
 
     chosen: tuple[Choice, ...]
     refused: Refusal | None = None
-    trail: tuple[str, ...] = field(default=())
+    trail: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -126,8 +126,8 @@ def select(
     refused: Refusal | None = None
     for _ in range(3 * most):
         before = list(here)
-        here, trail = _exchanged(evidence, free, candidates, here, trail)
-        here, trail = _pruned(evidence, free, here, trail, limit)
+        _exchange(evidence, free, candidates, here, trail)
+        _prune(evidence, free, here, trail, limit)
         refused = None
         if len(here) < most:
             rest = [c for c in candidates if c not in here]
@@ -148,62 +148,54 @@ def judged(
     evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], twins: Twins | None = None,
 ) -> tuple[Choice, ...]:  # fmt: skip
     """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
+    open_ = [k for k in candidates if k not in here]
     out = []
     for key in here:
-        others = [*free, *[o for o in here if o != key]]
-        open_ = [k for k in candidates if k not in here]
-        choice = _judged(evidence, others, key)
-        out.append(_with_alternatives(evidence, others, choice, open_, twins or {}))
+        others = [*free, *(o for o in here if o != key)]
+        out.append(_with_alternatives(evidence, others, _judged(evidence, others, key), open_, twins or {}))
     return tuple(sorted(out, key=lambda c: -c.gain))
 
 
 def _judged(evidence: Evidence, free: Sequence[str], key: str) -> Choice:
     value, std, _ = corrected(evidence, free, key)
     gain = float(scores(evidence, free, [key]).gain[0])
+    there = difference = float("nan")
     if (confirming := evidence.confirming) is not None:
         there, difference = agreement(evidence, free, key, ~confirming)
-        back, _ = agreement(evidence, free, key, confirming)
-        there = min(there, back)
-    else:
-        there, difference = float("nan"), float("nan")
+        there = min(there, agreement(evidence, free, key, confirming)[0])
     return Choice(key, value, std, value / std, gain, there, difference)
 
 
 def _entering(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool = False,
-) -> Choice | Refusal | None:  # fmt: skip
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool
+) -> Choice | Refusal | None:
     """The candidate to enter. One in which the flights contradict each other may be disturbed by another that is missing as
     well: those that do not resemble it are then asked; it comes to its turn again beside them."""
     first: Refusal | None = None
     for _ in range(TURNS):
         found = _best(evidence, free, open_, odds, limit, empirical)
-        if isinstance(found, Choice) or found is None:
-            return found or first
+        if not (isinstance(found, Refusal) and found.unconfirmed):
+            return found if isinstance(found, Choice) else first or found
         first = first or found
-        if not found.unconfirmed:
-            break
         alike = likeness(evidence, free, found.key, open_)
         open_ = [k for k, a in zip(open_, alike, strict=True) if k != found.key and abs(np.nan_to_num(a)) < UNLIKE]
     return first
 
 
 def _best(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool = False,
-) -> Choice | Refusal | None:  # fmt: skip
-    if not open_:
-        return None
+    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool
+) -> Choice | Refusal | None:
     found = scores(evidence, free, open_)
+    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
+    if not np.isfinite(merit).any():
+        return None
     # A candidate that is really there moves few of the others: their median does not know of it.
     spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
-    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
-    order = np.argsort(-merit)
-    best = int(order[0])
-    if not np.isfinite(merit[best]):
-        return None
+    best, *next_ = np.argsort(-merit)[:LOOKED_AT].tolist()
     choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        others = (_judged(evidence, free, open_[k]) for k in order[1:LOOKED_AT] if merit[k] >= limit**2)
+        others = (_judged(evidence, free, open_[k]) for k in next_ if merit[k] >= limit**2)
         choice = next((c for c in others if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
             return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
@@ -217,34 +209,26 @@ def _best(
     return choice
 
 
-def _exchanged(
-    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], here: list[str], trail: list[str]
-) -> tuple[list[str], list[str]]:
+def _exchange(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], here: list[str], trail: list[str]) -> None:
     """Every chosen effect against every other candidate in its place."""
-    for k, key in enumerate(list(here)):
+    for k, key in enumerate(here):
         others = [*free, *here[:k], *here[k + 1 :]]
         open_ = [c for c in odds if c not in here or c == key]
-        merit = scores(evidence, others, open_).gain - np.array([odds[c] for c in open_])
-        merit = np.nan_to_num(merit, nan=-np.inf)
+        merit = np.nan_to_num(scores(evidence, others, open_).gain - np.array([odds[c] for c in open_]), nan=-np.inf)
         best = int(np.argmax(merit))
         if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
-            here = [*here[:k], open_[best], *here[k + 1 :]]
-            trail = [*trail, f"{key} -> {open_[best]}"]
-    return here, trail
+            here[k] = open_[best]
+            trail.append(f"{key} -> {open_[best]}")
 
 
-def _pruned(
-    evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
-) -> tuple[list[str], list[str]]:
+def _prune(evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float) -> None:
     """The weakest effect below the limit taken out, again and again; one that is alone stays."""
     while len(here) > 1:
         t = [abs(value / std) for value, std, _ in corrected_each(evidence, [*free, *here], here).values()]
         worst = int(np.argmin(t))
         if t[worst] >= limit:
             break
-        trail = [*trail, f"- {here[worst]} t {t[worst]:.1f}"]
-        here = [*here[:worst], *here[worst + 1 :]]
-    return here, trail
+        trail.append(f"- {here.pop(worst)} t {t[worst]:.1f}")
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
@@ -252,46 +236,33 @@ def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str])
     about the other axis, because a wrong product of inertia turns the one into the other."""
     if not named:
         return []
-    swapped = [
-        o.replace(f"effect/{a}/", f"effect/{b}/")
-        for o in others
-        for a, b in (("Cl", "Cn"), ("Cn", "Cl"))
-        if o.startswith(f"effect/{a}/")
-    ]
+    both = ("effect/Cl/", "effect/Cn/"), ("effect/Cn/", "effect/Cl/")
+    swapped = [o.replace(a, b) for o in others for a, b in both if o.startswith(a)]
     return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
 
 
 def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins) -> Choice:
     """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
-    rivals = [k for k in open_ if k != choice.key]
-    if not rivals:
+    if not open_:
         return choice
-    found = scores(evidence, others, rivals)
+    gains = np.nan_to_num(scores(evidence, others, open_).gain, nan=-np.inf)
     alone = float(scores(evidence, others, [choice.key]).information[0])
-    order = np.argsort(-np.nan_to_num(found.gain, nan=-np.inf))[:LOOKED_AT]
     least = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
-    near = [rivals[i] for i in order if np.isfinite(found.gain[i]) and found.gain[i] > least]
-    near += [k for k, g in zip(rivals, found.gain, strict=True) if (choice.key, k) in twins and k not in near and np.isfinite(g)]
-    alike = likeness(evidence, others, choice.key, near) if near else np.zeros(0)
+    near = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least]
+    near += [i for i, k in enumerate(open_) if (choice.key, k) in twins and i not in near and np.isfinite(gains[i])]
     rows = []
-    for key, same in zip(near, alike, strict=True):
+    for i, same in zip(near, likeness(evidence, others, choice.key, [open_[i] for i in near]), strict=True):
+        key = open_[i]
         companions = _companions(evidence, others, twins.get((choice.key, key), ()))
         beside = scores(evidence, [*others, key, *companions], [choice.key])
-        t = float(beside.t[0]) if np.isfinite(beside.t[0]) else 0.0
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
-        t *= abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
+        t = float(np.nan_to_num(beside.t[0])) * (abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0)
         kept = float(np.nan_to_num(beside.information[0])) / alone
         inseparable = abs(t) < DIFFERENT or (bool(companions) and kept < INSEPARABLE_SHARE)
-        gain = float(found.gain[rivals.index(key)])
-        rows.append(Alternative(key, gain, t, float(same), not inseparable, tuple(companions)))
-    together = _kin_first(choice.key, [r for r in rows if not r.separable], twins)[: MOST_ALTERNATIVES - 1]
-    runner_up = [r for r in rows if r.separable][:1]
-    return replace(choice, alternatives=(*together, *runner_up))
-
-
-def _kin_first(key: str, alike: Sequence[Alternative], twins: Twins) -> list[Alternative]:
-    """Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative."""
-    own = [a for a in alike if (key, a.key) in twins]
-    rest = [a for a in alike if a not in own]
-    theirs = [a for a in rest[1:] if (rest[0].key, a.key) in twins]
-    return [*own, *rest[:1], *theirs, *(a for a in rest[1:] if a not in theirs)]
+        rows.append(Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions)))
+    # Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative.
+    kin = {key for one, key in twins if one == choice.key}
+    alike = [r for r in rows if not r.separable]
+    nearest = next((a.key for a in alike if a.key not in kin), "")
+    together = sorted(alike, key=lambda a: 0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in twins else 3)
+    return replace(choice, alternatives=(*together[: MOST_ALTERNATIVES - 1], *[r for r in rows if r.separable][:1]))

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,10 +119,7 @@ def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArra
     # Takes a tenth of a second to load, and few flights ask for a smooth term.
     from scipy.interpolate import BSpline
 
-    inside = np.clip(x, knots[3], knots[-4])
-    if not derivative:
-        return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
-    return np.column_stack([BSpline(knots, row, 3).derivative(derivative)(inside) for row in np.eye(len(knots) - 4)])
+    return np.asarray(BSpline(knots, np.eye(len(knots) - 4), 3)(np.clip(x, knots[3], knots[-4]), derivative))
 
 
 @dataclass(frozen=True)
@@ -168,14 +166,10 @@ def fit_smooth(evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth],
     """Each of the terms alone beside the ``free`` columns."""
     G, u = evidence.everything
     c = evidence.index([n for t in terms for n in t.columns])
-    g, left = projected(G, u, evidence.index(free), c)
-    own = np.diagonal(G)[c]
-    out, first = [], 0
-    for t in terms:
-        k = slice(first, first + len(t.columns))
-        out.append(_fitted(t, g[k, k] / dispersion, left[k] / dispersion, own[k] / dispersion, dispersion))
-        first = k.stop
-    return out
+    g, left, own = (part / dispersion for part in (*projected(G, u, evidence.index(free), c), np.diagonal(G)[c]))
+    edges = np.cumsum([0, *(len(t.columns) for t in terms)]).tolist()
+    parts = (slice(*ends) for ends in pairwise(edges))
+    return [_fitted(t, g[k, k], left[k], own[k], dispersion) for t, k in zip(terms, parts, strict=True)]
 
 
 def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispersion: float) -> SmoothFit:
@@ -195,12 +189,11 @@ def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispers
     some = np.concatenate([line, bends]) if ratio > 0.0 else line
     cov = np.zeros((len(u), len(u)))
     cov[np.ix_(some, some)] = solve(G[np.ix_(some, some)] + np.diag(precision[some]), np.eye(len(some)))
-    own_columns = np.zeros(len(u), dtype=bool)
-    own_columns[some] = True
+    mine = np.isin(np.arange(len(u)), some)
     edf, total, count = float(np.sum(cov * G)), ratio + gained, len(line)
     # A variance that may be zero at the least counts half (Self and Liang, JASA 82, 1987).
     p = float(special.chdtrc(count + 1, total)) if count else 0.5 * float(special.chdtrc(1, total))
-    return SmoothFit(term, cov @ u, cov, own_columns, edf, total, total - 2.0 * (count + 1), p, precision, dispersion)
+    return SmoothFit(term, cov @ u, cov, mine, edf, total, total - 2.0 * (count + 1), p, precision, dispersion)
 
 
 def colour_dispersion(evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]) -> float:
@@ -227,7 +220,7 @@ Form = Callable[[FloatArray], FloatArray]
 _POWERS: Mapping[str, Form] = {
     "square": lambda x: x**2,
     "cube": lambda x: x**3,
-    "magnitude": lambda x: np.abs(x),
+    "magnitude": np.abs,
     "magnitude times itself": lambda x: np.abs(x) * x,
 }
 _PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {

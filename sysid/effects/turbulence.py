@@ -1,10 +1,9 @@
 """How gusty the air was: process noise of the linearised flight by maximum likelihood.
 
 Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning with the aircraft, is in the
-states of `sysid.aerodynamics.gust_states`. Whether they do either is decided by the likelihood. The spectra go with the
-airspeed V and with
-the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each flight has
-intensities of its own.
+states of `sysid.aerodynamics.gust_states`. Whether they do either is decided by the likelihood. The spectra go with the airspeed V
+and with the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each
+flight has intensities of its own.
 Where gusts were made beforehand for one speed, as simulations often do, they pass at that speed however fast the aircraft flies.
 Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
 its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
@@ -27,7 +26,6 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_score import AirLikelihood, Score
-from sysid.effects.prediction import surprise
 from sysid.effects.tuned import CERTAIN_T
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
@@ -73,7 +71,7 @@ class Gusts:
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     across    the part of it that is lost without gusts across the path, in alpha and beta
     moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
-    factors   (m,) on the noise that the sensors are said to have; 1, or (): as it is said
+    factors   (m,) on the noise that the sensors are said to have
     """
 
     states: tuple[GustStates, ...]
@@ -82,9 +80,9 @@ class Gusts:
     passing: Mapping[str, float]
     process: Process
     gain: float
-    across: float = np.inf
-    moments: FloatArray = field(default_factory=lambda: np.zeros(3))
-    factors: FloatArray = field(default_factory=lambda: np.ones(0))
+    across: float
+    moments: FloatArray
+    factors: FloatArray
 
     @property
     def air(self) -> bool:
@@ -96,9 +94,9 @@ class Gusts:
         """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
         gusts that pass at one speed pass at their mean airspeed."""
         first = self.states[0]
-        of = _members(flights)
-        passing = {f: self.passing.get(f, bool(first.passing_mps) * _mean_speed(V, members)) for f, members in of.items()}
-        own = {f: self.own.get(f, self.values) for f in of}
+        passing = {f: bool(first.passing_mps) * float(np.mean([V[k] for k in part])) for f, part in _members(flights).items()}
+        passing |= self.passing
+        own = {f: self.own.get(f, self.values) for f in flights}
         states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
         return replace(self, states=states, own=own, passing=passing, process=_process([own[f] for f in flights], V, states))
 
@@ -112,29 +110,25 @@ class Gusts:
     def words(self) -> str:
         """How the gusts act."""
         rotating, turning_with, at_one_speed = self.kind
-        turning = "turn with the aircraft" if turning_with else "do not turn with the aircraft"
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
-        return f"gusts that {'rotate the air' if rotating else 'do not rotate the air'} and {turning}{passing}"
+        rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
+        return f"gusts that {rotate}rotate the air and {turn}turn with the aircraft{passing}"
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the seven values of
     _START. Spectra of the velocities go with the speed at which the gusts pass."""
-    passing = states.passing_mps or V
-    faster = passing / V_REFERENCE
-    lags = states.lags_s(V)
+    faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
     noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
     # A coefficient's noise is a moment's by dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
-    for k in range(3):
-        # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
-        tied = noise[k] if k and states.rotating else 0.0
-        begin[8 + k] = 0.5 * lags[k] * (noise[8 + k] + tied)
-    if states.turning_with:
-        begin[11], begin[12] = 0.5 * _MEMORY_S * noise[0], 0.5 * _MEMORY_S * noise[2]
+    # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
+    tied = states.rotating * np.array([0.0, noise[1], noise[2]])
+    begin[8:11] = 0.5 * np.array(states.lags_s(V)) * (noise[8:11] + tied)
+    begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]]
     return noise, begin
 
 
@@ -151,13 +145,12 @@ def gust_intensity(
     their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for
     twice as noisy as they are follows them late: that looks like a servo's lag.
     """
-    known = np.ones(len(noise)) if near is None or not len(near.factors) else near.factors
+    known = np.ones(len(noise)) if near is None else near.factors
     search = _Search(linear, measured, which, noise / known, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if near is None:
-        alike = (states,) * len(measured)
-        first = search.best(some, [_Point(alike, f * _START, known) for f in _FACTORS])
+        first = search.best(some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS])
         here = search.descend(some, first, kinds)
         besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
@@ -173,20 +166,16 @@ def gust_intensity(
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
-    along = _Point(here.states, _ALONG * here.values, here.factors)
-    gain = near.gain if near is not None else search.calm(some, here) - here.cost
-    across = near.across if near is not None else search.best(some, [along]).cost - here.cost
-    axes = np.eye(len(_START), dtype=bool)[_MOMENTS]
-    without = [replace(here, values=np.where(axis, _NONE, 1.0) * here.values) for axis in axes]
-    lost = np.array([search.best(some, [point]).cost - here.cost for point in without])
+    gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
+    without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
+    lost = np.array([search.lost(some, here, left) for left in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
     own = dict.fromkeys(flights, here.values)
-    for flight in own if len(own) > 1 else ():
-        part = _spread(of[flight], _OF_A_FLIGHT)
-        begin = here.values if near is None else near.own[flight]
-        own[flight] = search.descend(part, _Point(here.states, begin, here.factors), ()).values
+    if len(own) > 1:
+        begin = own if near is None else near.own
+        own = {f: search.descend(_spread(of[f], _OF_A_FLIGHT), replace(here, values=begin[f]), ()).values for f in own}
     process = _process([own[f] for f in flights], V, here.states)
-    passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
+    passing = {f: s.passing_mps for f, s in zip(flights, here.states, strict=True)}
     return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
 
 
@@ -214,11 +203,9 @@ class _Search:
     by: Processes
     asked: OrderedDict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=OrderedDict)
 
-    def score(
-        self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray, factors: FloatArray, slopes: bool = True
-    ) -> Score:  # fmt: skip
-        """That of the segments ``some``, by gusts and factors on the sensors' noise."""
-        acting = [states[k] for k in some]
+    def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
+        """That of the segments ``some``."""
+        acting = [point.states[k] for k in some]
         key = tuple(zip(some, acting, strict=True))
         if key not in self.asked:
             data = [self.measured[k] for k in some]
@@ -226,7 +213,7 @@ class _Search:
             while len(self.asked) > REMEMBERED_AIRS:
                 self.asked.popitem(last=False)
         self.asked.move_to_end(key)
-        return self.asked[key](factors * self.noise, self.process(some, states, values), slopes)
+        return self.asked[key](point.factors * self.noise, self.process(some, point.states, point.values), slopes)
 
     def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:
         """Noise that gusts make in the segments ``some``."""
@@ -237,16 +224,14 @@ class _Search:
         airspeed: the lowest point of a parabola through three."""
         states = list(point.states)
         for members in flights.values():
-            speed = _mean_speed(self.V, members)
+            speed = float(np.mean([self.V[k] for k in members]))
             some = _spread(members, _FOR_SPEED)
             tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
-            slower, here, faster = (self.score(some, p.states, p.values, p.factors, slopes=False).cost for p in tried)
-            if np.isfinite([slower, here, faster]).all():
-                bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
-                steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
-            else:
-                # Where no filter follows there is no parabola.
-                steps = 0.0
+            slower, here, faster = (self.score(some, p, slopes=False).cost for p in tried)
+            bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+            steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
+            # Where no filter follows there is no parabola.
+            steps = steps if np.isfinite([slower, here, faster]).all() else 0.0
             own = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
             for k in members:
                 states[k] = states[k]._replace(passing_mps=own)
@@ -254,37 +239,39 @@ class _Search:
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
         """The likeliest of points."""
-        found = [replace(p, cost=self.score(some, p.states, p.values, p.factors, slopes=False).cost) for p in points]
-        return min(found, key=lambda p: p.cost)
+        return min((replace(p, cost=self.score(some, p, slopes=False).cost) for p in points), key=lambda p: p.cost)
+
+    def lost(self, some: Sequence[int], point: _Point, left: FloatArray | float) -> float:
+        """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a point found."""
+        return self.score(some, replace(point, values=left * point.values), slopes=False).cost - point.cost
 
     def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
         """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a quasi-Newton search in the
         logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995)."""
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
-        at, size = len(point.values), len(point.values) + len(unlike)
-        lone = [np.where(np.arange(at) == j, point.values, 0.0) for j in range(at)]
-        each = [self.process(some, point.states, values) for values in lone]
+        at, sizes = len(point.values), (len(point.values), len(unlike))
+        each = [self.process(some, point.states, alone) for alone in np.diag(point.values)]
 
-        def here(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return point.values * np.exp(x[:at]), point.factors * np.exp(x[at:] @ shared)
+        def here(x: FloatArray) -> _Point:
+            return replace(point, values=point.values * np.exp(x[:at]), factors=point.factors * np.exp(x[at:] @ shared))
 
         def by_each(x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray) -> FloatArray:
             # The noise of a step, and the air at the start, go with each intensity in a straight line.
             air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
             return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
 
-        prior = np.where(np.arange(size) < at, 0.0, NOISE_PRIOR**-2)
-        none = np.zeros(size)
+        prior = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
+        none = np.zeros(len(prior))
         # From what the sensors are said to have to where the search begins.
         off = np.concatenate([np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)])
-        first = self.score(some, point.states, *here(none))
+        first = self.score(some, point)
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
-        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.where(np.arange(size) < at, 1.0, 2.0), _LEAST_BENT))
+        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT))
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             x = y / scale
-            found = self.score(some, point.states, *here(x)) if y.any() else first
+            found = self.score(some, here(x)) if y.any() else first
             if not np.isfinite(found.cost):
                 # A filter that fails is as unlikely as can be, and no slope.
                 return _FAILED, none
@@ -295,13 +282,7 @@ class _Search:
         bounds = Bounds(-_REACH * scale, _REACH * scale)
         found = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = found.x / scale
-        values, factors = here(x)
-        return replace(point, values=values, factors=factors, cost=float(found.fun) - float(prior @ (x + off) ** 2))
-
-    def calm(self, some: Sequence[int], point: _Point) -> float:
-        """Minus twice the log likelihood in calm air."""
-        data = [self.measured[k] for k in some]
-        return surprise(self.linear(some, [point.states[k] for k in some]), data, self.which, point.factors * self.noise)
+        return replace(here(x), cost=float(found.fun) - float(prior @ (x + off) ** 2))
 
 
 def _members(flights: Sequence[str]) -> dict[str, list[int]]:
@@ -309,15 +290,10 @@ def _members(flights: Sequence[str]) -> dict[str, list[int]]:
     return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
 
 
-def _mean_speed(V: Sequence[float], members: Sequence[int]) -> float:
-    """Mean airspeed of a flight's segments."""
-    return float(np.mean([V[k] for k in members]))
-
-
 def _process(values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]) -> Process:
     """Of segments with such values and airspeeds."""
-    made = [process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)]
-    return Process(np.stack([noise for noise, _ in made]), np.stack([begin for _, begin in made]))
+    noise, begin = zip(*(process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)), strict=True)
+    return Process(np.stack(noise), np.stack(begin))
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:

@@ -192,7 +192,7 @@ def gust_refit(
         linearised, measured = steps.all(gusts.states), steps.measured
         # Systems of the air that was tried would stand beside the columns, which take the most memory.
         del steps
-        followed = follow(linearised, measured, setup.which, setup.noise, gusts.process)
+        followed = [*follow(linearised, measured, setup.which, setup.noise, gusts.process)]
         flown, found = predicted(setup, flown, found, linearised, followed, gusts)
         # The measured states have seen what comes after them: linear about those, the airspeed's sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in found]
@@ -325,7 +325,7 @@ def predicted(
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
     out, outputs = [], []
-    for p, s, d, acting in zip(found, steps, (one.path for one in followed), gusts.states, strict=True):
+    for p, s, d, acting in zip(found, steps, (one.alone.path for one in followed), gusts.states, strict=True):
         x = whole_states(p.reference.x, acting) + d
         air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=acting)
@@ -349,5 +349,5 @@ def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gus
     """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
     columns = merged(fit.columns, extra)
     measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
-    white = whiten_each(fit.steps, measured, columns, setup.which, setup.noise, process)
+    white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
     return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

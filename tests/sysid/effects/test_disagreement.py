@@ -27,9 +27,9 @@ def test_a_planted_disagreement_is_found_where_it_is():
     for k in (0, 2):
         gap[k][states[k]["alpha_rad"] > 0.2, 2] += 6.0
     (found,) = disagreements(gap, allowed, states, labels, DT)
-    assert (found.coefficient, found.manoeuvre, found.region.state) == ("CZ", "pull", "alpha_rad")
-    assert found.region.low == pytest.approx(0.2, abs=0.01)
-    assert found.region.high == pytest.approx(0.3, abs=0.01)
+    assert (found.coefficient, found.manoeuvre, found.state) == ("CZ", "pull", "alpha_rad")
+    assert found.low == pytest.approx(0.2, abs=0.01)
+    assert found.high == pytest.approx(0.3, abs=0.01)
     assert found.share > 0.95
     assert found.size == pytest.approx(np.sqrt(37.0), rel=0.03)
     assert found.total_s == pytest.approx(2 * N * DT)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue, coefficient_effect, words
-from sysid.effects.effect_terms import parse, property_name
+from sysid.effects.effect_terms import parse
 from sysid.effects.file import read_effects
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.errors import LogError
@@ -25,7 +25,7 @@ from sysid.errors import LogError
 )
 def test_a_term_has_one_form_and_a_legal_property(text, canonical, name):
     assert parse(text).text == canonical
-    assert property_name("Cm", text) == name
+    assert coefficient_effect("Cm", text).property_name == name
 
 
 @pytest.mark.parametrize("text", ["gamma", "p_hat^", "alpha+beta", "", "alpha*1/alpha"])

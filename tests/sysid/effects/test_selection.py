@@ -19,7 +19,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
     white = [
         White(
             residual[s], np.stack([columns[c][s] for c in names], axis=2).astype(np.float32), 0.0,
-            np.zeros((8, 1 + len(names))), np.ones((N, M), dtype=bool), np.ones(M), np.zeros((N, 11)),
+            np.zeros((8, 1 + len(names))), np.ones((N, M), dtype=bool), np.ones(M),
         )
         for s in range(SEGMENTS)
     ]  # fmt: skip

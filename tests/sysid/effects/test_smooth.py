@@ -34,7 +34,7 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
     for part in np.array_split(np.arange(len(left)), parts):
         residual = left[part][:, None]
         there = np.ones(residual.shape, dtype=bool)
-        white.append(White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1), np.zeros((len(part), 8))))
+        white.append(White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1)))
     return gather(white, names, range(parts), {}), [n for n in names if n.startswith("aero/")]
 
 

@@ -27,9 +27,7 @@ def side(
     measured = columns @ values + rng.standard_normal(n)
     residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
     there = np.ones((n, 1), dtype=bool)
-    white = White(
-        residual[:, None], columns[:, None, :].astype(np.float32), 0.0, np.zeros((8, 5)), there, np.ones(1), np.zeros((n, 8))
-    )
+    white = White(residual[:, None], columns[:, None, :].astype(np.float32), 0.0, np.zeros((8, 5)), there, np.ones(1))
     return gather([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
 
 

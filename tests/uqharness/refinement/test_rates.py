@@ -72,7 +72,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
         columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + HERE: here}
         white = White(
             noise, np.stack(list(columns.values()), axis=2).astype(np.float32), 0.0,
-            np.zeros((8, 4)), np.ones((400, 1), dtype=bool), np.ones(1), np.zeros((400, 11)),
+            np.zeros((8, 4)), np.ones((400, 1), dtype=bool), np.ones(1),
         )  # fmt: skip
         evidence = gather([white], tuple(columns), [0], {}).taken_out({KEY: value})
         about = SimpleNamespace(flown={KEY: value})

@@ -27,8 +27,7 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
         columns = rng.standard_normal((400, 2, len(NAMES)))
         residual = columns @ np.array(values) + noise * rng.standard_normal((400, 2))
         start = rng.standard_normal((8, 1 + len(NAMES)))
-        parts.append(White(residual, columns.astype(np.float32), 0.0, start, np.ones((400, 2), dtype=bool), np.ones(2),
-                           np.zeros((400, 8))))  # fmt: skip
+        parts.append(White(residual, columns.astype(np.float32), 0.0, start, np.ones((400, 2), dtype=bool), np.ones(2)))
     return gather(parts, NAMES, [0, 1], {})
 
 

@@ -26,7 +26,7 @@ def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> d
     residual = value * columns.sum(axis=2)
     white = White(
         residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(held))), np.ones((50, 2), dtype=bool),
-        np.ones(2), np.zeros((50, 11)),
+        np.ones(2),
     )  # fmt: skip
     evidence = gather([white], [e.key for e in held], [0], {})
     controls = np.zeros((50, 4))
@@ -79,7 +79,7 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(l
     columns = rng.standard_normal((200, 2, 2))
     white = White(
         columns @ np.array([1.0, value]), columns.astype(np.float32), 0.0, np.zeros((8, 3)), np.ones((200, 2), dtype=bool),
-        np.ones(2), np.zeros((200, 11)),
+        np.ones(2),
     )  # fmt: skip
     keys = ("aero/Cl_p", effect.key)
     controls = np.array([[0.0, -10.0, 0.0, 50.0], [0.0, 10.0, 0.0, 50.0]])
@@ -99,7 +99,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     columns = rng.standard_normal((200, 2, 3))
     white = White(
         columns @ np.array([0.4, 1.0, 1.0]), columns.astype(np.float32), 0.0, np.zeros((8, 4)), np.ones((200, 2), dtype=bool),
-        np.ones(2), np.zeros((200, 11)),
+        np.ones(2),
     )  # fmt: skip
     evidence = gather([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
@@ -127,7 +127,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(al
     columns[:, :, 1] = -1000.0 * (columns[:, :, 0] + alike * columns[:, :, 1])  # -1 ms of it does what 1 of the term does
     white = White(
         columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 3)),
-        np.ones((200, 2), dtype=bool), np.ones(2), np.zeros((200, 11)),
+        np.ones((200, 2), dtype=bool), np.ones(2),
     )  # fmt: skip
     evidence = gather([white], [term, delay], [0], {})
     start = SimpleNamespace(

@@ -30,9 +30,7 @@ def told(own_part: float = 0.0) -> Evidence:
     thrust = speed + 0.3 * own
     columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
     residual = 2.0 * speed + own_part * own + rng.standard_normal((400, 2))
-    white = White(
-        residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), np.ones((400, 2), dtype=bool), np.ones(2), np.zeros((400, 13))
-    )
+    white = White(residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), np.ones((400, 2), dtype=bool), np.ones(2))
     return gather([white], KEYS, [0], {})
 
 

@@ -109,7 +109,7 @@ def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
 
 def _region(d: Disagreement) -> dict[str, Any]:
     return {
-        "coefficient": d.coefficient, "manoeuvre": d.manoeuvre, "region": {d.region.state: [d.region.low, d.region.high]},
+        "coefficient": d.coefficient, "manoeuvre": d.manoeuvre, "region": {d.state: [d.low, d.high]},
         "share_outside_95": d.share, "size": d.size, "words": d.words,
     }  # fmt: skip
 
