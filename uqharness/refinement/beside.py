@@ -34,11 +34,8 @@ def named_beside(found: Found, train: Side, whole: Aircraft, map_: Processes) ->
     chosen, curve = found.selection.chosen, bent(found)
     if curve is None:
         weak = too_weak(chosen, found.limit)
-        if not weak:
-            return found
         at = written_at(found, property_values(found, found), found.after.flown.point)
-        shown = show(whole, train, map_, at)
-        if not left_in(train.setup, shown, found.gusty):
+        if weak and not left_in(train.setup, show(whole, train, map_, at), found.gusty):
             return found
     else:
         form, others = curve
@@ -46,8 +43,8 @@ def named_beside(found: Found, train: Side, whole: Aircraft, map_: Processes) ->
         part = [c for c in chosen if c.key in form.instead]
         asked = {c.key for c in too_weak([*part, *others], found.limit)}
         weak = tuple(c for c in chosen if c.key in asked)
-        if not weak:
-            return found
+    if not weak:
+        return found
     rest = left_out(found, evidence_of(found), [c.key for c in weak])
     lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
     return replace(rest, unnamed=weak, trail=(*found.trail, *lines))

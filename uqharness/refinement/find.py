@@ -2,14 +2,13 @@
 flights what it did.
 
 Train flights choose; test flights only show. A choice is made on the train flights' linearised likelihood
-(sysid.effects.selection), the
-chosen effects are then written into a copy of the aircraft, flown and estimated with everything else, and the choice is made again
-around that flight until it stands.
+(sysid.effects.selection), the chosen effects are then written into a copy of the aircraft, flown and estimated with everything
+else, and the choice is made again around that flight until it stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -48,7 +47,7 @@ from uqharness.refinement.gusts import GustFit, column_evidence, gust_refit
 from uqharness.refinement.rates import as_known_here, limits_tried
 from uqharness.refinement.round import Start, like_turning_air
 from uqharness.refinement.rounds import eligible, resolved
-from uqharness.refinement.search import Searched, search
+from uqharness.refinement.search import Say, Searched, search
 from uqharness.refinement.setup import Bench, candidates_for, make_setup, setup_in_gusts, turbulent
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
@@ -66,7 +65,6 @@ IN_TURBULENCE = (
 )
 DIVERGED = 1e6
 """Gain over calm air that says no more than that the model leaves such flights in calm air."""
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ class Found:
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
     late_s: float = 0.0
-    trail: tuple[str, ...] = field(default=())
+    trail: tuple[str, ...] = ()
     slopes: Mapping[str, float] = field(default_factory=dict)
     flown: Mapping[str, float] = field(default_factory=dict)
     unnamed: tuple[Choice, ...] = ()
@@ -128,7 +126,7 @@ def find_effects(
         raise BadInputError(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
         )
-    recorded, clock = setup, Clock(setup.segments[0].command_s, put_right)
+    recorded, command_s = setup, setup.segments[0].command_s
     if put_right:
         setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal)
     limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
@@ -158,19 +156,20 @@ def find_effects(
         say(f"scoring {len(effects)} candidate effects")
         setup, before = as_quiet(setup, before)
     setup = limits_tried(setup, before, gusts)
-    timed = [CONTROLS_LATE] if clock.may_be_off and not setup.late else []
+    timed = [CONTROLS_LATE] if len(put_right) < MOST_CORRECTIONS and not setup.late else []
     columns = effect_columns(setup, before.probes, before.flown, [*effects, *timed])
     evidence = column_evidence(setup, before, columns, gusts)
-    late = _of_the_clock(setup, before, evidence, effects, clock, 0.0 if gusts is None else GUST_LIMIT) if timed else None
+    least_t, slips = 0.0 if gusts is None else GUST_LIMIT, slips_s(command_s, not put_right)
+    late = _of_the_clock(setup, before, evidence, effects, slips, least_t) if timed else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
         found = find_effects(aircraft, recorded, extra, work, map_, say, keep, (*put_right, late[0]))
         if not put_right:
-            found = replace(found, notes=(words(found.controls_late_s, late[1], clock.command_s), *found.notes))
+            found = replace(found, notes=(words(found.controls_late_s, late[1], command_s), *found.notes))
         return found
     free = before.columns[0].names
     open_ = list(eligible(effects, setup, free, evidence))
-    limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), GUST_LIMIT)
+    limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), least_t)
     merit = before.flown.cost if gusts is None else air.surprise
     start = Start(aircraft, setup, before, names, {e.key: e for e in effects}, limits, limit, map_, merit, gusts)
     searched = search(start, evidence, work, say)
@@ -196,54 +195,38 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
     selection, slopes = of_lift_slope(selection, start.before, after)
     open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
     plain = in_one_step(evidence, start.names, start.before, Selection(()), gusty, moved=gusty)
-    note = () if gusts is None else (_of_gusts(gusts),)
-    trail = [f"one-step predictions: {line}" if gusty else line for line in searched.trail]
+    notes, trail = searched.notes, searched.trail
+    if gusts is not None:
+        gain = f"{gusts.gain:.4g}" if gusts.gain < DIVERGED else "over a million"
+        notes = (*notes, IN_TURBULENCE.format(gain, gusts.words))
+        trail = tuple(f"one-step predictions: {line}" for line in trail)
     return Found(
-        setup, start.names, start.before, after, selection, start.effects, parameters, (*searched.notes, *note),
+        setup, start.names, start.before, after, selection, start.effects, parameters, notes,
         {n: value for n, (value, _) in plain.items()}, gusts,
-        limit=start.limit, trail=tuple(trail), slopes=slopes,
+        limit=start.limit, trail=trail, slopes=slopes,
         flown={} if best is None else best.about.flown,
         left=left_beside(last, start.free, [*selection.values], open_),
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Of the records: time from one command to the next, and by how much the controls act later than recorded, step by step."""
-
-    command_s: float
-    put_right: tuple[float, ...]
-
-    @property
-    def may_be_off(self) -> bool:
-        """Whether another step is taken."""
-        return len(self.put_right) < MOST_CORRECTIONS
-
-    @property
-    def late_s(self) -> float:
-        """What is later than this is a slip of the record; less is what every fit allows for, as an integration has it."""
-        least = LEAST_LATE_ROWS * self.command_s
-        return least if self.put_right else max(least, PRIOR["lateness"])
-
-    @property
-    def early_s(self) -> float:
-        """What is earlier than this is a slip of the record: a simulator's flight acts up to half a step before its row."""
-        return (LEAST_LATE_ROWS if self.put_right else UNKNOWN_ROWS) * self.command_s
+def slips_s(command_s: float, first: bool) -> tuple[float, float]:
+    """What is later, and what is earlier [s], than this is a slip of the record; in the first step, less is what every fit allows
+    for, as an integration has it, and a simulator's flight acts up to half a step before its row. command_s: from one command to
+    the next."""
+    least = LEAST_LATE_ROWS * command_s
+    return (max(least, PRIOR["lateness"]), UNKNOWN_ROWS * command_s) if first else (least, least)
 
 
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], clock: Clock,
-    least_t: float = 0.0,
-) -> tuple[float, float] | None:  # fmt: skip
+    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], slips: tuple[float, float], least_t: float
+) -> tuple[float, float] | None:
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
-    least_t: |t| asked at least."""
+    slips: `slips_s`; least_t: |t| asked at least."""
     held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
     at_rows = evidence.taken_out(held)
-    columns = [replace(c, names=tuple(n for n in c.names if n not in held)) for c in before.columns]
-    free = columns[0].names
+    free = [n for n in before.columns[0].names if n not in held]
     odds = eligible(effects, setup, free, at_rows)
-    limit = max(threshold(len(odds) + 1), least_t)
-    return controls_late(at_rows, free, odds, limit, clock.late_s, clock.early_s)
+    return controls_late(at_rows, free, odds, max(threshold(len(odds) + 1), least_t), *slips)
 
 
 def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
@@ -264,14 +247,12 @@ def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: f
     stays the evidence's."""
 
     def widened(c: Choice) -> Choice:
-        if gusty and like_turning_air(effects[c.key]):
-            return replace(c, std=RATES_IN_GUSTS * c.std)
-        if gusty and effects[c.key].coefficient in COEFFICIENTS[3:]:
-            return replace(c, std=MOMENTS_IN_GUSTS * c.std)
-        if effects[c.key].unit != "s":
-            return c
-        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
-        return replace(c, std=std, t=c.value / std)
+        effect = effects[c.key]
+        if effect.unit == "s":
+            std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+            return replace(c, std=std, t=c.value / std)
+        by = RATES_IN_GUSTS if like_turning_air(effect) else MOMENTS_IN_GUSTS if effect.coefficient in COEFFICIENTS[3:] else 1.0
+        return replace(c, std=by * c.std) if gusty else c
 
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 
@@ -295,10 +276,6 @@ def left_beside(
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
 
 
-def _of_gusts(gusts: Gusts) -> str:
-    return IN_TURBULENCE.format(f"{gusts.gain:.4g}" if gusts.gain < DIVERGED else "over a million", gusts.words)
-
-
 def in_one_step(
     evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection, gusty: bool, moved: bool = True
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
@@ -306,14 +283,14 @@ def in_one_step(
     of moments as it covers in turbulence."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *selection.values]
     found = corrected_each(evidence, free, names)
-    wider = {n: MOMENTS_IN_GUSTS if gusty and _of_a_moment(*fit.columns[0].inputs[n]) else 1.0 for n in names}
     at = fit.flown.point.values
-    return {n: (float(at[n] + (delta if moved else 0.0)), wider[n] * std) for n, (delta, std, _) in found.items()}
 
+    def wider(coefficient: int, values: Array) -> float:
+        """By how much: more than 1 of an input of `Columns` that changes Cl, Cm or Cn."""
+        return MOMENTS_IN_GUSTS if gusty and (coefficient > 2 if coefficient >= 0 else np.any(values[:, 3:])) else 1.0
 
-def _of_a_moment(coefficient: int, values: Array) -> bool:
-    """Whether the input of a `Columns` changes Cl, Cm or Cn."""
-    return coefficient > 2 if coefficient >= 0 else bool(np.any(values[:, 3:]))
+    own = fit.columns[0].inputs
+    return {n: (float(at[n] + (delta if moved else 0.0)), wider(*own[n]) * std) for n, (delta, std, _) in found.items()}
 
 
 def score_table(evidence: Evidence, free: Sequence[str], effects: Sequence[Effect]) -> tuple[tuple[str, float], ...]:
@@ -326,14 +303,13 @@ def score_table(evidence: Evidence, free: Sequence[str], effects: Sequence[Effec
 def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:
     """What stands beside the number in the XML; limit: |t| above which it was chosen."""
     low, high = chosen_interval(choice, limit)
-    return f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}" + (
-        f"; {command}" if command else ""
-    )
+    said = f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}"
+    return f"{said}; {command}" if command else said
 
 
 def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, float]) -> dict[str, Estimate]:
     """New numbers of the re-identified parameters with their remarks."""
-    out = {}
-    for n, (value, std) in found.parameters.items():
-        out[n] = Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial.get(n, float('nan')):.5g}; refine; {', '.join(flights)}")
-    return out
+    return {
+        n: Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}")
+        for n, (value, std) in found.parameters.items()
+    }

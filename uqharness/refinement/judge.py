@@ -39,7 +39,6 @@ class Verdict:
     sides is above the square of the limit asked; between: sum of the squares of what lies between the two models' predictions,
     whitened, and that of the model without less that of the model with it."""
 
-    key: str
     change: float
     std: float
     far: float = 1.0
@@ -91,10 +90,8 @@ class Judged:
 
 
 def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
-    """Fly both sides before and after; withdraw effects one by one, the one that harms most first.
-
-    whole: the aircraft with every effect of ``found``; write: one of a model's own
-    """
+    """Fly both sides before and after; withdraw effects one by one, the one that harms most first. whole: the aircraft with every
+    effect of ``found``; write: one of a model's own."""
 
     def flown(model: Found, side: Side, near: Point | None) -> Shown:
         aircraft, values = flown_as(model, found, whole, write)
@@ -124,31 +121,31 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     gone: list[Choice] = []
     while standing.selection.chosen:
         without: dict[str, tuple[Found, Shown]] = {}
+        now: dict[str, Verdict] = {}
         for c in standing.selection.chosen:
             if len(standing.selection.chosen) == 1:
-                without[c.key] = bare(standing), before
-                continue
-            less = left_out(found, evidence(), [*(g.key for g in gone), c.key])
-            without[c.key] = less, flown(less, test, after.flown.point)
-        spare = {c.key: c.t**2 - found.limit**2 for c in standing.selection.chosen}
-        now = {k: gap_change(k, without[k][1], after, test.setup, fitted, spare[k]) for k in without}
+                less = bare(standing), before
+            else:
+                model = left_out(found, evidence(), [*(g.key for g in gone), c.key])
+                less = model, flown(model, test, after.flown.point)
+            without[c.key] = less
+            now[c.key] = gap_change(less[1], after, test.setup, fitted, c.t**2 - found.limit**2)
         # Two effects may undo each other: then neither alone is in the way.
-        together = gap_change("", before, after, test.setup, fitted) if len(now) > 1 else None
+        together = gap_change(before, after, test.setup, fitted) if len(now) > 1 else None
         if any(v is not None and v.says == "grew" for v in (*now.values(), together)):
-            now = {k: surer(v, both(), without[k][1], after, list(now)) for k, v in now.items()}
+            now = {k: surer(v, both(), without[k][1], after, list(now), k) for k, v in now.items()}
             together = together and surer(together, both(), before, after, list(now))
+        worst = min(now, key=lambda k: now[k].z)
+        if now[worst].says != "grew" and together is not None and together.says == "grew":
+            now[worst] = together
         verdicts |= now
-        worst = min(now.values(), key=lambda v: v.z)
-        if worst.says != "grew" and together is not None and together.says == "grew":
-            worst = replace(together, key=worst.key)
-            verdicts[worst.key] = worst
-        if worst.says != "grew":
-            unseen = [v for v in now.values() if v.says == CANNOT_TELL and not v.seen]
+        if now[worst].says != "grew":
+            unseen = [k for k, v in now.items() if v.says == CANNOT_TELL and not v.seen]
             if not unseen or (found.bent is None and not left_in(train.setup, fitted, found.gusty)):
                 break
-            worst = min(unseen, key=lambda v: v.z)
-        gone.append(next(c for c in found.selection.chosen if c.key == worst.key))
-        standing, after = without[worst.key]
+            worst = min(unseen, key=lambda k: now[k].z)
+        gone.append(next(c for c in found.selection.chosen if c.key == worst))
+        standing, after = without[worst]
     settled = fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
 
     def both_ways(side: Side, plain: Shown, with_: Shown) -> tuple[Setup, Shown, Shown]:
@@ -159,14 +156,14 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     return Judged(standing, tuple(gone), verdicts, on_train, on_test, (train, test))
 
 
-def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequence[str]) -> Verdict:
-    """The verdict with the errors of what the train flights estimated in its standard error and, of one effect, all flights' t in
-    what both sides say. keys: of the effects that ``after`` has."""
+def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequence[str], key: str | None = None) -> Verdict:
+    """The verdict, of one effect by key or of all, with the errors of what the train flights estimated in its standard error and,
+    of one, all flights' t in what both sides say. keys: of the effects that ``after`` has."""
     apart = [a - b for a, b in zip(without.white, after.white, strict=True)]
     # The effect's own error is in both terms of the change, and to the first order in neither.
-    rest = [k for k in keys if verdict.key and k != verdict.key]
+    rest = [k for k in keys if key is not None and k != key]
     std = float(np.hypot(verdict.std, np.sqrt(both.variance(apart, rest))))
-    return replace(verdict, std=std, beyond=both.t(verdict.key, keys) ** 2 - both.found.limit**2 if verdict.key else np.inf)
+    return replace(verdict, std=std, beyond=np.inf if key is None else both.t(key, keys) ** 2 - both.found.limit**2)
 
 
 def flown_as(model: Found, found: Found, whole: Aircraft, write: Write) -> tuple[Aircraft, dict[str, float]]:
@@ -192,16 +189,12 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
     return values
 
 
-def sensed_by(found: Found) -> dict[str, float]:
-    """Values of the chosen effects that are the sensors', by key."""
-    return {k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])}
-
-
 def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
     """The point of an aircraft that was written as ``found``, but for properties of other ``values``: its sensors' effects, and
     nuisance and start states of another model's point in the same flights."""
     nuisance, starts = ({}, ()) if near is None else (near.nuisance, near.starts)
-    return Point(values or {}, nuisance, starts, sensed_by(found))
+    sensed = {k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])}
+    return Point(values or {}, nuisance, starts, sensed)
 
 
 def bare(found: Found) -> Found:
@@ -210,7 +203,7 @@ def bare(found: Found) -> Found:
     return replace(found, parameters=parameters, selection=replace(found.selection, chosen=()))
 
 
-def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf) -> Verdict:
+def gap_change(without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
     With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
@@ -231,7 +224,7 @@ def gap_change(key: str, without: Shown, with_: Shown, setup: Setup, fitted: Sho
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     far = _mean_square(better) ** 0.5 / _mean_square(fitted) ** 0.5
-    return Verdict(key, change, float(np.sqrt(variance)), far, change + spare, (size, fall))
+    return Verdict(change, float(np.sqrt(variance)), far, change + spare, (size, fall))
 
 
 def _mean_square(shown: Shown) -> float:

@@ -58,17 +58,16 @@ class Start:
 
     def odds(self, effect: Effect) -> float:
         """Gain asked of an effect besides: its own odds, and those of what a gust model that is a little off would look like."""
-        return effect.odds + (GUST_ODDS if self.gusts is not None and _gust_like(effect) else 0.0)
+        if self.gusts is None:
+            return effect.odds
+        gust_like = like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
+        return effect.odds + GUST_ODDS * gust_like
 
 
 def like_turning_air(effect: Effect) -> bool:
     """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
     term = effect.parsed
     return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
-
-
-def _gust_like(effect: Effect) -> bool:
-    return like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
 
 
 @dataclass(frozen=True)
@@ -122,10 +121,8 @@ def joint_point(start: Start, about: About, keys: Sequence[str]) -> Point:
     other properties as they were without any."""
     evidence, plain, free = about.evidence, start.before.flown.point, start.free
     delta = evidence.fitted(evidence.index([*free, *keys]))
-    step = {n: float(delta[i]) for n, i in zip(free, evidence.index(free), strict=True)}
+    step = dict(zip(free, delta[evidence.index(free)].tolist(), strict=True))
     values = {n: about.point.values.get(n, v) for n, v in plain.values.items()}
     moved = stepped(start.setup, replace(plain, values=values, nuisance=about.point.nuisance), step, start.limits)
-    change = delta.copy()
-    for key, value in about.flown.items():
-        change[evidence.index([key])[0]] -= value
-    return replace(moved, starts=moved_starts(about.point.starts, evidence.white, change))
+    delta[evidence.index(list(about.flown))] -= [*about.flown.values()]
+    return replace(moved, starts=moved_starts(about.point.starts, evidence.white, delta))

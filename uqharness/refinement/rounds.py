@@ -21,7 +21,7 @@ from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS
-from uqharness.simulator import Aircraft, find_aircraft
+from uqharness.simulator import Actuator, Aircraft, find_aircraft
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""
@@ -69,8 +69,7 @@ def _fly_once(start: Start, selection: Selection, about: About, folder: Path) ->
 
 
 def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
-    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice
-    the value.
+    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice it.
 
     A lag's slope falls off with the lag: the next estimated change is a small part of the whole.
     """
@@ -119,8 +118,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
 
 
 def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
-    """What may be chosen at a flight's evidence, what is ``chosen`` there included, and the gain asked of each besides; free:
-    columns estimated there."""
+    """What may be chosen at a flight's evidence beside columns ``free``, what is ``chosen`` there included, and the gain asked."""
     open_ = eligible([e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence)
     return {k: start.odds(start.effects[k]) for k in (*open_, *(k for k in start.effects if k in chosen))}
 
@@ -158,16 +156,11 @@ def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evide
     what the search did without, of which the evidence has no column."""
     there = [e for e in effects if e.key in evidence.names]
     found = scores(evidence, free, [e.key for e in there])
-    out = {}
-    for e, estimate, share in zip(there, found.estimate, found.share, strict=True):
-        if not share > 0.0:
-            continue
-        if e.positive and not estimate > 0.0 and not may_be_faster(e, setup):
-            continue
-        if not _resolves(e, float(estimate), setup):
-            continue
-        out[e.key] = e.odds
-    return out
+    return {
+        e.key: e.odds
+        for e, estimate, share in zip(there, found.estimate.tolist(), found.share, strict=True)
+        if share > 0.0 and (estimate > 0.0 or not e.positive or may_be_faster(e, setup)) and _resolves(e, estimate, setup)
+    }
 
 
 def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
@@ -182,9 +175,7 @@ def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
 
 def may_be_faster(effect: Effect, setup: Setup) -> bool:
     """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the real one need not have."""
-    servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."))
-    if servo is None:
-        return False
+    servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."), Actuator(None))
     return (effect.term == "lag" and servo.lag is not None) or (effect.term == "rate_limit" and np.isfinite(servo.rate))
 
 

@@ -30,20 +30,9 @@ UNNAMED = "unnamed"
 EXPLAINED = "the catalogue leaves nothing that asks for one"
 
 
-@dataclass(frozen=True)
-class Offer:
-    """A smooth term: fit and model, the aircraft that flies it, and its part of refinement.json."""
-
-    fit: SmoothFit
-    aircraft: Aircraft
-    document: dict[str, Any]
-
-
-def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
-    """The term that explains most of what is left, flown on both sides, or why there is none.
-
-    write: a model as an aircraft in a folder of its own
-    """
+def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, dict[str, Any]] | str:
+    """The aircraft that flies the smooth term that explains most of what is left, and the term's part of refinement.json; or why
+    there is none. write: a model as an aircraft in a folder of its own."""
     train, test = judged.sides
     about = CurvesAbout(judged.found, judged.found.after)
     fits = [f for c in COEFFICIENTS for f in about.fits(about.terms(c))]
@@ -62,11 +51,12 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
     if done is None:
         return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
     round_, aircraft, shown = done.round, done.aircraft, done.shown
-    name = round_.fit.term.name
+    fit, term = round_.fit, round_.fit.term
+    name = term.name
     if not shown.surprise < judged.train[2].surprise:
         return f"flown in the simulation, a {name} does not lower the error"
     there = show(aircraft, test, map_, written_at(round_.found, near=judged.test[2].flown.point))
-    verdict = gap_change("smooth", judged.test[2], there, test.setup, shown)
+    verdict = gap_change(judged.test[2], there, test.setup, shown)
     if verdict.says == "grew":
         return f"with a {name} the gap on the hold-out flights grew"
     gap = {}
@@ -75,19 +65,18 @@ def offered(judged: Judged, write: Write, map_: Processes) -> Offer | str:
             after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
     instead = [k for k in judged.found.selection.values if k in round_.instead]
-    return Offer(
-        round_.fit, aircraft,
-        {
-            **_term(round_), "in_place_of": [judged.found.effects[k].name for k in instead], "tried": len(fits),
-            "p": min(1.0, done.searched.p * len(fits)), "twice_log_likelihood": done.searched.ratio,
-            **_left_of(done, gap["train"]),
-            "test": {
-                "gap": verdict.says, "change_of_twice_log_likelihood": verdict.change, "std": verdict.std,
-                "rms_over_that_of_train": verdict.far,
-            },
-            "gap": gap,
+    return aircraft, {
+        "coefficient": term.coefficient, "state": term.state, "times": term.times, "name": name,
+        "property": property_of_table(term), "unit": term.unit, "effective_degrees_of_freedom": fit.edf,
+        "dispersion": fit.dispersion, "in_place_of": [judged.found.effects[k].name for k in instead], "tried": len(fits),
+        "p": min(1.0, done.searched.p * len(fits)), "twice_log_likelihood": done.searched.ratio,
+        **_left_of(done, gap["train"]),
+        "test": {
+            "gap": verdict.says, "change_of_twice_log_likelihood": verdict.change, "std": verdict.std,
+            "rms_over_that_of_train": verdict.far,
         },
-    )  # fmt: skip
+        "gap": gap,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -107,7 +96,9 @@ def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_
     done = _flown(about, fit, train, write, map_)
     if about.found.gusty or not np.isfinite(done.shown.cost):
         return done
-    again = _flown(_beside(done, train, map_), fit, train, write, map_)
+    found = done.round.found
+    setup, flown = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
+    again = _flown(CurvesAbout(found, flown, setup, done.round), fit, train, write, map_)
     return again if again.shown.cost < done.shown.cost else done
 
 
@@ -119,28 +110,9 @@ def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: 
     return _Done(fit, about, round_, aircraft, shown)
 
 
-def _beside(done: _Done, train: Side, map_: Processes) -> CurvesAbout:
-    """The flight with the term in it, linearised anew."""
-    found = done.round.found
-    setup, fit = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
-    return CurvesAbout(found, fit, setup, done.round)
-
-
-def _term(round_: Estimated) -> dict[str, Any]:
-    """The term by itself."""
-    fit, term = round_.fit, round_.fit.term
-    return {
-        "coefficient": term.coefficient, "state": term.state, "times": term.times, "name": term.name,
-        "property": property_of_table(term), "unit": term.unit, "effective_degrees_of_freedom": fit.edf,
-        "dispersion": fit.dispersion,
-    }  # fmt: skip
-
-
 def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """The channel of which the term explains most, what it and the forms like it leave there, and its curve over the data.
-
-    gap: G of the train flights without and with it
-    """
+    """The channel of which the term explains most, what it and the forms like it leave there, and its curve over the data. gap: G
+    of the train flights without and with it."""
     fit, term, about = done.round.fit, done.round.fit.term, done.about
     rows = gap["predictions"] or gap["channels"]
     ratio = {c: (r["rms_before"] / r["noise_rms"], r["rms_after"] / r["noise_rms"]) for c, r in rows.items()}

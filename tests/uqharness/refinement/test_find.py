@@ -13,7 +13,7 @@ from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import find
-from uqharness.refinement.find import Clock, Found, chosen_interval, in_one_step, left_beside, with_resolution
+from uqharness.refinement.find import Found, chosen_interval, in_one_step, left_beside, slips_s, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -98,8 +98,8 @@ def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, sa
 
 
 @pytest.mark.parametrize(
-    ("command_s", "put_right", "late_s"), [(0.01, (), 0.005), (0.04, (), 0.005), (0.04, (0.02,), 0.0012), (0.2, (), 0.006)]
+    ("command_s", "first", "late_s"), [(0.01, True, 0.005), (0.04, True, 0.005), (0.04, False, 0.0012), (0.2, True, 0.006)]
 )
-def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(command_s, put_right, late_s):
+def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(command_s, first, late_s):
     """Surfaces that jump and are seen old by the first of four stages act a sixth of a step late: .67 ms of 4 ms."""
-    assert Clock(command_s, put_right).late_s == pytest.approx(late_s)
+    assert slips_s(command_s, first)[0] == pytest.approx(late_s)

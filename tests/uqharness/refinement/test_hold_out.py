@@ -63,8 +63,8 @@ def test_the_spread_of_the_change_is_that_of_many_train_flights():
         plain = np.linalg.lstsq(X[:, [0, 1, 3]], z, rcond=None)[0]
         with_, without = (shown(r, Y) for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2]))
         setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-        verdict = gap_change(KEY, without, with_, setup, with_)  # type: ignore[arg-type]
-        sure = surer(verdict, made, without, with_, [KEY])  # type: ignore[arg-type]
+        verdict = gap_change(without, with_, setup, with_)  # type: ignore[arg-type]
+        sure = surer(verdict, made, without, with_, [KEY], KEY)  # type: ignore[arg-type]
         changes.append(verdict.change)
         noise.append(2.0 * np.linalg.norm(without.white[0] - with_.white[0]))
         whole.append(sure.std)
@@ -82,7 +82,7 @@ def shown(residual: np.ndarray, Y: np.ndarray) -> SimpleNamespace:
 
 def test_both_sides_say_more_than_the_hold_out_flights():
     """A change against the effect that chance gives is no contradiction where all flights together have what is asked."""
-    verdict = Verdict(KEY, -4.0, 5.0, beyond=2.0)
+    verdict = Verdict(-4.0, 5.0, beyond=2.0)
     assert verdict.says == "cannot tell"
-    assert Verdict(KEY, -4.0, 5.0, beyond=-2.0).says == "grew"
-    assert Verdict(KEY, -9.0, 5.0, beyond=2.0).says == "grew"
+    assert Verdict(-4.0, 5.0, beyond=-2.0).says == "grew"
+    assert Verdict(-9.0, 5.0, beyond=2.0).says == "grew"

@@ -36,7 +36,7 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
         d[:, 1] = size * np.sin(np.arange(300) / 20.0)
         without.append(noise + d if truth else noise)
         with_.append(noise if truth else noise - d)
-    return gap_change("x", shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
+    return gap_change(shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
 
 
 def test_standard_error_of_the_change_is_that_of_the_draws():
@@ -63,7 +63,7 @@ def test_share_of_the_estimate_that_the_flights_have():
         for _ in range(60):
             noise = [rng.standard_normal((300, 3)) for _ in range(4)]
             without, with_ = ([e + (part - taken) * d for e in noise] for taken in (0.0, 1.0))
-            found.append(gap_change("x", shown(without), shown(with_), setup, shown(noise)).share)
+            found.append(gap_change(shown(without), shown(with_), setup, shown(noise)).share)
         shares, errors = np.array(found).T
         assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
         # What neither model explains is in the error, too: between none and all it is too large, never too small.
@@ -95,7 +95,7 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
     for _ in range(100):
         left = [rng.standard_normal((300, 3)) for _ in range(4)]
         wide = shown([e / 1.1 for e in left], 1.1)
-        found.append(gap_change("x", wide, shown(left), setup, shown(left)))
+        found.append(gap_change(wide, shown(left), setup, shown(left)))
         assert wide.cost < shown(left).cost
     # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
     expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
@@ -164,7 +164,7 @@ def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights
 def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
     """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the change is none."""
     size = 1e4
-    verdict = Verdict("x", size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0)))
+    verdict = Verdict(size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0)))
     assert verdict.share == pytest.approx((share, std))
     assert verdict.seen == seen
 
@@ -177,7 +177,7 @@ def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
 def test_what_changes_nothing_is_not_said_to_grow():
     white = [np.ones((50, 2))] * 4
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
-    verdict = gap_change("x", shown(white), shown(white), setup, shown(white))
+    verdict = gap_change(shown(white), shown(white), setup, shown(white))
     assert (verdict.change, verdict.std, verdict.says) == (0.0, 0.0, "cannot tell")
     assert np.isnan(verdict.share).all()
     assert BEYOND_CHANCE > 1.0
@@ -188,8 +188,8 @@ def test_flights_far_from_both_models_judge_neither():
     rng = np.random.default_rng(2)
     noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-    sound = gap_change("x", shown([noise]), shown([noise + d]), setup, shown([noise]))
-    broken = gap_change("x", shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise]))
+    sound = gap_change(shown([noise]), shown([noise + d]), setup, shown([noise]))
+    broken = gap_change(shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise]))
     assert (sound.says, broken.says) == ("grew", "too far")
     assert broken.far == pytest.approx(6.0, rel=0.1)
     assert broken.z < -BEYOND_CHANCE

@@ -186,7 +186,7 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
     # What was judged is kept where a mission follows.
     monkeypatch.setattr(refine_run, "_mission", lambda *_: no_pbox("not flown here"))
     with monkeypatch.context() as patch:
-        patch.setattr(refine_run, "before_and_after", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(refine_run, "fit_intervals", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main(arguments) == 130
     assert list((out / ".stages").glob("effects-*.data"))
     assert not (out / "refinement.json").exists()

@@ -1,5 +1,4 @@
-"""refinement.json from what a refinement found: verdict, effects, disagreement, what is left. Computes words and numbers; flies
-nothing."""
+"""refinement.json from what a refinement found: verdict, effects, disagreement, what is left. Flies nothing."""
 
 from __future__ import annotations
 
@@ -42,11 +41,9 @@ def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Seq
 
 def _ranges(shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
     """States in which regions are looked for, one mapping a segment: rates by their size."""
-    rates = {rate for rate, _, _ in _AXES}
-    return [
-        {f"abs_{n}" if n in rates else n: np.abs(v) if n in rates else v for n, v in states.items()}
-        for states in states_along(shown.flown, controls)
-    ]
+    rates = {rate: f"abs_{rate}" for rate, _, _ in _AXES}
+    along = states_along(shown.flown, controls)
+    return [{rates.get(n, n): np.abs(v) if n in rates else v for n, v in states.items()} for states in along]
 
 
 def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[str, Any]:
@@ -117,8 +114,7 @@ def _region(d: Disagreement) -> dict[str, Any]:
 def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]) -> dict[str, Any]:
     """refinement.json as far as flights and models say it.
 
-    chosen  what the train flights say, before the test flights were asked; aircraft: as given; controls: positions
-    in every train segment
+    chosen: what the train flights say, before the test flights were asked; aircraft: as given; controls: of every train segment
     """
     found, (setup, before, after) = judged.found, judged.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
@@ -135,11 +131,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
         "chosen": [_effect(chosen, c, None, switches) for c in chosen.selection.chosen],
         "remaining": remaining,
         "gap": {"train": gap_document(*judged.train), "test": gap_document(*judged.test)},
-        "switch": [
-            {"property": found_switch[0], "off": found_switch[1]}
-            for c in found.selection.chosen
-            if (found_switch := switches[c.key]) is not None
-        ],
+        "switch": [{"property": s[0], "off": s[1]} for c in found.selection.chosen if (s := switches[c.key]) is not None],
         "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
         "best_refused": None
         if refused is None
@@ -198,13 +190,10 @@ def _effect(
     """One effect; what the test flights say of it is no part of what was chosen."""
     e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)
-    test: dict[str, Any] = {}
-    if verdict is not None:
-        row = {
-            "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
-            "rms_over_that_of_train": verdict.far, "share_of_estimate": verdict.share[0], "share_std": verdict.share[1],
-        }  # fmt: skip
-        test = {"withdrawn": withdrawn, "test": row}
+    test = {} if verdict is None else {
+        "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
+        "rms_over_that_of_train": verdict.far, "share_of_estimate": verdict.share[0], "share_std": verdict.share[1],
+    }  # fmt: skip
     return {
         **label(e),
         "name": e.name,
@@ -217,7 +206,7 @@ def _effect(
             "t": c.t, "twice_log_likelihood": c.gain, "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
             "held_out_estimate_differs_by_std": c.difference, "interval_95": _interval(found, e, c),
         },
-        **test,
+        **({"withdrawn": withdrawn, "test": test} if test else {}),
         "alternatives": [_alternative(found, e, a) for a in c.alternatives],
     }  # fmt: skip
 
@@ -245,14 +234,11 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
 
 def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
     other = found.effects[a.key]
-    row: dict[str, Any] = {
+    return {
         **label(other), "name": other.name,
         "evidence": {
             "twice_log_likelihood": a.gain, "t_of_the_effect_beside_it": a.t_beside, "likeness": a.likeness,
             "companions": [c.removeprefix("effect/") for c in a.companions],
         },
-        "separable": a.separable,
+        "separable": a.separable, **({} if a.separable else {"would_separate": separating_manoeuvre(own, other)}),
     }  # fmt: skip
-    if not a.separable:
-        row["would_separate"] = separating_manoeuvre(own, other)
-    return row

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import AircraftReference, Coverage, ModelForm
-from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
 from uqharness.identification import BoundsOptions, make_bounds, validate
@@ -18,16 +19,16 @@ from uqharness.simulator import Aircraft, content_hash
 
 FOLDER = "intervals"
 LEVEL = 0.95
-_NAN = float("nan")
 
 
 @dataclass(frozen=True)
 class FlightSet:
-    """Flights with the surfaces whose positions they carry and the SHA-256 of their files."""
+    """Flights, surfaces whose positions they carry, SHA-256 of their files, and controls that are passed straight through."""
 
     flights: tuple[Flight, ...]
     measured: tuple[str, ...]
     hashes: tuple[str, ...]
+    ideal: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,6 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     return Intervals(form, dict(found.coverage))
 
 
-def before_and_after(jobs: Sequence[IntervalJob], map_: Processes) -> tuple[Intervals, Intervals]:
-    """Intervals of one or two models; a single one is both before and after."""
-    found = list(map_(fit_intervals, jobs))
-    return found[0], found[-1]
-
-
 def write_forms(found: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
     """``out``/intervals/<name>.json of every model that has intervals, by name."""
     paths = {}
@@ -86,16 +81,11 @@ def write_forms(found: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
 
 def intervals_document(before: Intervals, after: Intervals) -> dict[str, Any]:
     """gap.test.intervals of refinement.json: NaN, with the reason, for what cannot be told."""
-    rows = {}
-    for c in COEFFICIENTS:
-        row: dict[str, float] = {}
+    rows: dict[str, dict[str, float]] = {c: {} for c in COEFFICIENTS}
+    for c, row in rows.items():
         for when, found in (("before", before), ("after", after)):
             judged = found.coverage.get(c)
-            row |= {
-                f"coverage_{when}": _NAN if judged is None else judged.share[LEVEL],
-                f"coverage_std_{when}": _NAN if judged is None else judged.error[LEVEL],
-                f"width_{when}": _NAN if judged is None else judged.mean_width,
-            }
-        rows[c] = row
+            told = (np.nan,) * 3 if judged is None else (judged.share[LEVEL], judged.error[LEVEL], judged.mean_width)
+            row |= zip((f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), told, strict=True)
     reasons = list(dict.fromkeys(r for r in (before.reason, after.reason) if r is not None))
     return {"confidence": LEVEL, "coefficients": rows, "reason": "; ".join(reasons) or None}

@@ -1,12 +1,10 @@
-"""The p-box of a mission before and after a refinement: a small campaign with each model inside its own intervals, the same air
-for both."""
+"""A mission's p-box before and after a refinement: a small campaign with each model inside its own intervals, in the same air."""
 
 from __future__ import annotations
 
 import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +36,6 @@ _DEFAULT: dict[str, Any] = {
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Model:
-    """An aircraft to fly, and the file of its intervals, beside which relative names in a campaign are looked for."""
-
-    aircraft: Aircraft
-    form: Path
-
-
 def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
     """What is flown, as a campaign file holds it. Raises BadInputError where the aircraft has no mission of its own."""
     if given is not None:
@@ -74,20 +64,20 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
     return {**_DEFAULT, "campaign": _DEFAULT["campaign"] | {"mission": str(find_script(LOITER))}}
 
 
-def specification(data: Mapping[str, Any], model: Model) -> CampaignSpec:
-    """The campaign with a model and its intervals in it. Raises BadInputError."""
-    campaign = {**data["campaign"], "aircraft": str(model.aircraft.folder)}
+def specification(data: Mapping[str, Any], aircraft: Aircraft, form: Path) -> CampaignSpec:
+    """The campaign with an aircraft and its intervals' file, beside which relative names are looked for. Raises BadInputError."""
+    campaign = {**data["campaign"], "aircraft": str(aircraft.folder)}
     # Corners alone unless the campaign says otherwise: what is compared is the same set of samples before and after.
-    epistemic = {"interior": 0, **data["epistemic"], "bounds": model.form.name}
-    whole = {**data, "campaign": campaign, "epistemic": epistemic}
-    return campaign_from(whole, model.form.with_suffix(".toml"))
+    epistemic = {"interior": 0, **data["epistemic"], "bounds": form.name}
+    return campaign_from({**data, "campaign": campaign, "epistemic": epistemic}, form.with_suffix(".toml"))
 
 
 def fly_missions(
-    models: Mapping[str, Model], campaign: Path | None, out: Path, workers: int | None, say: Say = lambda _: None
-) -> dict[str, Any]:
-    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after; a single one is both) in
-    ``out``/pbox/<name>.
+    models: Mapping[str, Aircraft], forms: Mapping[str, Path], campaign: Path | None, out: Path, workers: int | None,
+    say: Say = lambda _: None,
+) -> dict[str, Any]:  # fmt: skip
+    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after; a single one is both) within
+    its intervals, those of ``forms``, in ``out``/pbox/<name>.
 
     A run that was killed goes on; a folder with another campaign in it is made anew. What stands in the way of a mission is
     its reason.
@@ -96,9 +86,9 @@ def fly_missions(
     frames: dict[str, pd.DataFrame] = {}
     with contextlib.closing(executor):
         try:
-            data = campaign_for(next(iter(models.values())).aircraft, campaign)
-            for name, model in models.items():
-                spec = specification(data, model)
+            data = campaign_for(next(iter(models.values())), campaign)
+            for name, aircraft in models.items():
+                spec = specification(data, aircraft, forms[name])
                 folder = inner_folder(out, FOLDER, name)
                 _clear_if_other(folder, spec)
                 run_campaign(spec, folder, executor=executor, on_progress=_told(say, name), command="uqharness refine")
@@ -114,13 +104,11 @@ def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
     if not (folder / MANIFEST).is_file():
         return
     manifest = read_manifest(folder)
-    try:
+    with contextlib.suppress(BadInputError):
         refuse_if_different(folder, manifest, describe(spec, find_mission(spec, folder), 0, ""))
-        other = not has_digests(manifest)
-    except BadInputError:
-        other = True
-    if other:
-        shutil.rmtree(folder)
+        if has_digests(manifest):
+            return
+    shutil.rmtree(folder)
 
 
 def _told(say: Say, name: str) -> Callable[[Progress], None]:

@@ -20,7 +20,7 @@ from sysid.estimation import rms
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, evidence_of
 from uqharness.refinement.rounds import eligible
-from uqharness.refinement.showing.scan import BY_CHANCE, LEAST_SAMPLES, With, band_of, densest, goes_with, loudest
+from uqharness.refinement.showing.scan import BY_CHANCE, With, band_of, densest, goes_with, loudest
 from uqharness.refinement.showing.show import Shown
 from uqharness.refinement.showing.words import would_tell
 from uqharness.refinement.types import Flown, Setup
@@ -53,9 +53,9 @@ class Series:
 
     @property
     def rate_hz(self) -> float:
-        """Measured rows a second; NaN below two."""
+        """Measured rows a second; 0 below two."""
         t = self.time_s[np.isfinite(self.white)]
-        return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 else float("nan")
+        return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 else 0.0
 
 
 def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[str], controls: Sequence[Array]) -> dict[str, Any]:
@@ -102,16 +102,13 @@ def series_of(flights: str, setup: Setup, shown: Shown, controls: Sequence[Array
 
 def states_along(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
     """States and controls by name, each (n,), one mapping a segment."""
-    return [
-        {n: x[:, i] for i, n in enumerate(_STATES)} | {n: u[:, i] for i, n in enumerate(_CONTROLS)}
-        for x, u in zip(flown.x, controls, strict=True)
-    ]
+    both = zip(flown.x, controls, strict=True)
+    return [dict(zip(_STATES, x.T, strict=False)) | dict(zip(_CONTROLS, u.T, strict=False)) for x, u in both]
 
 
 def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None]:
     """Place of the largest gain over noise; where chance alone would give it, the loudest channel without an interval."""
-    long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
-    found = [(burst, s) for s in long if (burst := loudest(s.present, s.rate_hz)) is not None]
+    found = [(burst, s) for s in series if (burst := loudest(s.present, s.rate_hz)) is not None]
     burst, best = max(found, key=lambda f: f[0].gain, default=(None, max(series, key=lambda s: rms(s.white))))
     alike = [s for s in series if (s.flights, s.channel) == (best.flights, best.channel)]
     goes = goes_with([s.white for s in alike], [s.states for s in alike])
@@ -156,10 +153,8 @@ class Nearest:
         return [a - b for a, b in zip(self.residual(without=key), having, strict=True)]
 
     def leaving(self, channel: str, gone: set[str]) -> tuple[list[tuple[str, float, float]], float]:
-        """Three candidates (key, t, rms over noise that each leaves of the channel), and what is there without any.
-
-        gone: keys that the hold-out flights spoke against
-        """
+        """Three candidates (key, t, rms over noise that each leaves of the channel), and what is there without any. gone: keys that
+        the hold-out flights spoke against."""
         k = self.found.setup.outputs.index(channel)
         order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
         asked = [i for i in order if self.scores.names[i] not in gone and np.isfinite(self.scores.t[i])][:LOOKED_AT]
@@ -171,10 +166,8 @@ class Nearest:
 
 
 def _where_asked(nearest: Nearest, series: Sequence[Series], key: str) -> tuple[dict[str, Any], With | None]:
-    """Place of what a candidate or an effect explains: the half of it that lies closest together in time, and in frequency.
-
-    series: those of the train flights
-    """
+    """Place of what a candidate or an effect explains on the train flights: the half of it that lies closest together in time,
+    and in frequency."""
     setup, trace = nearest.found.setup, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))

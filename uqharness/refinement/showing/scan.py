@@ -185,15 +185,12 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
         pieces = [v - mean for v in values if len(v)]
         y = np.concatenate(pieces)
         worth = max(len(y) / integral_time(pieces), TENTHS + 2.0)
-        found = []
-        for name in states[0]:
-            x = np.concatenate([s[name][k] for s, k in zip(states, known, strict=True)])
-            row = _explained(y, x, worth)
-            if row is not None:
-                found.append((row[0], name, row))
+        every = ((n, np.concatenate([s[n][k] for s, k in zip(states, known, strict=True)])) for n in states[0])
+        found = {n: row for n, x in every if (row := _explained(y, x, worth)) is not None}
         if not found:
             continue
-        _, name, (share, p, low, high) = max(found, key=lambda f: f[0])
+        name = max(found, key=lambda n: found[n][0])
+        share, p, low, high = found[name]
         p = min(1.0, p * 2 * len(found))
         if certain or p < BY_CHANCE:
             return With(name, low, high, share, of, p)

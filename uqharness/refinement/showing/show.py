@@ -1,12 +1,9 @@
-"""What a refinement did to the gap: channels and coefficients of given flights under two models, start states and biases
-their own."""
+"""What a refinement did to the gap: channels and coefficients of flights under two models, start states and biases their own."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +19,15 @@ from uqharness.refinement.fit import fly
 from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
 from uqharness.refinement.setup import Bench, estimated_channels, with_sensors_of
 from uqharness.refinement.types import Flown, Point, Setup, Side
-from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over, states
-from uqharness.simulator import Aircraft, copy_folder
+from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over
+from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Replays:
-    """Replays of flights that predictions judged, their residuals [(n, m)] and the noise (m,) of their channels: what `compare`
-    shows of them."""
+    """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their channels: what `compare` shows."""
 
     flown: Flown
     residual: list[Array]
@@ -80,13 +76,12 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     with Bench(aircraft, setup) as bench:
         setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
         start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
-        pieces = [(f, p) for f in setup.flights for p in f.pieces]
-        cut = [_as_felt(s, f, setup.ideal) for s, (f, _) in zip(setup.segments, pieces, strict=True)]
+        flights = {f.name: f for f in setup.flights}
+        cut = [_as_felt(s, flights[s.flight], setup.ideal) for s in setup.segments]
         noise = setup.noise if gusts is not None else _told_noise(aircraft, setup)
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
-        every, rng = [states(f, p) for f, p in pieces], np.random.default_rng(1)
-        gaps = coefficient_gaps(bench.model, bench.straight, cut, every, noise_std, rng, start.values)
-        found = [(demand - said, change) for demand, said, change in gaps]
+        rng = np.random.default_rng(1)
+        gaps = coefficient_gaps(bench.model, bench.straight, cut, setup.channels, noise_std, rng, start.values)
         if gusts is None:
             flown = _replayed(bench.model, setup, start, map_, at)
             residual = _residual(setup, flown)
@@ -110,8 +105,9 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
             cost = float(sum(np.nansum(r**2) for r in white))
             outputs = [z - r for z, r in zip(setup.measured, residual, strict=True)]
             flown = replace(reached, outputs=outputs, cost=cost)
-    floor = floor_of([np.concatenate([f[1] for f in found])])
-    return Shown(flown, residual, noise, [f[0] for f in found], floor, white, cost, tuple(logdet))
+    floor = floor_of([np.concatenate([change for *_, change in gaps])])
+    coefficients = [demand - said for demand, said, _ in gaps]
+    return Shown(flown, residual, noise, coefficients, floor, white, cost, tuple(logdet))
 
 
 def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None) -> Flown:
@@ -158,20 +154,16 @@ def _known_noise(aircraft: Aircraft, setup: Setup) -> Array:
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
     """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
-    out = []
-    for segment, r in zip(setup.segments, rows, strict=True):
-        late = rows_late(setup, segment, point)
-        columns = [np.nan_to_num(moved(r[:, k], late[c])) for k, c in enumerate(setup.outputs)]
-        out.append(np.column_stack(columns))
-    return out
+    both = ((rows_late(setup, s, point), r) for s, r in zip(setup.segments, rows, strict=True))
+    return [np.nan_to_num(np.column_stack([moved(r[:, k], late[c]) for k, c in enumerate(setup.outputs)])) for late, r in both]
 
 
-def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, sensed: Mapping[str, float], near: Gusts) -> Gusts:
-    """The air of some flights, estimated with a model and sensors as they are; near: that of others, which stays where no filter
-    follows the flights with such a model."""
+def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: Gusts) -> Gusts:
+    """The air of some flights, estimated with a model and sensors as they are at a point; near: that of others, which stays where
+    no filter follows the flights with such a model."""
     with Bench(aircraft, setup) as bench:
         setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
-        start = Point({}, {}, tuple(s.start for s in setup.segments), dict(sensed))
+        start = replace(at, starts=tuple(s.start for s in setup.segments))
         try:
             return gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2).gusts
         except np.linalg.LinAlgError:
@@ -191,24 +183,18 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
     """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
     was, now = before.replays or before, after.replays or after
 
-    def row(b: float, a: float, n: float) -> dict[str, float]:
-        return {"rms_before": b, "rms_after": a, "noise_rms": n}
-
-    def rows(b: Sequence[Array], a: Sequence[Array], noise: Array) -> dict[str, dict[str, float]]:
-        both = (np.concatenate(b), np.concatenate(a))
-        return {c: row(rms(both[0][:, k]), rms(both[1][:, k]), float(noise[k])) for k, c in enumerate(setup.outputs)}
+    def rows(names: Sequence[str], b: Sequence[Array], a: Sequence[Array], noise: Array) -> dict[str, dict[str, float]]:
+        columns = zip(names, np.concatenate(b).T, np.concatenate(a).T, noise.tolist(), strict=True)
+        return {c: {"rms_before": rms(x), "rms_after": rms(y), "noise_rms": n} for c, x, y, n in columns}
 
     def coefficient(flown: Flown) -> float:
-        pair = (setup.measured, flown.outputs)
-        each = [theil(*(np.concatenate([z[:, k] for z in side]) for side in pair)).u for k in range(len(setup.outputs))]
-        return float(np.nanmean(each))
+        z, y = (np.concatenate(rows) for rows in (setup.measured, flown.outputs))
+        return float(np.nanmean([theil(z[:, k], y[:, k]).u for k in range(len(setup.outputs))]))
 
     return {
-        "channels": rows(was.residual, now.residual, now.noise),
-        "predictions": {} if after.replays is None else rows(before.residual, after.residual, after.noise),
-        "coefficients": {
-            c: row(before.coefficient_rms(k), after.coefficient_rms(k), float(after.floor[k])) for k, c in enumerate(COEFFICIENTS)
-        },
+        "channels": rows(setup.outputs, was.residual, now.residual, now.noise),
+        "predictions": {} if after.replays is None else rows(setup.outputs, before.residual, after.residual, after.noise),
+        "coefficients": rows(COEFFICIENTS, before.coefficients, after.coefficients, after.floor),
         "theil": {"before": coefficient(was.flown), "after": coefficient(now.flown)},
         "cost": {
             "before": before.cost,
@@ -216,16 +202,6 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
             "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
         },
     }
-
-
-def write_bytes_tree(source: Path, target: Path) -> None:
-    """Copy a folder beside its place and put it there at once; an earlier one is replaced."""
-    beside = target.with_name(f".{target.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
-    copy_folder(source, beside)
-    if target.exists():
-        shutil.rmtree(target)
-    beside.rename(target)
 
 
 @dataclass(frozen=True)

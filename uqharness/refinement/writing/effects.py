@@ -1,5 +1,4 @@
-"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment
-beside the axes.
+"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment.
 
 Every effect carries a remark with value, interval, data and command and, but for mass and dead zones (`writing.numbers`), a
 property of its own that restores the model without it bit for bit: a term's at 0.
@@ -15,7 +14,7 @@ from sysid.effects import Effect
 from sysid.units import FT_M
 from uqharness.plugin import Estimate, put_values
 from uqharness.refinement.types import Carrier, in_dynamics
-from uqharness.refinement.writing.numbers import servo_of, write_number
+from uqharness.refinement.writing.numbers import servo_of, write_mass, write_servo
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
 from uqharness.simulator import Aircraft, copy_folder, servo_number
 from uqharness.xml import (
@@ -29,6 +28,7 @@ from uqharness.xml import (
     add_functions,
     after,
     append_child,
+    attribute,
     declaration,
     declarations,
     declare,
@@ -88,7 +88,8 @@ def write_effects(aircraft: Aircraft, effects: Sequence[Written], estimates: Map
     # Numbers first: an insertion counts bytes of the file as it was read.
     for w in mine:
         if property_of(w.effect) is None:
-            write_number(out, aircraft, w.effect, w.value, w.remark)
+            write = write_mass if w.effect.subsystem == "mass" else write_servo
+            write(out, aircraft, w.effect, w.value, w.remark)
     section = read_section(out, aircraft.xml.name)
     edit = SectionEdit(section)
     plain: dict[str, Estimate] = {}
@@ -138,8 +139,8 @@ def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, 
         if home is not None:
             document, total = home
             product = Expression("product", "", (prop(name), *terms[0][2]))
-            last = _last_property(document, w.effect.coefficient)
-            edit = add_functions(edit, declared) if last is None else edit.plus(document, after(document, last, declared))
+            alike = [node for known, node in declarations(document) if known.startswith(f"aero/{w.effect.coefficient}_")]
+            edit = edit.plus(document, after(document, alike[-1], declared)) if alike else add_functions(edit, declared)
             return edit.plus(document, append_child(document, total, [product.line()]))
     part = name.rpartition("/")[2]
     for coefficient, number, factors in terms:
@@ -155,13 +156,8 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
     """The <sum> in which the author adds up the coefficient ``aero/<C>``."""
     for document in section.documents:
         for node in document.root.walk():
-            if node.tag == "function" and node.attributes.get("name", "").strip() == f"aero/{coefficient}":
+            if node.tag == "function" and attribute(node, "name") == f"aero/{coefficient}":
                 children = [c for c in node.children if c.tag != "description"]
                 if len(children) == 1 and children[0].tag == "sum":
                     return document, children[0]
     return None
-
-
-def _last_property(document: Document, coefficient: str) -> Node | None:
-    found = [node for name, node in declarations(document) if name.startswith(f"aero/{coefficient}_")]
-    return found[-1] if found else None

@@ -44,17 +44,9 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
     return actuators(aircraft, [surface])[surface]
 
 
-def write_number(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
-    """The number in the aircraft's XML in ``folder`` changed that a mass or a servo effect is. Raises BadInputError."""
-    if effect.subsystem == "mass":
-        _write_mass(folder, aircraft, effect, value, remark)
-    else:
-        _write_actuator(folder, aircraft, effect, value, remark)
-
-
-def _write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
     """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x [m], with
-    the sensors' places from it."""
+    the sensors' places from it. Raises BadInputError."""
     path = folder / aircraft.xml.name
     document = read_document(path)
     block = document.root.find("mass_balance")
@@ -80,8 +72,8 @@ def _write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, 
     sensors_from_cg(folder / "airframe.toml", value, remark)
 
 
-def _write_actuator(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
-    """The servo's own number changed: lag [1/s], rate_limit or deadband_width; the first two as a property before the channel."""
+def write_servo(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+    """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width. Raises BadInputError."""
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
     found = _actuator(folder, position)
@@ -120,15 +112,13 @@ def _write(document: Document, edits: list[Insertion]) -> None:
 
 def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
     documents = (read_document(path) for path in sorted(folder.rglob("*.xml")))
-    named = ((d, n) for d in documents for n in d.root.walk() if n.tag == "actuator" and attribute(n, "name") == name)
-    return next(named, None)
+    every = ((d, n) for d in documents for n in d.root.walk())
+    return next(((d, n) for d, n in every if n.tag == "actuator" and attribute(n, "name") == name), None)
 
 
 def _channel(node: Node) -> Node:
     """The channel around a component, or the component where there is none."""
-    above = node
-    while above.parent is not None:
+    above = node.parent
+    while above is not None and above.tag != "channel":
         above = above.parent
-        if above.tag == "channel":
-            return above
-    return node
+    return node if above is None else above

@@ -35,14 +35,13 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
     """A term's variable in this aircraft. Raises BadInputError where nothing gives it."""
     if variable in ("alpha", "beta"):
         return prop(f"aero/{variable}-rad")
-    if variable in ("p_hat", "q_hat", "r_hat"):
-        if _computes(section, f"aero/{variable}"):
-            return prop(f"aero/{variable}")
-        rate, length = f"velocities/{variable[0]}-aero-rad_sec", "c" if variable == "q_hat" else "b"
-        return call("product", _per_rate(length, section), prop(rate))
-    if variable in ("alphadot_hat", "betadot_hat"):
+    if variable.endswith("_hat"):
         rate = variable.removesuffix("_hat")
-        return call("product", _per_rate("c" if rate == "alphadot" else "b", section), prop(f"aero/{rate}-rad_sec"))
+        of_body = rate in ("p", "q", "r")
+        if of_body and _computes(section, f"aero/{variable}"):
+            return prop(f"aero/{variable}")
+        per_rate = _per_rate("c" if rate in ("q", "alphadot") else "b", section)
+        return call("product", per_rate, prop(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"))
     if variable in _CONTROLS:
         source, factor = state_source(_CONTROLS[variable], aircraft)
         factor *= 0.01 if variable == "dt" else 1.0
@@ -60,7 +59,7 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
 
 def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expression]:
     """Factors of a term."""
-    out = []
+    out: list[Expression] = []
     for f in term.factors:
         one = variable_xml(f.variable, section, aircraft)
         one = call("abs", one) if f.absolute else one

@@ -26,7 +26,7 @@ from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.refinement.setup import make_setup, setup_in_gusts
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
-from uqharness.refinement.showing.mission import Model, campaign_for, fly_missions
+from uqharness.refinement.showing.mission import campaign_for, fly_missions
 from uqharness.refinement.showing.pboxes import both_boxes
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
@@ -243,7 +243,7 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     form.write_text(made.to_json(), encoding="utf-8")
 
     def flown(which):
-        result = fly_missions({"before": Model(which, form)}, campaign, tmp_path, 1, told.append)
+        result = fly_missions({"before": which}, {"before": form}, campaign, tmp_path, 1, told.append)
         assert result["reason"] is None
         return result
 
