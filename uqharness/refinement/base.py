@@ -12,7 +12,7 @@ from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
 from uqharness.identification import Observed, ReplayFit, equation_error_start, excited_alone, fit_replays
 from uqharness.refinement.candidates import sensor_gain, sensor_offset
-from uqharness.refinement.fit import PRIOR, Fit, Linear, cost_of, fly, refit
+from uqharness.refinement.fit import PRIOR, Fit, cost_of, fit_at, fly, refit
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
@@ -98,8 +98,8 @@ def base_fit(
     found.replay.forget()
     point = point_of(found, setup, names)
     flown = fly(bench.model, setup, point, map_)
-    fit = Linear(bench.model, bench.straight, setup, kept, map_).fit_at(flown)
-    return replace(fit, converged=found.found.converged), kept, tuple(n for n in names if n not in seen.held), notes
+    fit = fit_at(bench.model, bench.straight, setup, kept, flown, map_)
+    return fit, kept, tuple(n for n in names if n not in seen.held), notes
 
 
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
