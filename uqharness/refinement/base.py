@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
 from uqharness.identification import Observed, ReplayFit, equation_error_start, excited_alone, fit_replays
-from uqharness.refinement.candidates import sensor_gain, sensor_offset
+from uqharness.refinement.candidates import sensor_gain, unsensed
 from uqharness.refinement.fit import PRIOR, Fit, cost_of, fit_at, fly, refit
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay import CONTROL_DELAY, UNSEEN, spread_over
-from uqharness.simulator import Aircraft
+from uqharness.simulator import Aircraft, engine
 
 ESTIMATOR_ROUNDS = 2
 Base = tuple[Fit, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float64]]
@@ -42,8 +42,7 @@ def base_fit_and_noise(
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "
         f"model leaves them: {said}"
     )
-    notes = [*notes, text]
-    return fit, kept, excited, notes, setup.noise
+    return fit, kept, excited, [*notes, text], setup.noise
 
 
 def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
@@ -81,19 +80,15 @@ def base_fit(
 ) -> tuple[Fit, tuple[str, ...], tuple[str, ...], list[str]]:
     """The fit of the model as it is, names of its parameters, of those that the flights excite, and notes. What the flights do not
     excite, and what replays do not determine (it ends at a bound), stays where it is."""
-    from uqharness.simulator import engine
-
     fdm = bench.model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[n] for n in names])
     del fdm
-    near, notes = equation_error_start(
-        bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
-    )
-    tries, bounds = (near, current), [limits[n] for n in names]
+    bounds = [limits[n] for n in names]
+    near, notes = equation_error_start(bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds)
     noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
     seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
-    found = fit_replays(bench.model, seen, names, tries, bounds, spread_over(map_))
+    found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
     kept = tuple(n for n in names if n not in found.lost)
     found.replay.forget()
     point = point_of(found, setup, names)
@@ -114,10 +109,9 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
     point = Point({}, {}, (), dict(sensed))
-    gain = np.array([sensor_gain(c, point) for c in setup.outputs])
     late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
     data = [
-        (z - np.array([sensor_offset(c, s, point) for c in setup.outputs])) / gain
+        np.column_stack([unsensed(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)])
         for z, s in zip(setup.measured, setup.segments, strict=True)
     ]
     return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
@@ -129,11 +123,14 @@ def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mappi
     nuisance = {n: estimates[n.replace("lateness/", "delay/")] for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
     point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
-    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in nuisance}
-    return replace(point, nuisance={n: value * gains[n] for n, value in nuisance.items()})
+    return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
 
 
 def begun_at(point: Point) -> dict[str, float]:
     """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
-    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in point.nuisance}
-    return {n.replace("lateness/", "delay/"): value / gains[n] for n, value in point.nuisance.items()}
+    return {n.replace("lateness/", "delay/"): value / _gain(n, point) for n, value in point.nuisance.items()}
+
+
+def _gain(name: str, point: Point) -> float:
+    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is no bias."""
+    return sensor_gain(name.split("/")[2], point) if name.startswith("bias/") else 1.0

@@ -94,6 +94,11 @@ def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
     return own + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
+def unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
+    """(n,) what a sensor shows without what it adds and multiplies at a point."""
+    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
+
+
 def vane_place_m(point: Point) -> float:
     """How much further forward [m] than the aircraft's card says the wind vanes are at a point."""
     return point.effects.get("effect/sensor.vane/place_x", 0.0)
@@ -123,9 +128,7 @@ def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
         rates = z[3:6] - air
         return np.array([s * rates[AIR_RATES.index(rate)] / np.maximum(z[0], 1.0) for _, rate, s in _VANES])
 
-    for k in range(len(at)):
-        step = np.zeros((len(at), 1))
-        step[k] = _SLOPE_STEP
+    for k, step in enumerate(_SLOPE_STEP * np.eye(len(at))[:, :, None]):
         slope = (felt(at + step) - felt(at - step)) / (2.0 * _SLOPE_STEP)
         for (angle, _, _), values in zip(_VANES, slope, strict=True):
             out[:, STEP_OUTPUTS.index(angle), k] = values
@@ -200,7 +203,7 @@ def _of_sensor(e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, po
         if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
             out[:, k] = -p.rate_of(c, y[:, k])
         elif e.term != "delay" and c == what:
-            out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
+            out[:, k] = unsensed(y[:, k], c, segment, point) if e.term == "scale" else 1.0
     return out
 
 
@@ -309,19 +312,14 @@ def servo_change(kind: str, servo: Actuator | None, command: Array, h: float, li
     if servo is None:
         return np.zeros_like(command)
     step = h / runs_per_row(h)
-    if kind == "rate_limit" and limits is not None:
-        one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
-        return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
     before = servo.follow(command, h, step)
     if kind == "lag":
         return (replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before) / _LAG_S
-    # The change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
-    # that of the limit the servo has.
-    fastest = float(np.abs(np.diff(before)).max()) / h
-    if not fastest > 1.0:
-        return np.zeros_like(command)
-    limit = 0.75 * fastest
-    slower_by = 1.0 / limit - 1.0 / servo.rate
-    if not slower_by > 0.0:
-        return np.zeros_like(command)
-    return (replace(servo, rate=limit).follow(command, h, step) - before) / slower_by
+    if limits is None:
+        # A limit a quarter below the fastest motion seen.
+        fastest = float(np.abs(np.diff(before)).max()) / h
+        limits = servo.rate, 0.75 * fastest
+        if not fastest > 1.0 or not limits[1] < servo.rate:
+            return np.zeros_like(command)
+    one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
+    return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])

@@ -68,7 +68,9 @@ class CurvesAbout:
 
     def fits(self, terms: Sequence[Smooth]) -> list[SmoothFit]:
         """Each of the terms alone."""
-        return fit_smooth(*self.evidence(lambda v: _inputs(terms, v)), terms) if terms else []
+        if not terms:
+            return []
+        return fit_smooth(*self.evidence(lambda v: {n: row for t in terms for n, row in t.inputs(v).items()}), terms)
 
     def fitted(self, term: Smooth) -> SmoothFit:
         """The term beside everything, smoothed with what coloured residuals leave of the information."""
@@ -78,7 +80,8 @@ class CurvesAbout:
         evidence, free = self.evidence(term.inputs)
         free = [n for n in free if n not in instead]
         (fit,) = fit_smooth(evidence, free, [term])
-        dispersion = colour_dispersion(evidence, free, fit, _left(smoothed(evidence, fit), free, fit))
+        smooth = smoothed(evidence, fit)
+        dispersion = colour_dispersion(evidence, free, fit, smooth.residual(smooth.fitted(evidence.index([*free, *fit.own]))))
         return fit_smooth(evidence, free, [term], dispersion)[0], evidence, free
 
     def terms(self, coefficient: str, times: str | None = None) -> list[Smooth]:
@@ -112,20 +115,11 @@ def is_in(effect: Effect, term: Smooth) -> bool:
     return times == [term.times] * (term.times is not None) and {*parsed.variables} <= {term.state, term.times}
 
 
-def _inputs(terms: Sequence[Smooth], found: Mapping[str, Array]) -> Inputs:
-    return {n: row for t in terms for n, row in t.inputs(found).items()}
-
-
 def smoothed(evidence: Evidence, fit: SmoothFit) -> Evidence:
     """The evidence with the smoothing as what is known of the term's columns beforehand."""
     prior = evidence.prior.copy()
     prior[evidence.index(fit.term.columns)] += fit.dispersion * fit.precision
     return replace(evidence, prior=prior)
-
-
-def _left(evidence: Evidence, free: Sequence[str], fit: SmoothFit) -> list[Array]:
-    """[(n, m)] whitened residuals with the free columns and the term fitted."""
-    return evidence.residual(evidence.fitted(evidence.index([*free, *fit.own])))
 
 
 def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
@@ -148,7 +142,7 @@ def _own_terms(found: Found, about: CurvesAbout) -> list[Smooth]:
     asked: dict[tuple[str, str, str | None], None] = {}
     for c in found.selection.chosen:
         effect = found.effects[c.key]
-        states = [] if effect.parsed is None else list(dict.fromkeys(effect.parsed.variables))
+        states = () if effect.parsed is None else effect.parsed.variables
         if effect.coefficient is None or len(states) > 2 or not {*states} <= {*STATES}:
             continue
         for state in states:

@@ -99,23 +99,16 @@ def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Ste
 
 
 def steps_of(
-    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point,
-    gusts: Sequence[GustStates] | None = None, by: Processes = ALONE,
-) -> list[Steps]:  # fmt: skip
-    """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
-    replay's own. gusts: how they act in each."""
-    gain = np.ones(len(STEP_OUTPUTS))
-    gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
+    found: Sequence[Probe], air: Sequence[GustStates | None], setup: Setup, point: Point, by: Processes = ALONE
+) -> list[Steps]:
+    """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in each."""
+    gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
+    gain[setup.which, 0] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    air: Sequence[GustStates | None] = [None] * len(found) if gusts is None else gusts
     made = by(_linearised, [(p.reference, p.mass, a) for p, a in zip(found, air, strict=True)])
-    for p, y, a, steps in zip(found, outputs, air, made, strict=True):
-        forward = vane_place_m(point)
+    for p, a, steps in zip(found, air, made, strict=True):
         H = steps.H + forward * vane_slopes(p.reference.x, a) if forward else steps.H
-        y_ref = steps.y_ref.copy()
-        if p.reference.consistent:
-            y_ref[:, setup.which] = y
-        out.append(replace(steps, H=H * gain[:, None], D=steps.D * gain[:, None], y_ref=y_ref))
+        out.append(replace(steps, H=H * gain, D=steps.D * gain))
     return out
 
 
@@ -228,7 +221,9 @@ def fit_at(
     found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
     if setup.jumping:
         found = [replace(p, jumped=jumped(a)) for p, a in zip(found, middles(model, setup, point), strict=True)]
-    steps = steps_of(found, flown.outputs, setup, point, by=map_)
+    steps = steps_of(found, [None] * len(found), setup, point, map_)
+    for s, y in zip(steps, flown.outputs, strict=True):
+        s.y_ref[:, setup.which] = y
     columns = parameter_columns(setup, found, flown, names, analytic)
     white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
     evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)

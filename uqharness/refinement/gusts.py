@@ -32,7 +32,7 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.refinement.between_rows import bends_of, jumped, middles, with_jumps
-from uqharness.refinement.candidates import as_felt, at_vane, sensor_gain, sensor_offset, vane_place_m
+from uqharness.refinement.candidates import as_felt, at_vane, sensor_gain, sensor_offset, unsensed, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, merged, parameter_columns, positions, probes, step_from, stepped, steps_of
 from uqharness.refinement.reference import Probe, with_properties
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
@@ -79,18 +79,13 @@ def measured_states(setup: Setup, point: Point) -> list[Array]:
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
         for name in X_STATES:
-            value = np.array(channels[name], dtype=float)
-            value = smooth(_unsensed(value, name, segment, point), segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
+            value = unsensed(np.array(channels[name], dtype=float), name, segment, point)
+            value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         felt = np.column_stack(columns)
         x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
     return x
-
-
-def _unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
-    """(n,) what a sensor shows without what it adds and multiplies at a point."""
-    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
 def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
@@ -103,19 +98,14 @@ def in_step(setup: Setup, point: Point) -> list[Array]:
 
     A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
     """
-    out = []
-    for segment, z in zip(setup.segments, setup.measured, strict=True):
-        rows = rows_late(setup, segment, point)
-        out.append(np.column_stack([moved(z[:, k], -rows[c]) for k, c in enumerate(setup.outputs)]))
-    return out
+    both = [(z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)]
+    return [np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)]) for z, late in both]
 
 
 def moved(values: Array, rows: int) -> Array:
     """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
-    out = np.full(len(values), np.nan)
-    rows = max(-len(values), min(len(values), rows))
-    out[max(rows, 0) : len(values) + min(rows, 0)] = values[max(-rows, 0) : len(values) - max(rows, 0)]
-    return out
+    at, last = np.arange(len(values)) - rows, len(values) - 1
+    return np.where((at >= 0) & (at <= last), values[np.clip(at, 0, last)], np.nan)
 
 
 def predict(
@@ -213,14 +203,13 @@ def gust_refit(
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
     """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
-    out = []
-    for segment, x in zip(setup.segments, path, strict=True):
-        felt = [
-            _unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
+    return [
+        np.column_stack([
+            unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
             for k, c in enumerate(X_STATES)
-        ]  # fmt: skip
-        out.append(np.column_stack(felt))
-    return out
+        ])
+        for segment, x in zip(setup.segments, path, strict=True)
+    ]  # fmt: skip
 
 
 def unfiltered(
@@ -244,20 +233,17 @@ class _Linear:
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         asked = list(zip(some, states, strict=True))
-        missing = [(k, s) for k, s in asked if (k, s) not in self.made]
-        found, outputs = [self.found[k] for k, _ in missing], [self.flown.outputs[k] for k, _ in missing]
-        point = self.flown.point
-        made = steps_of(found, outputs, self.setup, point, [acting for _, acting in missing], self.by)
+        missing, point = [key for key in asked if key not in self.made], self.flown.point
+        made = steps_of([self.found[k] for k, _ in missing], [air for _, air in missing], self.setup, point, self.by)
         for (k, acting), s in zip(missing, made, strict=True):
-            which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
+            which, segment = self.setup.which, self.setup.segments[k]
+            share, rows = unseen_share(point, segment.flight), rows_late(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
-            share = unseen_share(point, segment.flight)
-            y[:, which] -= share * as_felt(self.found[k].felt_jump(0.5 * share), self.setup.outputs)
-            rows = rows_late(self.setup, segment, point)
+            y = s.y_ref[:, which] - share * as_felt(self.found[k].felt_jump(0.5 * share), self.setup.outputs)
             part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
-            along = self._along(self.found[k], s, y[:, which], acting) if any(part) else None
-            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows, along=along)
-            self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part) if any(part) else s.H)
+            along = self._along(self.found[k], s, y, acting) if any(part) else None
+            s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, along=along)
+            self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
         for key in asked:
             self.made.move_to_end(key)
         out = [self.made[key] for key in asked]

@@ -71,10 +71,9 @@ def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str])
     """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
     out: dict[str, Actuator] = {}
     for surface in ("elevator", "aileron", "rudder"):
-        if surface in measured or surface in ideal or surface not in aircraft.card.inputs:
-            continue
-        with contextlib.suppress(BadInputError):
-            out |= actuators(aircraft, [surface])
+        if surface in aircraft.card.inputs and surface not in (*measured, *ideal):
+            with contextlib.suppress(BadInputError):
+                out |= actuators(aircraft, [surface])
     return out
 
 
@@ -105,12 +104,8 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) 
 
 def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label without speeds and numbers."""
-    count: dict[str, int] = {}
-    out = []
-    for s in setup.segments:
-        count[s.kind] = count.get(s.kind, -1) + 1
-        out.append(count[s.kind] % 3 == 1)
-    found = np.array(out)
+    kinds = [s.kind for s in setup.segments]
+    found = np.array([kinds[:k].count(kind) % 3 == 1 for k, kind in enumerate(kinds)])
     if not found.any() and len(found) > 2:
         found[1::3] = True
     return found
