@@ -28,9 +28,22 @@ def base_fit_and_noise(
     aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Base:  # fmt: skip
-    """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
-    leaves of them, for no card knows an estimator's error."""
-    fit, kept, excited, notes = base_fit(aircraft, bench, setup, names, limits, map_)
+    """The fit of the model as it is. What the flights do not excite, and what replays do not determine (it ends at a bound), stays
+    where it is. The noise of channels which the autopilot's estimator computed is what the fit leaves of them, for no card knows an
+    estimator's error."""
+    fdm = bench.model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[n] for n in names])
+    del fdm
+    bounds = [limits[n] for n in names]
+    near, notes = equation_error_start(bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds)
+    noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
+    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
+    found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
+    kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
+    found.replay.forget()
+    flown = fly(bench.model, setup, point_of(found, setup, names), map_)
+    fit = fit_at(bench.model, bench.straight, setup, kept, flown, map_)
     guessed = estimated_channels(setup)
     if not guessed:
         return fit, kept, excited, notes, setup.noise
@@ -68,33 +81,6 @@ def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
     evidence = gather(white, fit.columns[0].names, [0] * len(white), PRIOR)
     flown = replace(fit.flown, cost=cost_of(setup, fit.flown.outputs))
     return setup, replace(fit, flown=flown, evidence=evidence)
-
-
-def base_fit(
-    aircraft: Aircraft,
-    bench: Bench,
-    setup: Setup,
-    names: tuple[str, ...],
-    limits: Mapping[str, tuple[float, float]],
-    map_: Processes,
-) -> tuple[Fit, tuple[str, ...], tuple[str, ...], list[str]]:
-    """The fit of the model as it is, names of its parameters, of those that the flights excite, and notes. What the flights do not
-    excite, and what replays do not determine (it ends at a bound), stays where it is."""
-    fdm = bench.model.open(aircraft.dt_s)
-    engine.require(fdm, names)
-    current = np.array([fdm[n] for n in names])
-    del fdm
-    bounds = [limits[n] for n in names]
-    near, notes = equation_error_start(bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds)
-    noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
-    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
-    found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
-    kept = tuple(n for n in names if n not in found.lost)
-    found.replay.forget()
-    point = point_of(found, setup, names)
-    flown = fly(bench.model, setup, point, map_)
-    fit = fit_at(bench.model, bench.straight, setup, kept, flown, map_)
-    return fit, kept, tuple(n for n in names if n not in seen.held), notes
 
 
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:

@@ -72,11 +72,9 @@ class CurvesAbout:
             return []
         return fit_smooth(*self.evidence(lambda v: {n: row for t in terms for n, row in t.inputs(v).items()}), terms)
 
-    def fitted(self, term: Smooth) -> SmoothFit:
-        """The term beside everything, smoothed with what coloured residuals leave of the information."""
-        return self._coloured(term, ())[0]
-
-    def _coloured(self, term: Smooth, instead: Sequence[str]) -> tuple[SmoothFit, Evidence, list[str]]:
+    def fitted(self, term: Smooth, instead: Sequence[str] = ()) -> tuple[SmoothFit, Evidence, list[str]]:
+        """The term beside everything but effects ``instead`` of which it stands, smoothed with what coloured residuals leave of the
+        information; of what evidence, and the names that are free."""
         evidence, free = self.evidence(term.inputs)
         free = [n for n in free if n not in instead]
         (fit,) = fit_smooth(evidence, free, [term])
@@ -96,7 +94,7 @@ class CurvesAbout:
         """
         given = [c.key for c in self.found.selection.chosen if is_in(self.found.effects[c.key], term)]
         instead = (*given, *(self.before.instead if self.before else ()))
-        fit, evidence, free = self._coloured(term, instead)
+        fit, evidence, free = self.fitted(term, instead)
         chosen = [c for c in self.found.selection.chosen if c.key not in instead]
         found = corrected_each(smoothed(evidence, fit), [*free, *fit.own], [*self.found.names, *(c.key for c in chosen)])
         at = self.fit.flown.point.values
@@ -127,7 +125,7 @@ def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     effects as they are with it in the place of those that it can be; None where none stands out: the forms chosen are enough."""
     about = CurvesAbout(found, found.after)
     terms = _own_terms(found, about)
-    fits = [about.fitted(f.term) for f in about.fits(terms) if f.stands_out(len(terms))]
+    fits = [about.fitted(f.term)[0] for f in about.fits(terms) if f.stands_out(len(terms))]
     best = max((f for f in fits if f.stands_out(len(terms))), key=lambda f: f.merit, default=None)
     if best is None:
         return None

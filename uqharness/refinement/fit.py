@@ -118,7 +118,7 @@ def parameter_columns(
     """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
     out = []
     active = [e for e in setup.active if e.key in names]
-    own = {e.key for e in active}
+    own = [n for n in names if n not in {e.key for e in active}]
     gain = [sensor_gain(c, flown.point) for c in setup.outputs]
     made = effect_columns(setup, found, flown, active)
     for segment, p, y, effects in zip(setup.segments, found, flown.outputs, made, strict=True):
@@ -126,9 +126,7 @@ def parameter_columns(
         earlier = variables if before is p else before.variables()
         inputs, outputs = dict(effects.inputs), dict(effects.outputs)
         ends, felt = dict(effects.ends), dict(effects.felt)
-        for name in names:
-            if name in own:
-                continue
+        for name in own:
             inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
             if before is not p and name in analytic:
                 ends[name] = term_column(name, earlier)[1]
@@ -215,9 +213,8 @@ def fit_at(
 ) -> Fit:  # fmt: skip
     """The flights linearised at the replays flown: evidence of the properties and active effects ``names`` and the nuisance.
     analytic: properties known to be the coefficient terms their names say."""
-    keys, point = {e.key for e in setup.active}, flown.point
+    point, own = flown.point, [n for n in names if n not in {e.key for e in setup.active}]
     found = probes(straight, setup, flown, positions(model, setup, point), map_)
-    own = [n for n in names if n not in keys]
     found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
     if setup.jumping:
         found = [replace(p, jumped=jumped(a)) for p, a in zip(found, middles(model, setup, point), strict=True)]

@@ -158,8 +158,7 @@ def gust_refit(
     setup = with_jumps(setup, model)
     length, share, moving = float("inf"), 1.0, not known
     path: list[Array] | None = None
-    keys = {e.key for e in setup.active}
-    own = [n for n in names if n not in keys]
+    own = [n for n in names if n not in {e.key for e in setup.active}]
     for number in range(1, iterations + 1):
         flown, found = predict(model, straight, setup, point, map_, path)
         found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
