@@ -37,7 +37,6 @@ MANY_ARGUMENTS: Mapping[str, int] = {
     "sysid/estimation/report.py": 1,
     "sysid/estimation/sensitivities.py": 1,
     # Refinement's inside is to be rewritten.
-    "uqharness/refinement/fit.py": 1,
     "uqharness/refinement/gusts.py": 1,
 }
 MANY_BRANCHES: Mapping[str, int] = {

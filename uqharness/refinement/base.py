@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
 from uqharness.identification import Observed, ReplayFit, equation_error_start, excited_alone, fit_replays
-from uqharness.refinement.candidates import sensor_gain, sensor_offset
-from uqharness.refinement.fit import PRIOR, Fit, Linear, cost_of, fly, refit
+from uqharness.refinement.candidates import sensor_gain, unsensed
+from uqharness.refinement.fit import PRIOR, Fit, cost_of, fit_at, fly, refit
 from uqharness.refinement.sensed import sensor_late_s
 from uqharness.refinement.setup import Bench, estimated_channels
 from uqharness.refinement.types import Flown, Point, Setup
 from uqharness.replay import CONTROL_DELAY, UNSEEN, spread_over
-from uqharness.simulator import Aircraft
+from uqharness.simulator import Aircraft, engine
 
 ESTIMATOR_ROUNDS = 2
 Base = tuple[Fit, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float64]]
@@ -28,9 +28,22 @@ def base_fit_and_noise(
     aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Base:  # fmt: skip
-    """base_fit, and the noise (m,) of the outputs: that of channels which the autopilot's estimator computed is what the fit
-    leaves of them, for no card knows an estimator's error."""
-    fit, kept, excited, notes = base_fit(aircraft, bench, setup, names, limits, map_)
+    """The fit of the model as it is. What the flights do not excite, and what replays do not determine (it ends at a bound), stays
+    where it is. The noise of channels which the autopilot's estimator computed is what the fit leaves of them, for no card knows an
+    estimator's error."""
+    fdm = bench.model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    current = np.array([fdm[n] for n in names])
+    del fdm
+    bounds = [limits[n] for n in names]
+    near, notes = equation_error_start(bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds)
+    noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
+    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
+    found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
+    kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
+    found.replay.forget()
+    flown = fly(bench.model, setup, point_of(found, setup, names), map_)
+    fit = fit_at(bench.model, bench.straight, setup, kept, flown, map_)
     guessed = estimated_channels(setup)
     if not guessed:
         return fit, kept, excited, notes, setup.noise
@@ -42,8 +55,7 @@ def base_fit_and_noise(
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "
         f"model leaves them: {said}"
     )
-    notes = [*notes, text]
-    return fit, kept, excited, notes, setup.noise
+    return fit, kept, excited, [*notes, text], setup.noise
 
 
 def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
@@ -71,37 +83,6 @@ def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
     return setup, replace(fit, flown=flown, evidence=evidence)
 
 
-def base_fit(
-    aircraft: Aircraft,
-    bench: Bench,
-    setup: Setup,
-    names: tuple[str, ...],
-    limits: Mapping[str, tuple[float, float]],
-    map_: Processes,
-) -> tuple[Fit, tuple[str, ...], tuple[str, ...], list[str]]:
-    """The fit of the model as it is, names of its parameters, of those that the flights excite, and notes. What the flights do not
-    excite, and what replays do not determine (it ends at a bound), stays where it is."""
-    from uqharness.simulator import engine
-
-    fdm = bench.model.open(aircraft.dt_s)
-    engine.require(fdm, names)
-    current = np.array([fdm[n] for n in names])
-    del fdm
-    near, notes = equation_error_start(
-        bench.model, bench.straight, setup.flights, setup.segments, names, current, [limits[n] for n in names]
-    )
-    tries, bounds = (near, current), [limits[n] for n in names]
-    noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
-    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
-    found = fit_replays(bench.model, seen, names, tries, bounds, spread_over(map_))
-    kept = tuple(n for n in names if n not in found.lost)
-    found.replay.forget()
-    point = point_of(found, setup, names)
-    flown = fly(bench.model, setup, point, map_)
-    fit = Linear(bench.model, bench.straight, setup, kept, map_).fit_at(flown)
-    return replace(fit, converged=found.found.converged), kept, tuple(n for n in names if n not in seen.held), notes
-
-
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
     """A note about parameters that are asked for and not among the ``names`` estimated, if there are any."""
     rest = [n for n in asked if n not in names]
@@ -114,10 +95,9 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
     point = Point({}, {}, (), dict(sensed))
-    gain = np.array([sensor_gain(c, point) for c in setup.outputs])
     late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
     data = [
-        (z - np.array([sensor_offset(c, s, point) for c in setup.outputs])) / gain
+        np.column_stack([unsensed(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)])
         for z, s in zip(setup.measured, setup.segments, strict=True)
     ]
     return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
@@ -129,11 +109,14 @@ def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mappi
     nuisance = {n: estimates[n.replace("lateness/", "delay/")] for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
     point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
-    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in nuisance}
-    return replace(point, nuisance={n: value * gains[n] for n, value in nuisance.items()})
+    return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
 
 
 def begun_at(point: Point) -> dict[str, float]:
     """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
-    gains = {n: sensor_gain(n.split("/")[2], point) if n.startswith("bias/") else 1.0 for n in point.nuisance}
-    return {n.replace("lateness/", "delay/"): value / gains[n] for n, value in point.nuisance.items()}
+    return {n.replace("lateness/", "delay/"): value / _gain(n, point) for n, value in point.nuisance.items()}
+
+
+def _gain(name: str, point: Point) -> float:
+    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is no bias."""
+    return sensor_gain(name.split("/")[2], point) if name.startswith("bias/") else 1.0

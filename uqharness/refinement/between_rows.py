@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.parallel import Processes
 from uqharness.identification import jumping_in
-from uqharness.refinement.candidates import sensor_gain
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay import CONTROLS, FELT, ReplayModel, Segment, StatesOf, altitudes, by_run, force_all, surface_positions
+from uqharness.replay import CONTROLS, ReplayModel, Segment, StatesOf, altitudes, by_run, force_all, surface_positions
 
 Array = NDArray[np.float64]
 
@@ -84,19 +83,3 @@ def bends_of(
 def jumped(away: Array) -> Array | None:
     """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not known. None where none does."""
     return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None
-
-
-def jumps_unseen(setup: Setup, found: Sequence[Probe], point: Point, before: Sequence[float]) -> list[Array]:
-    """[(n, m)] what the outputs lack where the accelerometers have seen nothing of the jumps at their own rows.
-
-    before: of each segment the weight of `Probe.jumps`: for the change with the share that is unseen, that share; for all that a
-    share lacks, half of it.
-    """
-    gain = [sensor_gain(c, point) for c in setup.outputs]
-    out = []
-    for p, weight in zip(found, before, strict=True):
-        lacking = dict(zip(FELT, -p.felt_jump(weight).T, strict=True))
-        out.append(
-            np.column_stack([g * lacking.get(c, np.zeros(len(p.controls))) for c, g in zip(setup.outputs, gain, strict=True)])
-        )
-    return out

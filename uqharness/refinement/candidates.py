@@ -16,7 +16,7 @@ from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.refinement.reference import Probe
 from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.refinement.writing.terms import STALL
-from uqharness.replay import CONTROLS, SENSOR_OF, Segment, runs_per_row
+from uqharness.replay import CONTROLS, FELT, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
@@ -45,41 +45,30 @@ def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects:
 
 
 def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect]) -> Columns:
-    segment, y = setup.segments[k], flown.outputs[k]
+    segment, y, point = setup.segments[k], flown.outputs[k], flown.point
     inputs: dict[str, tuple[int, Array]] = {}
     outputs: dict[str, Array] = {}
     ends: dict[str, Array] = {}
     felt: dict[str, Array] = {}
-    before, share = p.just_before(), unseen_share(flown.point, segment.flight)
-
-    def jumps(key: str, earlier: Array) -> None:
-        values = inputs[key][1]
-        if not np.array_equal(values, earlier):
-            ends[key], felt[key] = earlier, seen_of(values, earlier, share)
-
-    found = p.variables()
+    before, share, found = p.just_before(), unseen_share(point, segment.flight), p.variables()
     earlier = found if before is p else before.variables()
     for e in effects:
-        if e.coefficient is not None:
-            term = e.parsed
-            assert term is not None
-            inputs[e.key] = (COEFFICIENTS.index(e.coefficient), term.values(found))
-            if before is not p:
-                jumps(e.key, term.values(earlier))
+        key, part = e.key, (e.subsystem or "").partition(".")[0]
+        if part == "record":
+            inputs[key], ends[key], felt[key] = later_controls(p, late_by(point, segment.flight))
             continue
-        if e.subsystem == "record":
-            inputs[e.key], ends[e.key], felt[e.key] = later_controls(p, late_by(flown.point, segment.flight))
+        if part == "sensor":
+            outputs[key] = _of_sensor(e, setup, segment, p, y, point)
             continue
-        block, channel = _subsystem(e, setup, segment, p, y, found, flown.point)
-        if block is not None:
-            inputs[e.key] = (-1, block)
-            if before is not p and not (e.subsystem or "").startswith("actuator"):
-                other, _ = _subsystem(e, setup, segment, before, y, earlier, flown.point)
-                jumps(e.key, np.zeros_like(block) if other is None else other)
-        if channel is not None:
-            outputs[e.key] = channel
-    names = tuple(e.key for e in effects)
-    return Columns(names, inputs, outputs, ends, felt)
+        if e.key == "effect/mass/cg_x":
+            # The accelerometers stay behind.
+            outputs[key] = _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
+        inputs[key] = _input(e, setup, segment, p, found, point)
+        if before is not p and part != "actuator":
+            (_, values), (_, other) = inputs[key], _input(e, setup, segment, before, earlier, point)
+            if not np.array_equal(values, other):
+                ends[key], felt[key] = other, seen_of(values, other, share)
+    return Columns(tuple(e.key for e in effects), inputs, outputs, ends, felt)
 
 
 def slopes_here(active: Sequence[Effect], point: Point) -> list[Effect]:
@@ -103,6 +92,11 @@ def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
     """What a sensor adds to its channel at a point, in the channel's unit."""
     own = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
     return own + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
+
+
+def unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
+    """(n,) what a sensor shows without what it adds and multiplies at a point."""
+    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
 def vane_place_m(point: Point) -> float:
@@ -134,96 +128,83 @@ def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
         rates = z[3:6] - air
         return np.array([s * rates[AIR_RATES.index(rate)] / np.maximum(z[0], 1.0) for _, rate, s in _VANES])
 
-    for k in range(len(at)):
-        step = np.zeros((len(at), 1))
-        step[k] = _SLOPE_STEP
+    for k, step in enumerate(_SLOPE_STEP * np.eye(len(at))[:, :, None]):
         slope = (felt(at + step) - felt(at - step)) / (2.0 * _SLOPE_STEP)
         for (angle, _, _), values in zip(_VANES, slope, strict=True):
             out[:, STEP_OUTPUTS.index(angle), k] = values
     return out
 
 
-def _subsystem(
-    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, found: Mapping[str, Array], point: Point
-) -> tuple[Array | None, Array | None]:
-    """(n, 6) extra coefficients and (n, m) extra outputs per unit of a subsystem's effect; None for none."""
+def _input(
+    e: Effect, setup: Setup, segment: Segment, p: Probe, found: Mapping[str, Array], point: Point
+) -> tuple[int, Array]:  # fmt: skip
+    """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1, values (n, 6)) of all."""
+    if (term := e.parsed) is not None:
+        return COEFFICIENTS.index(e.coefficient), term.values(found)
     part, _, what = (e.subsystem or "").partition(".")
-    n = len(y)
-    scale = p.scale
-    C = np.zeros((n, 6))
+    scale, CT = p.scale, found["CT"]
+    C = np.zeros(scale.shape)
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         # Flown, it is the number written that counts: the model's own slope has the stall in it.
         slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
-        return C, None
-    if part == "ground":
+    elif part == "ground":
         h_over_b = found["h_over_b"]
         C[:, 2] = np.where(h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0)
-        return C, None
-    if part == "propulsion":
+    elif part == "propulsion":
         thrust = np.hstack([p.other_force, p.other_moment]) / scale
         if e.term == "thrust_scale":
-            return thrust, None
-        if e.term == "airspeed":
-            return thrust * (found["V_rel"] - 1.0)[:, None], None
-        if e.term == "inflow":
-            if p.by_inflow is None or not np.any(np.abs(p.by_inflow) > LEAST_INFLOW):
-                return None, None
-            C[:, 0] = p.by_inflow
-            return C, None
-        if e.term == "torque":
-            C[:, 3] = found["CT"]
+            C = thrust
+        elif e.term == "airspeed":
+            C = thrust * (found["V_rel"] - 1.0)[:, None]
+        elif e.term == "inflow":
+            C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > LEAST_INFLOW) else 0.0
+        elif e.term == "torque":
+            C[:, 3] = CT
         elif e.term == "p_factor":
-            C[:, 5], C[:, 4] = -found["CT"] * found["alpha"], -found["CT"] * found["beta"]
+            C[:, 5], C[:, 4] = -CT * found["alpha"], -CT * found["beta"]
         else:
             for k, u in ((0, "de"), (2, "dr")):
-                if setup.slopes:
-                    C += _written(setup.slopes, u) * p.controls[:, [k]] * found["CT"][:, None]
-                    continue
-                own = p.by_control[:, :, k] * p.controls[:, [k]] * found["CT"][:, None]
-                C += own
-        return C, None
-    if part == "mass":
+                own = _written(setup.slopes, u) if setup.slopes else p.by_control[:, :, k]
+                C += own * p.controls[:, [k]] * CT[:, None]
+    elif e.term == "cg_x":
+        C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
+    elif part == "mass":
         # Inertia knows nothing of the air: rates and their changes are the body's own.
-        if e.term == "cg_x":
-            C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
-            # The accelerometers stay behind.
-            return C, _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
-        rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
-        (pr, q, r), (pd, _, rd) = rates.T, dot.T
+        (pr, q, r), (pd, _, rd) = p.body[:, 3:6].T, p.rate[:, 3:6].T
         # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were lost.
         C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
-        return C, None
-    if part == "actuator":
+    elif part == "actuator":
         k = CONTROLS.index(what)
         if e.term == "deadband":
             moved = in_dead_zone(p.controls[:, k], setup.zones.get(what, _DEADBAND_DEG), flown=e.key in point.effects)
-            return p.by_control[:, :, k] * moved[:, None], None
-        servo, limits = _as_flown(setup, what, point)
-        if e.term.endswith(HERE):
-            assert servo is not None
-            limits = servo.rate, NEAR * servo.rate
-        moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, limits)
-        if not np.any(moved):
-            return None, None
-        return p.by_control[:, :, k] * moved[:, None], None
-    if part == "sensor":
-        if e.term.startswith("place_"):
-            out = (
-                _felt_by_vanes(p, y, setup.outputs)
-                if what == "vane"
-                else _felt_at(p, setup.outputs, np.eye(3)["xyz".index(e.term[-1])])
-            )
-            return None, out * [sensor_gain(c, point) for c in setup.outputs]
-        out = np.zeros_like(y)
-        for k, c in enumerate(setup.outputs):
-            if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
-                out[:, k] = -p.rate_of(c, y[:, k])
-            elif e.term != "delay" and c == what:
-                out[:, k] = (y[:, k] - sensor_offset(c, segment, point)) / sensor_gain(c, point) if e.term == "scale" else 1.0
-        return None, out
-    raise ValueError(f"no model of effect {e.key}")
+        else:
+            servo, limits = _as_flown(setup, what, point)
+            if e.term.endswith(HERE):
+                assert servo is not None
+                limits = servo.rate, NEAR * servo.rate
+            moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, limits)
+        C = p.by_control[:, :, k] * moved[:, None]
+    else:
+        raise ValueError(f"no model of effect {e.key}")
+    return -1, C
+
+
+def _of_sensor(e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, point: Point) -> Array:
+    """(n, m) what a unit of a sensor's effect adds to the outputs (n, m)."""
+    what = (e.subsystem or "").partition(".")[2]
+    if e.term.startswith("place_"):
+        axis = np.eye(3)["xyz".index(e.term[-1])]
+        out = _felt_by_vanes(p, y, setup.outputs) if what == "vane" else _felt_at(p, setup.outputs, axis)
+        return np.asarray(out * [sensor_gain(c, point) for c in setup.outputs])
+    out = np.zeros_like(y)
+    for k, c in enumerate(setup.outputs):
+        if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
+            out[:, k] = -p.rate_of(c, y[:, k])
+        elif e.term != "delay" and c == what:
+            out[:, k] = unsensed(y[:, k], c, segment, point) if e.term == "scale" else 1.0
+    return out
 
 
 def _felt_by_vanes(p: Probe, y: Array, outputs: Sequence[str]) -> Array:
@@ -269,9 +250,13 @@ def in_dead_zone(u: Array, width_deg: float, flown: bool = False) -> Array:
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
     """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x (w x r)."""
     rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
-    felt = np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m))
-    out = np.zeros((len(rates), len(outputs)))
-    for name, value in zip(("ax_mps2", "ay_mps2", "az_mps2"), felt.T, strict=True):
+    return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
+
+
+def as_felt(felt: Array, outputs: Sequence[str]) -> Array:
+    """(n, m) outputs of accelerometers that feel ``felt`` (n, 3), zero in all others."""
+    out = np.zeros((len(felt), len(outputs)))
+    for name, value in zip(FELT, felt.T, strict=True):
         if name in outputs:
             out[:, outputs.index(name)] = value
     return out
@@ -291,18 +276,11 @@ def later_controls(p: Probe, late_s: float) -> tuple[tuple[int, Array], Array, A
     steady = -np.einsum("ncj,nj->nc", p.by_control, moving)
     after = 0.5 * (1.0 + np.sign(late_s))
     # A straight line from 4 to -2 over a step has the area 1 and its centre at the start; from -2 to 4, at the end.
-    values, ends = np.array(steady), np.array(steady)
-    values += -(4.0 * after * jump - 2.0 * (1.0 - after) * _next(jump)) / h
-    ends += -(4.0 * (1.0 - after) * jump - 2.0 * after * _last(jump)) / h
+    none = np.zeros((1, 6))
+    last, following = np.vstack([none, jump[:-1]]), np.vstack([jump[1:], none])
+    values = steady - (4.0 * after * jump - 2.0 * (1.0 - after) * following) / h
+    ends = steady - (4.0 * (1.0 - after) * jump - 2.0 * after * last) / h
     return (-1, values), ends, steady
-
-
-def _next(rows: Array) -> Array:
-    return np.vstack([rows[1:], np.zeros_like(rows[:1])])
-
-
-def _last(rows: Array) -> Array:
-    return np.vstack([np.zeros_like(rows[:1]), rows[:-1]])
 
 
 def _written(slopes: Mapping[str, float], control: str) -> Array:
@@ -334,19 +312,14 @@ def servo_change(kind: str, servo: Actuator | None, command: Array, h: float, li
     if servo is None:
         return np.zeros_like(command)
     step = h / runs_per_row(h)
-    if kind == "rate_limit" and limits is not None:
-        one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
-        return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
     before = servo.follow(command, h, step)
     if kind == "lag":
         return (replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before) / _LAG_S
-    # The change that a limit a quarter below the fastest motion seen makes, per s/deg by which its inverse is above
-    # that of the limit the servo has.
-    fastest = float(np.abs(np.diff(before)).max()) / h
-    if not fastest > 1.0:
-        return np.zeros_like(command)
-    limit = 0.75 * fastest
-    slower_by = 1.0 / limit - 1.0 / servo.rate
-    if not slower_by > 0.0:
-        return np.zeros_like(command)
-    return (replace(servo, rate=limit).follow(command, h, step) - before) / slower_by
+    if limits is None:
+        # A limit a quarter below the fastest motion seen.
+        fastest = float(np.abs(np.diff(before)).max()) / h
+        limits = servo.rate, 0.75 * fastest
+        if not fastest > 1.0 or not limits[1] < servo.rate:
+            return np.zeros_like(command)
+    one, other = (replace(servo, rate=r).follow(command, h, step) for r in limits)
+    return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])

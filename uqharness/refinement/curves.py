@@ -68,17 +68,18 @@ class CurvesAbout:
 
     def fits(self, terms: Sequence[Smooth]) -> list[SmoothFit]:
         """Each of the terms alone."""
-        return fit_smooth(*self.evidence(lambda v: _inputs(terms, v)), terms) if terms else []
+        if not terms:
+            return []
+        return fit_smooth(*self.evidence(lambda v: {n: row for t in terms for n, row in t.inputs(v).items()}), terms)
 
-    def fitted(self, term: Smooth) -> SmoothFit:
-        """The term beside everything, smoothed with what coloured residuals leave of the information."""
-        return self._coloured(term, ())[0]
-
-    def _coloured(self, term: Smooth, instead: Sequence[str]) -> tuple[SmoothFit, Evidence, list[str]]:
+    def fitted(self, term: Smooth, instead: Sequence[str] = ()) -> tuple[SmoothFit, Evidence, list[str]]:
+        """The term beside everything but effects ``instead`` of which it stands, smoothed with what coloured residuals leave of the
+        information; of what evidence, and the names that are free."""
         evidence, free = self.evidence(term.inputs)
         free = [n for n in free if n not in instead]
         (fit,) = fit_smooth(evidence, free, [term])
-        dispersion = colour_dispersion(evidence, free, fit, _left(smoothed(evidence, fit), free, fit))
+        smooth = smoothed(evidence, fit)
+        dispersion = colour_dispersion(evidence, free, fit, smooth.residual(smooth.fitted(evidence.index([*free, *fit.own]))))
         return fit_smooth(evidence, free, [term], dispersion)[0], evidence, free
 
     def terms(self, coefficient: str, times: str | None = None) -> list[Smooth]:
@@ -93,7 +94,7 @@ class CurvesAbout:
         """
         given = [c.key for c in self.found.selection.chosen if is_in(self.found.effects[c.key], term)]
         instead = (*given, *(self.before.instead if self.before else ()))
-        fit, evidence, free = self._coloured(term, instead)
+        fit, evidence, free = self.fitted(term, instead)
         chosen = [c for c in self.found.selection.chosen if c.key not in instead]
         found = corrected_each(smoothed(evidence, fit), [*free, *fit.own], [*self.found.names, *(c.key for c in chosen)])
         at = self.fit.flown.point.values
@@ -112,10 +113,6 @@ def is_in(effect: Effect, term: Smooth) -> bool:
     return times == [term.times] * (term.times is not None) and {*parsed.variables} <= {term.state, term.times}
 
 
-def _inputs(terms: Sequence[Smooth], found: Mapping[str, Array]) -> Inputs:
-    return {n: row for t in terms for n, row in t.inputs(found).items()}
-
-
 def smoothed(evidence: Evidence, fit: SmoothFit) -> Evidence:
     """The evidence with the smoothing as what is known of the term's columns beforehand."""
     prior = evidence.prior.copy()
@@ -123,17 +120,12 @@ def smoothed(evidence: Evidence, fit: SmoothFit) -> Evidence:
     return replace(evidence, prior=prior)
 
 
-def _left(evidence: Evidence, free: Sequence[str], fit: SmoothFit) -> list[Array]:
-    """[(n, m)] whitened residuals with the free columns and the term fitted."""
-    return evidence.residual(evidence.fitted(evidence.index([*free, *fit.own])))
-
-
 def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
     """The curve in a chosen effect's own states and coefficient that stands out most beside all that was chosen, and the other
     effects as they are with it in the place of those that it can be; None where none stands out: the forms chosen are enough."""
     about = CurvesAbout(found, found.after)
     terms = _own_terms(found, about)
-    fits = [about.fitted(f.term) for f in about.fits(terms) if f.stands_out(len(terms))]
+    fits = [about.fitted(f.term)[0] for f in about.fits(terms) if f.stands_out(len(terms))]
     best = max((f for f in fits if f.stands_out(len(terms))), key=lambda f: f.merit, default=None)
     if best is None:
         return None
@@ -148,7 +140,7 @@ def _own_terms(found: Found, about: CurvesAbout) -> list[Smooth]:
     asked: dict[tuple[str, str, str | None], None] = {}
     for c in found.selection.chosen:
         effect = found.effects[c.key]
-        states = [] if effect.parsed is None else list(dict.fromkeys(effect.parsed.variables))
+        states = () if effect.parsed is None else effect.parsed.variables
         if effect.coefficient is None or len(states) > 2 or not {*states} <= {*STATES}:
             continue
         for state in states:

@@ -1,8 +1,7 @@
 """Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the linearised flight.
 
-A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as
-consistent as output
-error's own: at the answer the residuals are orthogonal to sensitivities that do not depend on them.
+A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as consistent as
+output error's own: at the answer the residuals are orthogonal to sensitivities that do not depend on them.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.effects import Columns, Evidence, MadeColumns, White, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
-from uqharness.refinement.between_rows import jumped, jumps_unseen, middles
-from uqharness.refinement.candidates import effect_columns, later_controls, seen_of, sensor_gain, vane_place_m, vane_slopes
-from uqharness.refinement.reference import Probe, ProbeJob, named_terms, probe_all, term_column
+from uqharness.refinement.between_rows import jumped, middles
+from uqharness.refinement.candidates import as_felt, effect_columns, later_controls, seen_of, sensor_gain, vane_place_m, vane_slopes
+from uqharness.refinement.reference import Probe, ProbeJob, probe_all, term_column, with_properties
 from uqharness.refinement.sensed import as_sensed, late_rate, placed, sensor_late_s
-from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, late_by, lateness, unseen, unseen_share
+from uqharness.refinement.types import Flown, Point, Setup, in_dynamics, late_by, unseen, unseen_share
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -32,13 +31,11 @@ from uqharness.replay import (
     SHARES,
     STATES,
     UNSEEN,
-    Flight,
     ReplayJob,
     ReplayModel,
     as_flown,
     at_rows,
     fly_all,
-    states,
     surface_positions,
 )
 
@@ -47,32 +44,21 @@ Array = NDArray[np.float64]
 
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
-    late = [any(sensor_late_s(c, s, point) for c in setup.outputs) for s in setup.segments]
-    jobs = [
-        ReplayJob(
-            model,
-            placed(s, point),
-            setup.properties(point),
-            start,
-            late_by(point, s.flight),
-            between,
-            unseen=unseen_share(point, s.flight),
-        )
-        for s, start, between in zip(setup.segments, point.starts, late, strict=True)
-    ]
-    on_time = [[c for c in setup.outputs if not sensor_late_s(c, s, point)] for s in setup.segments]
-    pieces = [as_flown(job, channels) for job, channels in zip(jobs, on_time, strict=True)]
+    pieces = []
+    for s, start in zip(setup.segments, point.starts, strict=True):
+        on_time = [c for c in setup.outputs if not sensor_late_s(c, s, point)]
+        between, unseen_ = len(on_time) < len(setup.outputs), unseen_share(point, s.flight)
+        job = ReplayJob(
+            model, placed(s, point), setup.properties(point), start, late_by(point, s.flight), between, unseen=unseen_
+        )  # fmt: skip
+        pieces.append(as_flown(job, on_time))
     flights = iter(fly_all([piece for of in pieces for piece in of], map_))
-    every, raw = [], []
+    columns = [CHANNELS.index(c) for c in setup.outputs]
+    raw, outputs = [], []
     for of, s in zip(pieces, setup.segments, strict=True):
         fine, *rows = (next(flights) for _ in of)
-        every.append(fine)
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
-    columns = [CHANNELS.index(c) for c in setup.outputs]
-    outputs = [
-        as_sensed(flown[:, columns].copy(), setup, segment, point, between=fine[:, columns])
-        for segment, flown, fine in zip(setup.segments, raw, every, strict=True)
-    ]
+        outputs.append(as_sensed(raw[-1][:, columns], setup, s, point, between=fine[:, columns]))
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
     return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs))
 
@@ -97,12 +83,11 @@ def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> l
 
 
 def probes(
-    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], differ: Sequence[str], map_: Processes,
-    consistent: bool = True,
+    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], map_: Processes, consistent: bool = True
 ) -> list[Probe]:  # fmt: skip
     """Forces, slopes and so on along the flights flown."""
     jobs = [
-        ProbeJob(straight, placed(s, flown.point), x, u, setup.properties(flown.point), tuple(differ), consistent, h)
+        ProbeJob(straight, placed(s, flown.point), x, u, setup.properties(flown.point), consistent, h)
         for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
     ]
     return probe_all(jobs, map_)
@@ -114,25 +99,16 @@ def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Ste
 
 
 def steps_of(
-    found: Sequence[Probe], outputs: Sequence[Array], setup: Setup, point: Point,
-    gusts: Sequence[GustStates] | None = None, by: Processes = ALONE,
-) -> list[Steps]:  # fmt: skip
-    """Linear systems along the flights, outputs as the sensors scale them; where the reference is a replay, its outputs are the
-    replay's own. gusts: how they act in each."""
-    gain = np.ones(len(STEP_OUTPUTS))
-    gain[setup.which] = [sensor_gain(c, point) for c in setup.outputs]
+    found: Sequence[Probe], air: Sequence[GustStates | None], setup: Setup, point: Point, by: Processes = ALONE
+) -> list[Steps]:
+    """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in each."""
+    gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
+    gain[setup.which, 0] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    air: Sequence[GustStates | None] = [None] * len(found) if gusts is None else gusts
     made = by(_linearised, [(p.reference, p.mass, a) for p, a in zip(found, air, strict=True)])
-    for p, y, a, steps in zip(found, outputs, air, made, strict=True):
-        forward = vane_place_m(point)
+    for p, a, steps in zip(found, air, made, strict=True):
         H = steps.H + forward * vane_slopes(p.reference.x, a) if forward else steps.H
-        steps = replace(steps, H=H * gain[:, None], D=steps.D * gain[:, None])
-        if p.reference.consistent:
-            full = steps.y_ref.copy()
-            full[:, setup.which] = y
-            steps = replace(steps, y_ref=full)
-        out.append(steps)
+        out.append(replace(steps, H=H * gain, D=steps.D * gain))
     return out
 
 
@@ -140,44 +116,37 @@ def parameter_columns(
     setup: Setup, found: Sequence[Probe], flown: Flown, names: Sequence[str], analytic: Sequence[str]
 ) -> list[Columns]:
     """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
-    every = (*names, *setup.nuisance)
     out = []
-    own = {e.key for e in setup.active}
-    effects = effect_columns(setup, found, flown, setup.active)
-    blind = jumps_unseen(setup, found, flown.point, [unseen_share(flown.point, s.flight) for s in setup.segments])
-    for segment, p, y, active, jump in zip(setup.segments, found, flown.outputs, effects, blind, strict=True):
-        before = p.just_before()
-        variables = p.variables()
+    active = [e for e in setup.active if e.key in names]
+    own = [n for n in names if n not in {e.key for e in active}]
+    gain = [sensor_gain(c, flown.point) for c in setup.outputs]
+    made = effect_columns(setup, found, flown, active)
+    for segment, p, y, effects in zip(setup.segments, found, flown.outputs, made, strict=True):
+        before, variables, share = p.just_before(), p.variables(), unseen_share(flown.point, segment.flight)
         earlier = variables if before is p else before.variables()
-        inputs: dict[str, tuple[int, Array]] = {n: v for n, v in active.inputs.items() if n in names}
-        ends, felt = ({n: v for n, v in of.items() if n in names} for of in (active.ends, active.felt))
-        share = unseen_share(flown.point, segment.flight)
-        for name in names:
-            if name not in own:
-                inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
-                if before is not p and name in analytic:
-                    ends[name] = term_column(name, earlier)[1]
-                    felt[name] = seen_of(inputs[name][1], ends[name], share)
-        outputs: dict[str, Array] = {n: v for n, v in active.outputs.items() if n in names}
+        inputs, outputs = dict(effects.inputs), dict(effects.outputs)
+        ends, felt = dict(effects.ends), dict(effects.felt)
+        for name in own:
+            inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+            if before is not p and name in analytic:
+                ends[name] = term_column(name, earlier)[1]
+                felt[name] = seen_of(inputs[name][1], ends[name], share)
         for name in setup.nuisance:
             kind, flight, *rest = name.split("/")
             if flight != segment.flight:
                 continue
-            if name == unseen(flight):
-                outputs[name] = jump
-                continue
-            what = rest[0]
-            if name == lateness(flight):
+            if kind == "lateness":
                 inputs[name], ends[name], felt[name] = later_controls(p, late_by(flown.point, flight))
                 continue
-            block = np.zeros_like(y)
+            outputs[name] = block = np.zeros_like(y)
+            if kind == UNSEEN:
+                block -= as_felt(p.felt_jump(share), setup.outputs) * gain
             for k, c in enumerate(setup.outputs):
-                if kind == "bias" and c == what:
+                if kind == "bias" and [c] == rest:
                     block[:, k] = 1.0
-                elif kind == "delay" and SENSOR_OF.get(c, c) == what:
+                elif kind == "delay" and [SENSOR_OF.get(c, c)] == rest:
                     block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
-            outputs[name] = block
-        out.append(Columns(every, inputs, outputs, ends, felt))
+        out.append(Columns((*names, *setup.nuisance), inputs, outputs, ends, felt))
     return out
 
 
@@ -194,7 +163,7 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
 
 @dataclass(frozen=True)
 class Fit:
-    """A converged re-identification: the flights flown, probes, linear systems, columns of the parameters and their evidence."""
+    """A re-identification: the flights flown, probes, linear systems, columns of the parameters and their evidence."""
 
     flown: Flown
     probes: list[Probe]
@@ -202,89 +171,60 @@ class Fit:
     columns: list[Columns]
     evidence: Evidence
     analytic: tuple[str, ...]
-    iterations: int
-    converged: bool
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
 """Standard deviations known beforehand. Controls act at their rows; a simulation of 10 ms a step has them act half a step early."""
+_MOST_ITERATIONS, _TOLERANCE = 12, 0.05
+_STEP_SHARES = tuple(0.35**k for k in range(5))
+"""Shares of a step that are tried until one lowers the cost."""
 
 
 def refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Processes, *, max_iterations: int = 12, tolerance: float = 0.05,
+    limits: Mapping[str, tuple[float, float]], map_: Processes,
 ) -> Fit:  # fmt: skip
     """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
-    bench = Linear(model, straight, setup, tuple(names), map_)
-    flown = fly(model, setup, start, map_)
-    converged = False
-    length = math.inf
-    iteration = 0
-    fit = None
-    while iteration < max_iterations:
-        iteration += 1
-        fit = bench.fit_at(flown, fit.analytic if fit is not None else None)
+    flown, analytic = fly(model, setup, start, map_), None
+    for _ in range(_MOST_ITERATIONS):
+        fit = fit_at(model, straight, setup, names, flown, map_, analytic)
+        analytic, white = fit.analytic, fit.evidence.white
         delta, length = step_from(setup, flown.point, fit.evidence)
-        if length < tolerance:
-            converged = True
+        if length < _TOLERANCE:
             break
-        order, white = fit.columns[0].names, fit.evidence.white
-        trial = fly(model, setup, _moved(setup, flown.point, order, delta, white, limits, 1.0), map_)
-        share = 1.0
-        while not trial.cost < flown.cost and share > 0.02:
-            share *= 0.35
-            trial = fly(model, setup, _moved(setup, flown.point, order, delta, white, limits, share), map_)
-        if not trial.cost < flown.cost:
-            converged = length < 1.0
+        for share in _STEP_SHARES:
+            step = dict(zip(fit.columns[0].names, (share * delta).tolist(), strict=True))
+            starts = moved_starts(flown.point.starts, white, delta, share)
+            trial = fly(model, setup, replace(stepped(setup, flown.point, step, limits), starts=starts), map_)
+            if trial.cost < flown.cost:
+                break
+        else:
             break
         settled = flown.cost - trial.cost < 0.02 and share == 1.0
         flown = trial
         if settled:
-            converged = True
             break
-    assert fit is not None
-    return replace(fit, flown=flown, iterations=iteration, converged=converged)
+    return replace(fit, flown=flown)
 
 
-@dataclass(frozen=True)
-class Linear:
-    """Linearisation of replays at any point: evidence of the properties and active effects ``names`` and the nuisance."""
-
-    model: ReplayModel
-    straight: ReplayModel
-    setup: Setup
-    names: tuple[str, ...]
-    map_: Processes
-
-    def fit_at(self, flown: Flown, analytic: tuple[str, ...] | None = None) -> Fit:
-        """The linearised flights at what was flown. analytic: properties known to be the coefficient terms their names say."""
-        straight, setup, map_ = self.straight, self.setup, self.map_
-        controls = positions(self.model, setup, flown.point)
-        keys = {e.key for e in setup.active}
-        own = [n for n in self.names if n not in keys]
-        differ: Sequence[str] = () if analytic is None else [n for n in own if n not in analytic]
-        found = probes(straight, setup, flown, controls, differ, map_)
-        if analytic is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(flown.point)))
-            if len(analytic) < len(own):
-                found = probes(straight, setup, flown, controls, [n for n in own if n not in analytic], map_)
-        if setup.jumping:
-            ends = middles(self.model, setup, flown.point)
-            found = [replace(p, jumped=jumped(away)) for p, away in zip(found, ends, strict=True)]
-        steps = steps_of(found, flown.outputs, setup, flown.point, by=map_)
-        columns = parameter_columns(setup, found, flown, self.names, analytic)
-        white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
-        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
-        return Fit(flown, found, steps, columns, evidence, analytic, 0, True)
-
-
-def _moved(
-    setup: Setup, point: Point, names: Sequence[str], delta: Array, white: Sequence[White],
-    limits: Mapping[str, tuple[float, float]], share: float,
-) -> Point:  # fmt: skip
-    step = dict(zip(names, (share * delta).tolist(), strict=True))
-    starts = moved_starts(point.starts, white, delta, share)
-    return replace(stepped(setup, point, step, limits), starts=starts)
+def fit_at(
+    model: ReplayModel, straight: ReplayModel, setup: Setup, names: Sequence[str], flown: Flown, map_: Processes,
+    analytic: tuple[str, ...] | None = None,
+) -> Fit:  # fmt: skip
+    """The flights linearised at the replays flown: evidence of the properties and active effects ``names`` and the nuisance.
+    analytic: properties known to be the coefficient terms their names say."""
+    point, own = flown.point, [n for n in names if n not in {e.key for e in setup.active}]
+    found = probes(straight, setup, flown, positions(model, setup, point), map_)
+    found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
+    if setup.jumping:
+        found = [replace(p, jumped=jumped(a)) for p, a in zip(found, middles(model, setup, point), strict=True)]
+    steps = steps_of(found, [None] * len(found), setup, point, map_)
+    for s, y in zip(steps, flown.outputs, strict=True):
+        s.y_ref[:, setup.which] = y
+    columns = parameter_columns(setup, found, flown, names, analytic)
+    white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
+    evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
+    return Fit(flown, found, steps, columns, evidence, analytic)
 
 
 def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0) -> tuple[Array, ...]:
@@ -308,11 +248,8 @@ def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[Array, fl
 
 def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
     """Properties, active effects and nuisance moved by a step; properties stay within their limits, shares within SHARES."""
-    values = dict(point.values)
-    for name in values:
-        if name in step:
-            low, high = limits.get(name, (-math.inf, math.inf))
-            values[name] = float(np.clip(values[name] + step[name], low, high))
+    free = (-math.inf, math.inf)
+    values = {n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v for n, v in point.values.items()}
     effects = dict(point.effects)
     for e in setup.active:
         if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
@@ -321,8 +258,3 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
     nuisance |= {n: float(np.clip(nuisance[n], *SHARES)) for n in map(unseen, setup.jumping)}
     return replace(point, values=values, nuisance=nuisance, effects=effects)
-
-
-def states_of(flights: Sequence[Flight]) -> tuple[Mapping[str, Array], ...]:
-    """Measured channels of every piece, gaps filled."""
-    return tuple(states(f, p) for f in flights for p in f.pieces)

@@ -1,9 +1,8 @@
 """Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that
 allows for gusts.
 
-The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be
-asked of JSBSim, and
-what the aircraft did from one sample to the next can be predicted from there.
+The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be asked of
+JSBSim, and what the aircraft did from one sample to the next can be predicted from there.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import bends_of, jumped, jumps_unseen, middles, with_jumps
-from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
+from uqharness.refinement.between_rows import bends_of, jumped, middles, with_jumps
+from uqharness.refinement.candidates import as_felt, at_vane, sensor_gain, sensor_offset, unsensed, vane_place_m
 from uqharness.refinement.fit import PRIOR, Fit, merged, parameter_columns, positions, probes, step_from, stepped, steps_of
-from uqharness.refinement.reference import Predicted, Probe, along, named_terms
+from uqharness.refinement.reference import Probe, with_properties
 from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
 from uqharness.refinement.setup import confirming_segments
 from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
@@ -80,18 +79,13 @@ def measured_states(setup: Setup, point: Point) -> list[Array]:
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
         for name in X_STATES:
-            value = np.array(channels[name], dtype=float)
-            value = smooth(_unsensed(value, name, segment, point), segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
+            value = unsensed(np.array(channels[name], dtype=float), name, segment, point)
+            value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
         felt = np.column_stack(columns)
         x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
     return x
-
-
-def _unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
-    """(n,) what a sensor shows without what it adds and multiplies at a point."""
-    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
 def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
@@ -104,24 +98,18 @@ def in_step(setup: Setup, point: Point) -> list[Array]:
 
     A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
     """
-    out = []
-    for segment, z in zip(setup.segments, setup.measured, strict=True):
-        rows = rows_late(setup, segment, point)
-        out.append(np.column_stack([moved(z[:, k], -rows[c]) for k, c in enumerate(setup.outputs)]))
-    return out
+    both = [(z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)]
+    return [np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)]) for z, late in both]
 
 
 def moved(values: Array, rows: int) -> Array:
     """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
-    out = np.full(len(values), np.nan)
-    rows = max(-len(values), min(len(values), rows))
-    out[max(rows, 0) : len(values) + min(rows, 0)] = values[max(-rows, 0) : len(values) - max(rows, 0)]
-    return out
+    at, last = np.arange(len(values)) - rows, len(values) - 1
+    return np.where((at >= 0) & (at <= last), values[np.clip(at, 0, last)], np.nan)
 
 
 def predict(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, differ: Sequence[str], map_: Processes,
-    path: Sequence[Array] | None = None,
+    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, map_: Processes, path: Sequence[Array] | None = None
 ) -> tuple[Flown, list[Probe]]:  # fmt: skip
     """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's forces along it."""
     x = measured_states(setup, point) if path is None else list(path)
@@ -131,9 +119,9 @@ def predict(
     jumps = np.array([c in model.jumping for c in model.controls])
     controls = [_later(u, rows, jumps) for u, rows in zip(positions(model, late, point), rest, strict=True)]
     away = middles(model, late, point)
-    found = probes(straight, setup, flown, controls, differ, map_, consistent=False)
-    bends = bends_of(straight, setup, flown, found, away, map_)
-    return flown, [replace(along(p, bend=b), jumped=jumped(a)) for p, b, a in zip(found, bends, away, strict=True)]
+    found = probes(straight, setup, flown, controls, map_, consistent=False)
+    bent = zip(found, bends_of(straight, setup, flown, found, away, map_), away, strict=True)
+    return flown, [replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in bent]
 
 
 def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[Setup, list[float]]:
@@ -166,20 +154,14 @@ def gust_refit(
 
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
     """
-    point, gusts = start, near
-    differ: list[str] | None = None
+    point, gusts, analytic = start, near, None
     setup = with_jumps(setup, model)
     length, share, moving = float("inf"), 1.0, not known
     path: list[Array] | None = None
-    keys = {e.key for e in setup.active}
-    own = [n for n in names if n not in keys]
+    own = [n for n in names if n not in {e.key for e in setup.active}]
     for number in range(1, iterations + 1):
-        flown, found = predict(model, straight, setup, point, differ or (), map_, path)
-        if differ is None:
-            analytic = tuple(named_terms(straight, setup.segments[0], found[0], own, setup.properties(point)))
-            differ = [n for n in own if n not in analytic]
-            if differ:
-                flown, found = predict(model, straight, setup, point, differ, map_)
+        flown, found = predict(model, straight, setup, point, map_, path)
+        found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         sought = moving and (number == 1 or length < SETTLED or number == SEARCH_BY)
@@ -187,7 +169,8 @@ def gust_refit(
             last = gusts
             gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
-            moving = _other_air(last, gusts) or bool(np.abs(np.log(factors)).max() > MOVED)
+            other = last is None or last.kind != gusts.kind or np.abs(np.log(gusts.values / last.values)).max() > MOVED
+            moving = other or bool(np.abs(np.log(factors)).max() > MOVED)
         assert gusts is not None
         linearised, measured = steps.all(gusts.states), steps.measured
         # Systems of the air that was tried would stand beside the columns, which take the most memory.
@@ -212,35 +195,27 @@ def gust_refit(
         last_point, point = point, stepped(setup, point, step, limits)
         path = as_measured(setup, path, last_point, point)
     assert gusts is not None
+    assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    fit = Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic, number, length < 0.5)
-    return GustFit(fit, gusts, white, setup)
+    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, white, setup)
 
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
     """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
-    out = []
-    for segment, x in zip(setup.segments, path, strict=True):
-        felt = [
-            _unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
+    return [
+        np.column_stack([
+            unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
             for k, c in enumerate(X_STATES)
-        ]  # fmt: skip
-        out.append(np.column_stack(felt))
-    return out
-
-
-def _other_air(one: Gusts | None, two: Gusts) -> bool:
-    """Whether a search has led to noticeably other gusts."""
-    if one is None or one.kind != two.kind:
-        return True
-    return bool(np.abs(np.log(two.values / one.values)).max() > MOVED)
+        ])
+        for segment, x in zip(setup.segments, path, strict=True)
+    ]  # fmt: skip
 
 
 def unfiltered(
     model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, map_: Processes, gusts: Gusts
 ) -> tuple[Flown, list[Array]]:
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
-    flown, found = predict(model, straight, setup, point, (), map_)
+    flown, found = predict(model, straight, setup, point, map_)
     steps = _Linear(setup, flown, found, map_)
     both = zip(steps.measured, steps.all(gusts.states), strict=True)
     return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
@@ -257,20 +232,17 @@ class _Linear:
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         asked = list(zip(some, states, strict=True))
-        missing = [(k, s) for k, s in asked if (k, s) not in self.made]
-        found, outputs = [self.found[k] for k, _ in missing], [self.flown.outputs[k] for k, _ in missing]
-        point = self.flown.point
-        made = steps_of(found, outputs, self.setup, point, [acting for _, acting in missing], self.by)
+        missing, point = [key for key in asked if key not in self.made], self.flown.point
+        made = steps_of([self.found[k] for k, _ in missing], [air for _, air in missing], self.setup, point, self.by)
         for (k, acting), s in zip(missing, made, strict=True):
-            which, y, segment = self.setup.which, s.y_ref.copy(), self.setup.segments[k]
+            which, segment = self.setup.which, self.setup.segments[k]
+            share, rows = unseen_share(point, segment.flight), rows_late(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
-            share = unseen_share(point, segment.flight)
-            y[:, which] += share * jumps_unseen(self.setup, [self.found[k]], replace(point, effects={}), [0.5 * share])[0]
-            rows = rows_late(self.setup, segment, point)
+            y = s.y_ref[:, which] - share * as_felt(self.found[k].felt_jump(0.5 * share), self.setup.outputs)
             part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
-            along = self._along(self.found[k], s, y[:, which], acting) if any(part) else None
-            y[:, which] = as_sensed(y[:, which], self.setup, segment, point, rows, along=along)
-            self.made[k, acting] = replace(s, y_ref=y, H=between_rows(s, which, part) if any(part) else s.H)
+            along = self._along(self.found[k], s, y, acting) if any(part) else None
+            s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, along=along)
+            self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
         for key in asked:
             self.made.move_to_end(key)
         out = [self.made[key] for key in asked]
@@ -330,8 +302,11 @@ def predicted(
         air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=acting)
         flow = rates(p.reference, p.mass, x, gusts=acting._replace(turning_with=False))
-        coefficients = p.coefficients + _changed(p, np.column_stack([x[:, :3], air]) - p.reference.x[:, : len(AIR)])
-        out.append(replace(p, coefficients=coefficients, predicted=Predicted(x[:, :8], whole[:, :8], flow[:, 1:3], air)))
+        relative = np.column_stack([x[:, :3], air, x[:, 6:8]])
+        coefficients = p.coefficients + _changed(p, (relative - p.reference.x)[:, : len(AIR)])
+        out.append(
+            replace(p, coefficients=coefficients, body=x[:, :8], x=relative, rate=whole[:, :8], flow_rate=flow[:, 1:3])
+        )  # fmt: skip
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
 
@@ -340,8 +315,7 @@ def _changed(p: Probe, moved: Array) -> Array:
     """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
     faster = moved[:, :1] / p.reference.x[:, :1]
     change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients
-    if p.by_inflow is not None:
-        change[:, 0] -= p.by_inflow * faster[:, 0]
+    change[:, 0] -= p.by_inflow * faster[:, 0]
     return change
 
 

@@ -16,7 +16,7 @@ from sysid.parallel import Processes
 from uqharness.refinement.between_rows import with_jumps
 from uqharness.refinement.candidates import effect_columns
 from uqharness.refinement.find import Found
-from uqharness.refinement.fit import Fit, Linear
+from uqharness.refinement.fit import Fit, fit_at
 from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.setup import Bench, with_sensors_of
 from uqharness.refinement.showing.show import Shown
@@ -64,7 +64,7 @@ def linearised(
     with Bench(aircraft, setup) as bench:
         setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), bench.model)
         if side.air is None:
-            fit = Linear(bench.model, bench.straight, setup, found.names, map_).fit_at(replace(flown, point=point))
+            fit = fit_at(bench.model, bench.straight, setup, found.names, replace(flown, point=point), map_)
             return setup, fit
         fitted = gust_refit(bench.model, bench.straight, setup, point, found.names, {}, map_, side.air, 1, known=True)
         return fitted.setup, fitted.fit

@@ -54,17 +54,13 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
         zone = just_so(widths, found.estimate / widths, found.t)
         if zone is not None:
             zones[surface] = zone
-        asked = tried[surface]
-        if not asked:
-            continue
-        found = scores(evidence, free, [_key(surface, limit) for limit in asked])
-        speeds = np.array(asked)
+        found = scores(evidence, free, [_key(surface, limit) for limit in tried[surface]])
+        speeds = np.array(tried[surface])
         wanted = found.estimate / (1.0 / speeds - 1.0 / servo.rate)
-        sides = [side for side in (speeds < servo.rate, speeds > servo.rate) if np.any(wanted[side] > 0.0)]
-        if sides:
-            side = max(sides, key=lambda s: float(np.nanmax(np.where(wanted[s] > 0.0, np.abs(found.t[s]), 0.0))))
-            best = just_so(speeds[side], wanted[side], found.t[side])
-            assert best is not None
+        strength = np.where(wanted > 0.0, np.abs(found.t), 0.0)
+        side = max((speeds < servo.rate, speeds > servo.rate), key=lambda s: strength[s].max(initial=0.0))
+        best = just_so(speeds[side], wanted[side], found.t[side])
+        if best is not None:
             limits[surface] = (servo.rate, best)
     return replace(setup, limits=limits, zones=zones)
 
@@ -106,11 +102,10 @@ def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
 def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     """Fastest motion of a surface [deg/s], from row to row."""
     k = CONTROLS.index(surface)
-    found = [
-        np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0) / s.dt_s
+    return max(
+        float(np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0)) / s.dt_s
         for s in (segment.at_commands() for segment in setup.segments)
-    ]
-    return float(max(found, default=0.0))
+    )
 
 
 def _surface(key: str) -> str:

@@ -73,7 +73,7 @@ def moved_later(values: Array, rows: float) -> Array:
 def late_rate(p: Probe, channel: str, values: Array, late_s: float) -> Array:
     """(n,) rate of change of an output that is late: in a replay that of the time before each row (after it, if early), since a
     step of a control makes a kink at a row."""
-    if p.predicted is not None or late_s == 0.0:
+    if not p.reference.consistent or late_s == 0.0:
         return p.rate_of(channel, values)
     step = np.diff(values) / p.reference.dt_s
     return np.concatenate([[0.0], step] if late_s > 0.0 else [step, [0.0]])

@@ -18,9 +18,8 @@ from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.estimation import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
 from uqharness.identification import BIASES, OUTPUTS
-from uqharness.refinement.fit import states_of
 from uqharness.refinement.types import Flown, Setup
-from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, measured_outputs
+from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, measured_outputs, states
 from uqharness.replay.flights import segments
 from uqharness.simulator import Actuator, Aircraft
 from uqharness.simulator.actuators import actuators
@@ -55,7 +54,8 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
     known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
     late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
     return Setup(
-        tuple(flights), tuple(cut), states_of(flights), outputs, tuple(data), np.array([known[c] for c in outputs]),
+        tuple(flights), tuple(cut), tuple(states(f, p) for f in flights for p in f.pieces), outputs, tuple(data),
+        np.array([known[c] for c in outputs]),
         tuple(b for b in BIASES if b in outputs), late, tuple(measured), tuple(ideal), servos=servos_of(aircraft, measured, ideal),
         timed=tuple(f.name for f in flights if f.name not in late),
     )  # fmt: skip
@@ -71,26 +71,22 @@ def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str])
     """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
     out: dict[str, Actuator] = {}
     for surface in ("elevator", "aileron", "rudder"):
-        if surface in measured or surface in ideal or surface not in aircraft.card.inputs:
-            continue
-        with contextlib.suppress(BadInputError):
-            out |= actuators(aircraft, [surface])
+        if surface in aircraft.card.inputs and surface not in (*measured, *ideal):
+            with contextlib.suppress(BadInputError):
+                out |= actuators(aircraft, [surface])
     return out
 
 
-class Bench:
+class Bench(ExitStack):
     """An aircraft staged for replay, as it flies and with every control straight through. A context."""
 
     def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
+        super().__init__()
         self._folders = [ReplayFolder(aircraft, measured=setup.positions, ideal=ideal) for ideal in (setup.ideal, CONTROLS)]
-        self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
-        self.model, self.straight = (self._stack.enter_context(folder) for folder in self._folders)
+        self.model, self.straight = map(self.enter_context, self._folders)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
 
 def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
@@ -101,20 +97,15 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) 
     every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
     out: dict[str, Effect] = {}
     for e in every:
-        if e.coefficient is not None and e.property_name in names:
-            continue
-        out.setdefault(e.key, e)
+        if e.coefficient is None or e.property_name not in names:
+            out.setdefault(e.key, e)
     return list(out.values())
 
 
 def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label without speeds and numbers."""
-    count: dict[str, int] = {}
-    out = []
-    for s in setup.segments:
-        count[s.kind] = count.get(s.kind, -1) + 1
-        out.append(count[s.kind] % 3 == 1)
-    found = np.array(out)
+    kinds = [s.kind for s in setup.segments]
+    found = np.array([kinds[:k].count(kind) % 3 == 1 for k, kind in enumerate(kinds)])
     if not found.any() and len(found) > 2:
         found[1::3] = True
     return found

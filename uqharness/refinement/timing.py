@@ -36,7 +36,7 @@ def controls_late(
         return None
     own = float(scores(evidence, free, [key]).gain[0])
     rivals = list(odds)
-    merit = scores(evidence, free, rivals).gain - np.array([odds[k] for k in rivals]) if rivals else np.zeros(0)
+    merit = scores(evidence, free, rivals).gain - np.array([odds[k] for k in rivals])
     if np.nanmax(merit, initial=0.0) > own:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]

@@ -17,7 +17,7 @@ from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
-from uqharness.refinement.base import base_fit, left_alone, observed
+from uqharness.refinement.base import base_fit_and_noise, left_alone, observed
 from uqharness.refinement.setup import Bench, make_setup
 from uqharness.refinement.showing.show import show
 from uqharness.refinement.types import Point, Side
@@ -43,7 +43,7 @@ def refined(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
     with Bench(aircraft, setup) as bench:
-        fit, kept, excited, _ = base_fit(aircraft, bench, setup, NAMES, limits, ALONE)
+        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, NAMES, limits, ALONE)
     assert kept == excited == NAMES
     return fit.flown.point
 
@@ -98,7 +98,7 @@ def test_predictions_are_asked_what_replays_have_at_a_bound(aircraft, flight):
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
     with Bench(aircraft, setup) as bench:
-        fit, kept, excited, _ = base_fit(aircraft, bench, setup, names, limits, ALONE)
+        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, names, limits, ALONE)
     assert kept == ("aero/Cm_q",)
     assert excited == names
     assert fit.flown.point.values["aero/CX_alpha2"] == 1.86

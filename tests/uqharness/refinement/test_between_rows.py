@@ -12,7 +12,7 @@ from sysid.estimation import Seen, carried, gains
 from sysid.parallel import ALONE
 from tests.uqharness.refinement.test_gusts import DT, MASS, N, probe_of
 from uqharness.refinement import between_rows
-from uqharness.refinement.fit import Linear, fly
+from uqharness.refinement.fit import fit_at, fly
 from uqharness.refinement.types import Point, Setup, unseen
 from uqharness.replay import CONTROLS, FELT
 from uqharness.replay.model import ReplayFolder
@@ -87,7 +87,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     setup = Setup((), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",))
     with ReplayFolder(aircraft, ideal=ideal) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
         seen, lacking = (fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), ALONE) for share in (0.0, 1.0))
-        fit = Linear(model, straight, setup, ("aero/Cm_q",), ALONE).fit_at(seen)
+        fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, ALONE)
         with ReplayFolder(aircraft) as servos:
             assert not between_rows.middles(servos, setup, seen.point)[0][1].any()
     expected = lacking.outputs[0] - seen.outputs[0]
@@ -113,7 +113,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
         point = Point(values, {unseen("f"): share}, (segment.start,))
-        fit = Linear(model, straight, setup, names, ALONE).fit_at(fly(model, setup, point, ALONE))
+        fit = fit_at(model, straight, setup, names, fly(model, setup, point, ALONE), ALONE)
         (of,), (steps,) = fit.columns, fit.steps
         seen = Seen.of(steps, setup.measured[0], setup.which)
         by = gains(seen, noise, None)

@@ -50,7 +50,7 @@ def along(aircraft: Aircraft, setup: Setup, values: dict[str, float]) -> tuple[F
     with Bench(aircraft, replace(setup, positions=())) as bench:
         point = Point(values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments))
         flown = replayed(bench.model, setup, point, ALONE)
-        found = probes(bench.straight, setup, flown, positions(bench.model, setup), (), ALONE)
+        found = probes(bench.straight, setup, flown, positions(bench.model, setup), ALONE)
         return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
 
 
