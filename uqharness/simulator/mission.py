@@ -39,8 +39,8 @@ class Script:
 
 
 def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """The script file of that path from the folder ``beside``, from here, or of that name under ./scripts or the project's scripts/.
-    Raises BadInputError."""
+    """The script file of that path, from the folder ``beside`` or from here, or of that name under ./scripts or the project's
+    scripts/. Raises BadInputError."""
     given = Path(name_or_path)
     candidates = [*([] if beside is None else [beside / given]), given, given.with_suffix(".xml")]
     for root in (Path.cwd(), PROJECT_ROOT):
