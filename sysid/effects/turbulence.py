@@ -15,12 +15,12 @@ Gusts that pass at one speed, taken to pass at the airspeed, were damping and st
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
@@ -201,7 +201,7 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: OrderedDict[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=OrderedDict)
+    asked: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=lambda: LRUCache(REMEMBERED_AIRS))
 
     def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
         """That of the segments ``some``."""
@@ -210,9 +210,6 @@ class _Search:
         if key not in self.asked:
             data = [self.measured[k] for k in some]
             self.asked[key] = AirLikelihood(self.linear(some, acting), data, self.which, self.by)
-            while len(self.asked) > REMEMBERED_AIRS:
-                self.asked.popitem(last=False)
-        self.asked.move_to_end(key)
         return self.asked[key](point.factors * self.noise, self.process(some, point.states, point.values), slopes)
 
     def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:

@@ -138,12 +138,8 @@ class ProbeJob:
 
 def probe_all(jobs: Sequence[ProbeJob], map_: Processes = ALONE) -> list[Probe]:
     """Force the model along references, all states asked for at once: jobs of one model and the same properties."""
-    out: dict[int, Probe] = {}
-    for dt_s in {job.segment.dt_s for job in jobs}:
-        some = [k for k, job in enumerate(jobs) if job.segment.dt_s == dt_s]
-        found = force_all(jobs[0].straight, [_asked(jobs[k]) for k in some], jobs[0].properties, map_)
-        out |= {k: _probe_of(jobs[k], forced) for k, forced in zip(some, found, strict=True)}
-    return [out[k] for k in range(len(jobs))]
+    found = force_all(jobs[0].straight, [_asked(job) for job in jobs], jobs[0].properties, map_)
+    return [_probe_of(job, forced) for job, forced in zip(jobs, found, strict=True)]
 
 
 def _coarse(n: int) -> NDArray[np.intp]:

@@ -77,19 +77,26 @@ def force_states(
 def force_all(
     model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping[str, float], map_: Processes = ALONE
 ) -> list[ForcedModel]:
-    """What the model says of several sets of states, asked for at once: segments of one time step. Where JSBSim answers, ``map_``
+    """What the model says of several sets of states, those of one time step asked for at once. Where JSBSim answers, ``map_``
     spreads the sets.
 
     ``model`` must pass its controls straight through (`ReplayFolder` with every control ideal): a lag would remember the state
     before. Raises BadInputError.
     """
-    every = [part.asked(model) for part in parts]
-    asked, dt_s = States.of(every), parts[0].segment.dt_s
+    out: dict[int, ForcedModel] = {}
+    for dt_s in dict.fromkeys(part.segment.dt_s for part in parts):
+        places = [k for k, part in enumerate(parts) if part.segment.dt_s == dt_s]
+        out |= zip(places, _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_), strict=True)
+    return [out[k] for k in range(len(parts))]
 
+
+def _of_step(
+    model: ReplayModel, every: Sequence[States], dt_s: float, properties: Mapping[str, float], map_: Processes
+) -> list[ForcedModel]:
     def by_jsbsim(some: States) -> Array:
         return _by_jsbsim((model, dt_s, properties, some))
 
-    raw = by_batch(model, asked, dt_s, properties, _RECORDS, by_jsbsim)
+    raw = by_batch(model, States.of(every), dt_s, properties, _RECORDS, by_jsbsim)
     if raw is None:
         raw = np.concatenate(list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every])))
     mass = _mass_of(model, dt_s, properties)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from uqharness import batch
-from uqharness.replay import CONTROLS, ReplayFolder, forced
-from uqharness.replay.force import ForcedModel, force_states
+from uqharness.replay import CONTROLS, ReplayFolder, force, forced
+from uqharness.replay.force import ForcedModel, StatesOf, force_all, force_states
 from uqharness.replay.segments import Segment
 from uqharness.simulator import find_aircraft
 
@@ -37,11 +37,14 @@ def nothing_known():
     forced._known.clear()
 
 
+def of_step(dt_s: float) -> Segment:
+    start = np.array([MOTION[c][0] for c in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad")] + [0.0] * 4)
+    return Segment("f", "f", dt_s * np.arange(N), U, start, 300.0, 0.0)
+
+
 def said(model, monkeypatch, worth: int, **properties: float) -> ForcedModel:
     monkeypatch.setattr(forced, "WORTH_ROWS", worth)
-    start = np.array([MOTION[c][0] for c in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad")] + [0.0] * 4)
-    segment = Segment("f", "f", 0.02 * np.arange(N), U, start, 300.0, 0.0)
-    return force_states(model, segment, MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M)
+    return force_states(model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M)
 
 
 def apart(a: ForcedModel, b: ForcedModel) -> float:
@@ -54,6 +57,22 @@ def test_both_engines_say_the_same(straight, monkeypatch):
     assert forced._known[straight.identity].program is not None
     assert 0.0 < apart(ours, theirs) < 1e-8
     assert apart(said(straight, monkeypatch, 1, Cm_q=-11.1), theirs) > 1e-3
+
+
+def test_segments_are_asked_for_at_their_own_step(straight, monkeypatch):
+    steps: list[tuple[float, int]] = []
+    real = force.by_batch
+    monkeypatch.setattr(
+        force,
+        "by_batch",
+        lambda model, asked, dt_s, *rest: steps.append((dt_s, len(asked.controls))) or real(model, asked, dt_s, *rest),
+    )
+    backwards = {c: v[::-1] for c, v in MOTION.items()}
+    parts = [(0.02, MOTION, U), (0.01, backwards, U[::-1]), (0.02, backwards, U[::-1])]
+    found = force_all(straight, [StatesOf(of_step(dt_s), motion, u, HEIGHT_M) for dt_s, motion, u in parts], {})
+    assert steps == [(pytest.approx(0.02), 2 * N), (pytest.approx(0.01), N)]
+    for one, (dt_s, motion, u) in zip(found, parts, strict=True):
+        assert apart(one, force_states(straight, of_step(dt_s), motion, u, {}, HEIGHT_M)) == 0.0
 
 
 def test_few_states_are_not_worth_a_translation_whatever_was_asked_before(straight, monkeypatch):

@@ -41,10 +41,8 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
     if given is not None:
         read_campaign(given)
         data, _ = read_toml(given)
-        beside = given.resolve().parent / data["campaign"]["mission"]
         if data["campaign"]["mission"] != STEADY:
-            found = beside if beside.is_file() else find_script(data["campaign"]["mission"])
-            data["campaign"]["mission"] = str(found.resolve())
+            data["campaign"]["mission"] = str(find_script(data["campaign"]["mission"], given.resolve().parent))
         if data["epistemic"]["method"] == "none":
             raise BadInputError(
                 f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every combination of their ends'
