@@ -22,7 +22,6 @@ from sysid.effects import (
     Evidence,
     Followed,
     Gusts,
-    White,
     follow,
     gather,
     gust_intensity,
@@ -60,17 +59,16 @@ TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class GustFit:
-    """A fit with the gusts it was made with, and the filtered segments of its own columns."""
+    """A fit with the gusts it was made with."""
 
     fit: Fit
     gusts: Gusts
-    white: list[White]
     setup: Setup
 
     @property
     def surprise(self) -> float:
         """Minus twice the log likelihood of the flights."""
-        return minus_twice_log(self.white)
+        return minus_twice_log(self.fit.evidence.white)
 
 
 def measured_states(setup: Setup, point: Point) -> list[Array]:
@@ -197,7 +195,7 @@ def gust_refit(
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, white, setup)
+    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, setup)
 
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:

@@ -62,7 +62,7 @@ def linearised(
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
     point = replace(flown.point, values=values, effects=found.selection.values)
     with Bench(aircraft, setup) as bench:
-        setup = with_jumps(replace(with_sensors_of(setup, aircraft), active=(), carriers={}), bench.model)
+        setup = with_jumps(with_sensors_of(setup, aircraft), bench.model)
         if side.air is None:
             fit = fit_at(bench.model, bench.straight, setup, found.names, replace(flown, point=point), map_)
             return setup, fit

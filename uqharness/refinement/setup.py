@@ -62,9 +62,10 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
 
 
 def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
-    """The same flights with the accelerometers where this aircraft has them: a centre of gravity that moves leaves them behind."""
-    arm = aircraft.accelerometer_m
-    return replace(setup, segments=tuple(replace(s, arm_m=arm) for s in setup.segments))
+    """The same flights, without effects that are active, with the accelerometers where this aircraft has them: a centre of gravity
+    that moves leaves them behind."""
+    segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
+    return replace(setup, segments=segments, active=(), carriers={})
 
 
 def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:

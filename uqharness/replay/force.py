@@ -84,8 +84,10 @@ def force_all(
     before. Raises BadInputError.
     """
     out: dict[int, ForcedModel] = {}
-    for dt_s in dict.fromkeys(part.segment.dt_s for part in parts):
-        places = [k for k, part in enumerate(parts) if part.segment.dt_s == dt_s]
+    # Steps of segments of one record differ by rounding.
+    steps = [round(part.segment.dt_s, 9) for part in parts]
+    for dt_s in dict.fromkeys(steps):
+        places = [k for k, step in enumerate(steps) if step == dt_s]
         out |= zip(places, _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_), strict=True)
     return [out[k] for k in range(len(parts))]
 

@@ -74,7 +74,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, setup) as bench:
-        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
+        setup = with_sensors_of(setup, aircraft)
         start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
         flights = {f.name: f for f in setup.flights}
         cut = [_as_felt(s, flights[s.flight], setup.ideal) for s in setup.segments]
@@ -92,8 +92,8 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
             try:
                 gust = gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True)
                 delta, _ = gust.fit.evidence.step()
-                reached, rows = gust.fit.flown, gust.fit.evidence.residual(delta)
-                deviations, logdet = [w.deviation for w in gust.white], [w.logdet for w in gust.white]
+                reached, rows, filtered = gust.fit.flown, gust.fit.evidence.residual(delta), gust.fit.evidence.white
+                deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
                 reached, rows = unfiltered(bench.model, bench.straight, setup, start, map_, gusts)
@@ -130,7 +130,7 @@ def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, 
     with Bench(aircraft, setup) as bench:
         noise = _known_noise(aircraft, setup)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
-        plain = replace(with_sensors_of(setup, aircraft), active=(), carriers={}, jumping=(), timed=timed, noise=noise)
+        plain = replace(with_sensors_of(setup, aircraft), jumping=(), timed=timed, noise=noise)
         start = replace(at, nuisance={}, starts=tuple(s.start for s in setup.segments))
         flown = _replayed(bench.model, plain, start, map_)
         return replace(shown, replays=Replays(flown, _residual(setup, flown), noise))
@@ -162,7 +162,7 @@ def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: G
     """The air of some flights, estimated with a model and sensors as they are at a point; near: that of others, which stays where
     no filter follows the flights with such a model."""
     with Bench(aircraft, setup) as bench:
-        setup = replace(with_sensors_of(setup, aircraft), active=(), carriers={})
+        setup = with_sensors_of(setup, aircraft)
         start = replace(at, starts=tuple(s.start for s in setup.segments))
         try:
             return gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2).gusts
