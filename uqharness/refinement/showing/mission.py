@@ -98,12 +98,13 @@ def fly_missions(
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
-    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises BadInputError for a damaged one."""
+    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises BadInputError for a damaged one, and
+    for a mission that cannot be flown."""
     if not (folder / MANIFEST).is_file():
         return
-    manifest = read_manifest(folder)
+    manifest, wanted = read_manifest(folder), describe(spec, find_mission(spec, folder), 0, "")
     with contextlib.suppress(BadInputError):
-        refuse_if_different(folder, manifest, describe(spec, find_mission(spec, folder), 0, ""))
+        refuse_if_different(folder, manifest, wanted)
         if has_digests(manifest):
             return
     shutil.rmtree(folder)
