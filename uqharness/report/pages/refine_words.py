@@ -8,6 +8,9 @@ from typing import Any
 
 from uqharness.replay import shown_channel
 
+_AWAY = 1e9
+"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two models diverge."""
+
 
 def place_says(place: Mapping[str, Any]) -> list[str]:
     """Where the strongest of what is left sits, in at most three lines; none where nothing is left."""
@@ -84,6 +87,9 @@ def test_says(effect: Mapping[str, Any]) -> str:
     test = effect["test"]
     change, std = test["change_of_twice_log_likelihood"], test["std"]
     number = f"twice the log likelihood {_with_error(change, std)} with it"
+    if abs(change) >= _AWAY:
+        more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
+        number = f"twice the log likelihood over a billion {more} with it, for {leaves} it the model leaves the flights altogether"
     share, wide = test.get("share_of_estimate"), test.get("share_std")
     # A standard error of half the way between none and all tells neither from the other.
     if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:

@@ -25,3 +25,12 @@ def test_the_share_of_an_estimate_is_told_where_it_says_something():
     assert said.endswith("with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains")
     for vague in ({"share_std": 0.7}, {"share_std": None}, {"share_of_estimate": None, "share_std": None}):
         assert "fits them best" not in says({"test": {**test, **vague}})
+
+
+def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
+    test = {"gap": "shrank", "change_of_twice_log_likelihood": 4.6e24, "std": 2e13, "share_of_estimate": 1.0, "share_std": 1e-12}
+    more = "over a billion more with it, for without it the model leaves the flights altogether, 1.00 ± 0.00 of the estimate"
+    assert more in says({"test": test})
+    less = "over a billion less with it, for with it the model leaves the flights altogether"
+    assert less in says({"test": {**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24}})
+    assert "+999000000 ± 20000000 with it" in says({"test": {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}})
