@@ -200,9 +200,10 @@ def _unnamed(
     found = offered(judged, write, map_)
     if isinstance(found, str):
         return {"smooth": None, "smooth_reason": found}
-    made = _put(found[0], request.aircraft, request.out / UNNAMED)
+    aircraft, smooth = found
+    made = _put(aircraft, request.aircraft, request.out / UNNAMED)
     model = f"{UNNAMED}/aircraft/{made.folder.name}/{made.xml.name}"
-    return {"smooth": {**found[1], "model": model}, "smooth_reason": None}
+    return {"smooth": {**smooth, "model": model}, "smooth_reason": None}
 
 
 def _writer(request: Request, folder: Path) -> Write:

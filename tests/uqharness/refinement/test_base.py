@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from uqharness.refinement import base
-from uqharness.refinement.base import as_quiet, noise_left
+from uqharness.refinement.base import as_quiet, begun_at, noise_left
 from uqharness.refinement.fit import Fit
 from uqharness.refinement.setup import estimated_channels, setup_in_gusts
-from uqharness.refinement.types import Flown, Setup
+from uqharness.refinement.types import Flown, Point, Setup
 
 OUTPUTS = ("alpha_rad", "p_radps")
 
@@ -63,3 +63,11 @@ def test_a_sensor_is_as_quiet_as_the_fit_leaves_it_down_to_half_its_card(monkeyp
     assert quiet.noise == pytest.approx(taken * card, rel=0.02)
     assert again.flown.cost == pytest.approx(np.nansum((residual / quiet.noise) ** 2))
     assert again.evidence == ([quiet.noise], ("aero/a",), [0])
+
+
+def test_a_fit_is_sought_from_where_a_point_stands():
+    """What `point_of` makes of a fit, the other way: biases lie before the sensor's gain."""
+    nuisance = {"bias/f/p_radps": 0.03, "lateness/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
+    point = Point({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
+    begin = begun_at(point)
+    assert begin == {"bias/f/p_radps": pytest.approx(0.02), "delay/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}

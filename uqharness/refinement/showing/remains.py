@@ -20,7 +20,7 @@ from sysid.estimation import rms
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, evidence_of
 from uqharness.refinement.rounds import eligible
-from uqharness.refinement.showing.scan import BY_CHANCE, With, band_of, densest, goes_with, loudest
+from uqharness.refinement.showing.scan import BY_CHANCE, LEAST_SAMPLES, With, band_of, densest, goes_with, loudest
 from uqharness.refinement.showing.show import Shown
 from uqharness.refinement.showing.words import would_tell
 from uqharness.refinement.types import Flown, Setup
@@ -53,9 +53,9 @@ class Series:
 
     @property
     def rate_hz(self) -> float:
-        """Measured rows a second; 0 below two."""
+        """Measured rows a second; NaN below two."""
         t = self.time_s[np.isfinite(self.white)]
-        return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 else 0.0
+        return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 else float("nan")
 
 
 def place_of(judged: Judged, left: Mapping[str, Sequence[str]], asked: Sequence[str], controls: Sequence[Array]) -> dict[str, Any]:
@@ -108,7 +108,8 @@ def states_along(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Arra
 
 def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None]:
     """Place of the largest gain over noise; where chance alone would give it, the loudest channel without an interval."""
-    found = [(burst, s) for s in series if (burst := loudest(s.present, s.rate_hz)) is not None]
+    long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
+    found = [(burst, s) for s in long if (burst := loudest(s.present, s.rate_hz)) is not None]
     burst, best = max(found, key=lambda f: f[0].gain, default=(None, max(series, key=lambda s: rms(s.white))))
     alike = [s for s in series if (s.flights, s.channel) == (best.flights, best.channel)]
     goes = goes_with([s.white for s in alike], [s.states for s in alike])
