@@ -6,11 +6,7 @@ from .air_rotation import without_air_rotation as without_air_rotation
 from .coefficients import demanded as demanded
 from .coefficients import half_width as half_width
 from .coefficients import smooth as smooth
-from .equations import OpenEquations as OpenEquations
 from .flight_equations import sines as sines
-from .gust_states import NOISE_START as NOISE_START
-from .gust_states import NOISY as NOISY
-from .gust_states import STATE_STD as STATE_STD
 from .gust_states import GustStates as GustStates
 from .polynomial import Term as Term
 from .polynomial import full_polynomial as full_polynomial

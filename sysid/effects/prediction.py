@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
-from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains
+from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains, path_from
 
 FloatArray = NDArray[np.float64]
 _REMEMBERED = 24
@@ -93,6 +93,10 @@ class Followed:
     seen: Seen
     gains: Gains
     alone: Whitened
+
+    def path_from(self, start: FloatArray) -> FloatArray:
+        """(n, x) predicted states less the reference, the segment begun at the start state ``start`` (8,) less the reference's."""
+        return path_from(self.seen, self.gains, self.seen.start @ start)
 
     def carried(self, own: Columns) -> Whitened:
         """The same with columns."""

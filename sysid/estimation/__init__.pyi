@@ -4,6 +4,7 @@ from .coloured import coloured_information as coloured_information
 from .diagnostics import STRONG_SHARE as STRONG_SHARE
 from .diagnostics import WHITENESS_LEVEL as WHITENESS_LEVEL
 from .diagnostics import colour as colour
+from .diagnostics import colour_warnings as colour_warnings
 from .diagnostics import ljung_box as ljung_box
 from .gaps import NOISE_FLOOR as NOISE_FLOOR
 from .gaps import Shift as Shift
@@ -20,11 +21,14 @@ from .kalman import Process as Process
 from .kalman import Whitened as Whitened
 from .kalman import carried as carried
 from .kalman import gains as gains
+from .kalman import path_from as path_from
 from .kalman import slopes as slopes
 from .kalman_arrays import STARTS as STARTS
 from .kalman_arrays import Gains as Gains
 from .kalman_arrays import Seen as Seen
 from .noise_sizes import NoiseSize as NoiseSize
 from .noise_sizes import noise_size as noise_size
+from .report import at_bound as at_bound
+from .report import idle_bound as idle_bound
 from .result import OutputErrorFit as OutputErrorFit
 from .sensitivities import forward_differences as forward_differences

@@ -113,5 +113,14 @@ def carried(
     return replace(alone, columns=columns)
 
 
+def path_from(seen: Seen, by: Gains, begin: FloatArray) -> FloatArray:
+    """(n, x) predicted states less the reference, from what was measured before, of a flight that begins at ``begin`` (x,)."""
+    n, m, size = seen.H.shape
+    path, left = np.zeros((n, size)), np.zeros((n, m, 1))
+    # The state goes through the gains less itself.
+    _through(seen, by, -np.reshape(begin, (size, 1)), Acting.of((), {}, {}, n, m), left, path)
+    return path
+
+
 def _through(seen: Seen, by: Gains, X: FloatArray, acting: Acting, out: NDArray[np.floating], path: FloatArray) -> None:
     _loops().carry(seen, by.gain, 1.0 / np.sqrt(by.spread), X, acting, out, path)

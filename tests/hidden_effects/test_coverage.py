@@ -32,6 +32,13 @@ def test_each_mark_says_no(change):
     assert marks([])[0] is False
 
 
+def test_in_turbulence_intervals_may_cover_a_little_less():
+    z = rows(scale=1.13)
+    assert not marks(z)[0]
+    assert marks(z, light=True)[0]
+    assert not marks(rows(scale=1.4), light=True)[0]
+
+
 def test_a_draw_in_which_refine_names_something_counts_against_it():
     truth = {"Cm_q": -13.0}
     one = {"aero/Cm_q": (-12.9, 0.1)}
@@ -48,7 +55,7 @@ def test_every_second_draw_has_servos_that_act_at_once(tmp_path, monkeypatch):
     from tests.hidden_effects.manoeuvres import card
 
     monkeypatch.setattr(
-        coverage, "cards", lambda name, rate_hz: tuple(card(k, 22.0, seconds=11.0, rate_hz=rate_hz) for k in range(4))
+        coverage, "cards", lambda name, w20_kt, rate_hz: tuple(card(k, 22.0, seconds=11.0, rate_hz=rate_hz) for k in range(4))
     )
     truths = []
     for number, lags in ((1, 4), (2, 0)):

@@ -1,8 +1,16 @@
-"""Channel names as options give them."""
+"""Channels that identification compares, and their names as options give them."""
 
 from __future__ import annotations
 
 from uqharness.errors import BadInputError
+
+OUTPUTS = (
+    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
+    "ax_mps2", "ay_mps2", "az_mps2",
+)  # fmt: skip
+"""Channels that are compared. Height and heading follow from the others and drift in real sensors."""
+BIASES = ("p_radps", "q_radps", "r_radps")
+"""Channels whose sensors have a constant bias in each flight."""
 
 
 def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
@@ -10,7 +18,6 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
 
     Raises BadInputError.
     """
-    from uqharness.identification.identify import OUTPUTS
     from uqharness.replay import CONTROL_DELAY
 
     if text is None:

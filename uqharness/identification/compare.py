@@ -21,7 +21,7 @@ from sysid.logs import Relation
 from sysid.model_form import floor_of
 from uqharness.errors import BadInputError
 from uqharness.identification.answers import answer_of, slip_of
-from uqharness.identification.identify import BIASES, OUTPUTS
+from uqharness.identification.channels import BIASES, OUTPUTS
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
 from uqharness.identification.start import coefficient_gaps
 from uqharness.replay import (

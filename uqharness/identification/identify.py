@@ -1,13 +1,12 @@
 """Identification of a JSBSim aircraft's parameters from flights: equation error to come near, output error by replay to settle.
 
 Output error takes a replay of every segment for its simulation; start states of the segments and sensor biases are estimated
-beside the parameters. Where the residuals show process noise (turbulence), filter error on the same model's open equations takes
-over, and the result says so.
+beside the parameters. Where the residuals show process noise (turbulence), filter error on one-step predictions takes over, and the
+result says so.
 """
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -15,22 +14,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import split_name
 from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
 from uqharness.errors import BadInputError
+from uqharness.identification.channels import BIASES, OUTPUTS
 from uqharness.identification.descent import Descent
 from uqharness.identification.excited import excited_alone
 from uqharness.identification.explained import withdrawn
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
 from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
-from uqharness.identification.result import Identification
-from uqharness.identification.start import demand_of, equation_error_start, forced_at
-from uqharness.parallel import process_count
+from uqharness.identification.result import Identification, by_channel
+from uqharness.identification.start import equation_error_start
+from uqharness.parallel import process_count, worker_map
 from uqharness.replay import (
-    CHANNELS,
     CONTROLS,
-    STATES,
     UNSEEN,
     Flight,
     ReplayFolder,
@@ -41,7 +38,6 @@ from uqharness.replay import (
     delayed,
     measured_outputs,
     misplaced,
-    nuisance_layout,
     replay_pool,
     shown_channel,
 )
@@ -49,12 +45,6 @@ from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
-OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
-"""Channels that output error compares. Height and heading follow from the others and drift in real sensors."""
-BIASES = ("p_radps", "q_radps", "r_radps")
 
 
 def identify(
@@ -122,29 +112,22 @@ def identify(
         found = _assemble(aircraft, names, initial, fitted, observed, noise, notes, seconds, speed)
         found = replace(found, warnings=(*misplaced(flights, cut, found.nuisance), *found.warnings))
         gusty = process_noise_shown(*_sensed(found))
-        strange = [n for n in names if split_name(n) is None]
         if method == "output-error" or (method == "auto" and not gusty):
             if tell is not None:
                 tell(_why_it_stays(method, gusty))
             return withdrawn(found)
-        if method == "auto" and strange:
-            why = (
-                "what is left looks like process noise (turbulence), and filter error, which allows for it, knows coefficient "
-                f"terms (aero/Cm_q and the like) alone, not {strange[0]}: estimates are output error's, and may be biased"
-            )
-            if tell is not None:
-                tell(f"output error stays: {why}")
-            return withdrawn(replace(found, warnings=(why, *found.warnings)))
         if tell is not None:
             tell(_why_filter_error(found, method))
-        from uqharness.identification.turbulence import MAX_ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import TOLERANCE as FILTER_TOLERANCE
-        from uqharness.identification.turbulence import filter_route
+        from uqharness.identification.linearised.gusts import ITERATIONS as FILTER_ITERATIONS
+        from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
+        from uqharness.identification.turbulence import Asked, filter_route, filter_setup
 
         on_stage("filter error")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
+        fitted.replay.forget()
+        setup = filter_setup(aircraft, flights, Asked(outputs, biases, delays, measured, ideal), found)
+        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight, worker_map(workers) as map_:
             descent = Descent("filter error", on_stage, FILTER_TOLERANCE, FILTER_ITERATIONS)
-            return withdrawn(filter_route(found, model, straight, flights, limits, biases, descent))
+            return withdrawn(filter_route(found, fitted, (model, straight), setup, limits, observed.held, map_, descent))
 
 
 def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
@@ -191,9 +174,8 @@ def _why_filter_error(found: Identification, method: str) -> str:
         )
     rows = sum(len(r) for r in residual)
     return (
-        f"filter error begins after {found.seconds:.0f} s of output error ({why}). {rows} samples, {len(found.names)} parameters: "
-        "each of its iterations runs a Kalman filter over all samples for every parameter, which takes minutes beyond some 10,000 "
-        "samples; --method output-error does without"
+        f"filter error begins after {found.seconds:.0f} s of output error ({why}): {rows} samples, {len(found.names)} parameters; "
+        "--method output-error does without"
     )
 
 
@@ -270,10 +252,8 @@ def _assemble(
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
     hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(fitted.layout.names) if i >= k}
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    warnings = [
-        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], w)
-        for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
-    ]  # fmt: skip
+    mine = [w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))]
+    warnings = by_channel(mine, outputs)
     assert isinstance(fit.residual, list)
     if not any(w.startswith("coloured") for w in warnings):
         warnings += _left_over(fit.residual, outputs, noise)
@@ -285,9 +265,3 @@ def _assemble(
         noise=noise, method="output error", converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes),
         simulations=fit.n_simulations, seconds=seconds, speed=speed,
     )  # fmt: skip
-
-
-__all__ = [
-    "BIASES", "CHANNELS", "OUTPUTS", "STATES", "Identification", "delayed", "demand_of", "forced_at", "identify",
-    "nuisance_layout", "replay_pool",
-]  # fmt: skip

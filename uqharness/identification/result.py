@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -73,3 +74,8 @@ class Identification(Tabled):
         columns = {"initial": self.initial, "estimate": self.theta, "std": self.std, "std_crb": self.std_crb}
         told = {"status": [self.status[n] for n in self.names], "reason": [self.reason[n] for n in self.names]}
         return pd.DataFrame({**columns, **told}, index=pd.Index(self.names, name="parameter"))
+
+
+def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """Sentences that speak of outputs by number, by the channels' names."""
+    return [re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences]

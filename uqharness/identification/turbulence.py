@@ -1,106 +1,189 @@
-"""The way through turbulence: filter error on the JSBSim model's own equations, thrust and everything else taken from JSBSim.
-
-JSBSim cannot run under a Kalman filter, which needs a state's rate at any state; but a model that is linear in its coefficient
-terms can be written in the open, with its mass, inertia and thrust read from JSBSim at the measured states.
+"""The way through turbulence: filter error by one-step predictions of the JSBSim model linearised along the flights, as `refine`
+judges them, the gusts' intensities and the sensors' noise found beside the parameters.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import NOISE_START, NOISY, STATE_STD, OpenEquations, as_logged, split_name
-from sysid.aerodynamics.equations import OUTPUTS, STATES
-from sysid.estimation.filter_error import filter_error
+from sysid.effects import corrected_each, follow
+from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
+from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification.result import Identification
-from uqharness.identification.start import forced_at
-from uqharness.replay import Flight, ReplayModel, states
-from uqharness.simulator import engine
+from uqharness.identification.linearised.fit import in_gusts
+from uqharness.identification.linearised.from_replays import point_of
+from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
+from uqharness.identification.linearised.setup import estimated_channels, make_setup, setup_in_gusts
+from uqharness.identification.linearised.types import Setup, lateness
+from uqharness.identification.replay_fit import ReplayFit
+from uqharness.identification.result import Identification, by_channel
+from uqharness.replay import CONTROL_DELAY, SENSOR_OF, Flight, ReplayModel, delayed, misplaced
+from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
-MAX_ITERATIONS, TOLERANCE = 60, 1e-2
-"""Iterations of a descent at most, and the length of the step [standard errors] that ends it."""
+CONVERGED = 1.0
+"""Length of the last step, in standard errors, up to which an estimation has converged: the step itself is taken."""
+NO_AIR = (
+    "filter error, asked for, finds no air that moves across the flight path: without process noise it is output error, whose "
+    "estimates these are"
+)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What identification is asked to compare and to estimate beside the parameters: outputs, delays (None: by default), biases;
+    measured: surfaces whose positions the record has; ideal: controls that are passed straight through."""
+
+    outputs: Sequence[str] | None
+    biases: Sequence[str]
+    delays: Sequence[str] | None
+    measured: Sequence[str]
+    ideal: Sequence[str]
+
+
+def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification) -> Setup:
+    """The flights as filter error takes them, by default as `refine` does.
+
+    found: output error's result, which tells how uncertain channels are that an estimator computed and no sensor measured.
+    """
+    setup = make_setup(aircraft, flights, asked.measured, asked.ideal)
+    if asked.outputs is not None:
+        columns = [k for k, c in enumerate(setup.outputs) if c in asked.outputs]
+        outputs = tuple(setup.outputs[k] for k in columns)
+        setup = replace(setup, outputs=outputs, measured=tuple(z[:, columns] for z in setup.measured), noise=setup.noise[columns])
+    if asked.delays is not None:
+        late = delayed(flights, setup.outputs, asked.delays)
+        timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
+        sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
+        setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
+    setup = setup_in_gusts(aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs)))
+    left = dict(zip(found.outputs, np.concatenate(found.residual).T, strict=True))
+    guessed = [c for c in estimated_channels(setup) if c in left]
+    noise = [max(n, rms(left[c])) if c in guessed else n for c, n in zip(setup.outputs, setup.noise.tolist(), strict=True)]
+    return replace(setup, noise=np.array(noise))
 
 
 def filter_route(
-    found: Identification, model: ReplayModel, straight: ReplayModel, flights: Sequence[Flight],
-    limits: Sequence[tuple[float, float]], biases: Sequence[str], told: Callable[[int, float], None] | None = None,
+    found: Identification, fitted: ReplayFit, models: tuple[ReplayModel, ReplayModel], setup: Setup,
+    limits: Sequence[tuple[float, float]], held: Mapping[str, str], map_: Processes,
+    told: Callable[[int, float], None] | None = None,
 ) -> Identification:  # fmt: skip
-    """Output error's result replaced by filter error's, started from it; with a note saying so. told: as filter error has it.
+    """Output error's result replaced by filter error's, started from it; with a note saying so.
 
-    Raises BadInputError when a parameter asked for is no coefficient term.
+    models  the aircraft as it flies and with every control straight through      held  parameters that stay, and why
+    told    is told each iteration's number and the length of the next step in standard errors
+    Without air that moves across the path the result stays output error's, and a note says so.
+    Raises BadInputError where no filter follows the flights.
     """
     begun = time.perf_counter()
-    strange = [n for n in found.names if split_name(n) is None]
-    if strange:
-        raise BadInputError(
-            f"filter error knows coefficient terms (aero/Cm_q and the like) alone, not {strange[0]}; use --method output-error"
-        )
-    fdm = model.open(0.01)
-    here = [n for n in model.card.parameters if split_name(n) is not None and fdm.get_property_manager().hasNode(n)]
-    terms = tuple(dict.fromkeys((*found.names, *here)))
-    engine.require(fdm, terms)
-    free = [n for n in found.names if found.status[n] != "not-identified"]
-    values = [float(found.theta[found.names.index(n)]) if n in free else float(fdm[n]) for n in terms]
-    outputs = tuple(c for c in found.outputs if c in OUTPUTS)
-    biased = tuple(b for b in biases if b in outputs)
-    equations: OpenEquations | None = None
-    u, z, t, x0 = [], [], [], []
-    pieces = [(f, p) for f in flights for p in f.pieces]
-    measured = [states(flight, piece) for flight, piece in pieces]
-    there = forced_at(model, straight, found.segments, measured, dict(zip(terms, values, strict=True)))
-    for segment, (flight, piece), channels, (forced, variables) in zip(found.segments, pieces, measured, there, strict=True):
-        equations = equations or OpenEquations(terms, biased, outputs, forced.mass)
-        rest = equations.rest(forced.coefficients, variables, values)
-        rho = 2.0 * forced.qbar / channels["V_mps"] ** 2
-        deflections = np.column_stack([variables[k] for k in ("de", "da", "dr")])
-        u.append(np.column_stack([deflections, forced.other_force, forced.other_moment, rho, rest]))
-        z.append(np.column_stack([as_logged(flight.record, c, piece.rows) for c in outputs]))
-        t.append(np.asarray(segment.time_s))
-        x0.append(equations.start([float(channels[c][0]) for c in STATES]))
-    assert equations is not None
-    names = (*terms, *(f"bias/{b}" for b in biased))
-    wide = dict(zip(found.names, limits, strict=True))
+    free = [n for n in found.names if n not in held]
+    bounds = dict(zip(found.names, limits, strict=True))
+    start = point_of(fitted, setup, found.names)
     try:
-        fit = filter_error(
-            equations.f, equations.g, x0, np.array([*values, *np.zeros(len(biased))]), u, z, t, names=list(names),
-            bounds={n: wide.get(n, (-np.inf, np.inf)) for n in names},
-            free=[*free, *(n for n in names if n.startswith("bias/"))], process_noise=list(NOISY),
-            process_noise_start=NOISE_START, noise_start=np.array([found.noise[c] for c in outputs]), x0_std=STATE_STD,
-            max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE, told=told,
-        )  # fmt: skip
-    except ValueError as error:
-        raise BadInputError(f"filter error: {error}; use --method output-error") from None
-    where = [names.index(n) for n in found.names]
-    status = {n: fit.status[n] if n in free else found.status[n] for n in found.names}
-    reason = {n: fit.reason[n] if n in free else found.reason[n] for n in found.names}
-    kept = [i for n, i in zip(found.names, where, strict=True) if status[n] == "identified"]
-    innovations = fit.residual if isinstance(fit.residual, list) else [fit.residual]
-    every = (*STATES, "p_h", "h_q", "h_r", "c_u", "c_v")
-    spectrum = zip(every, np.diagonal(fit.process_noise_cov), strict=True)
-    gusts = ", ".join(f"{s} {np.sqrt(q):.3g}" for s, q in spectrum if q > 0)
+        fit = gust_refit(*models, setup, start, free, bounds, map_, tune=True, told=told)
+    except np.linalg.LinAlgError as error:
+        raise BadInputError(f"filter error: no filter follows these flights ({error}); use --method output-error") from None
+    if not fit.gusts.air:
+        return replace(found, notes=(*found.notes, NO_AIR))
+    values, cov, crb, reason = _judged(fit, free, bounds)
+    kept = [n for n in free if not reason[n]]
+    where = [free.index(n) for n in kept]
+    std, std_crb = (_of_names(found.names, kept, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb))
+    outputs, modelled = fit.setup.outputs, _one_ahead(fit)
+    residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
+    white = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
+    tint = colour(white)
+    warnings = [f"{n} not identified: {reason[n]}" for n in free if reason[n]]
+    warnings += by_channel(colour_warnings(tint, std, std_crb, "filter error"), outputs)
+    nuisance = _nuisance(fit, cov, len(free))
+    warnings = [*misplaced(setup.flights, setup.segments, nuisance), *warnings]
+    converged = fit.length < CONVERGED
+    if not converged:
+        warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
     note = (
         "the residuals of output error showed process noise (turbulence), which it does not allow for: these are the estimates of "
-        f"filter error on the same model's equations (process noise per root second: {gusts or 'none'}); time histories show its "
-        "one-step predictions"
+        f"filter error, by one-step predictions ({fit.gusts.gain:.4g} more in twice the log likelihood than calm air; "
+        f"{fit.gusts.words}); time histories show its one-step predictions"
     )
-    columns = [found.outputs.index(c) for c in outputs]
     return replace(
         found,
-        theta=np.array([
-            fit.theta[i] if status[n] == "identified" else start
-            for n, i, start in zip(found.names, where, found.initial, strict=True)
-        ]),
-        std=fit.std[where], std_crb=fit.std_crb[where], status=status, reason=reason, cov=fit.cov[np.ix_(kept, kept)],
-        nuisance={n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(names) if n.startswith("bias/")},
-        outputs=outputs, measured=[m[:, columns] for m in found.measured],
-        modelled=[m - e for m, e in zip(z, innovations, strict=True)], residual=list(innovations), whiteness=fit.whiteness,
-        method="filter error", converged=fit.converged, warnings=tuple(w for w in fit.warnings if not w.startswith("bias/")),
-        notes=(*found.notes, note), simulations=found.simulations + fit.n_simulations,
-        seconds=found.seconds + time.perf_counter() - begun,
+        theta=np.array([values[n] if n in kept else i for n, i in zip(found.names, found.initial.tolist(), strict=True)]),
+        std=std, std_crb=std_crb, status={n: "identified" if n in kept else "not-identified" for n in found.names},
+        reason={n: held.get(n) or reason[n] for n in found.names}, cov=cov[np.ix_(where, where)],
+        nuisance=nuisance, outputs=outputs, measured=list(fit.setup.measured),
+        modelled=modelled, residual=residual, whiteness=tint.p_value,
+        noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)), method="filter error", converged=converged,
+        warnings=tuple(warnings), notes=(*found.notes, note), seconds=found.seconds + time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def _of_names(names: Sequence[str], kept: Sequence[str], values: Array) -> Array:
+    """(k,) values of those ``kept`` among the names, NaN of the others."""
+    known = dict(zip(kept, values.tolist(), strict=True))
+    return np.array([known.get(n, np.nan) for n in names])
+
+
+def _judged(
+    fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+) -> tuple[dict[str, float], Array, Array, dict[str, str]]:
+    """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance (K, K) and Cramer-Rao bound of
+    these and the nuisance, in the fit's order, the last step taken."""
+    evidence, at = fit.fit.evidence, fit.fit.flown.point.values
+    names = list(evidence.names)
+    gate = assess(evidence.everything[0], tuple(names))
+    found = corrected_each(evidence, names, names)
+    # Standard errors as they cover, by the correlation of the plain ones.
+    wider = [(in_gusts(fit.fit, n) if n in free else 1.0) * found[n][1] / found[n][2] for n in names]
+    values, reason = {}, dict.fromkeys(free, "")
+    cov = gate.inverse * np.outer(wider, wider)
+    for n in free:
+        k, (low, high) = names.index(n), bounds[n]
+        value = float(at[n] + found[n][0])
+        values[n] = float(np.clip(value, low, high))
+        reason[n] = gate.reason[k] or (at_bound(value, low, high) if not low < value < high else "")
+        reason[n] = reason[n] or idle_bound(float(np.sqrt(cov[k, k])), high - low)
+        if not np.isfinite(cov[k, k]):
+            reason[n] = reason[n] or "no effect on any output in these data"
+    return values, cov, gate.inverse, reason
+
+
+def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, float]]:
+    """Biases, delays and shares with their standard errors, from column ``first`` on; delays of a log's sensors are told from its
+    gyros, by which its controls are late, as output error has them."""
+    names, point = list(fit.fit.evidence.names), fit.fit.flown.point
+    step = fit.fit.evidence.step()[0]
+    own = {n: (point.nuisance[n] + float(step[k]), k) for k, n in enumerate(names) if k >= first}
+    gyros, out = SENSOR_OF["p_radps"], {}
+    for n, (value, k) in own.items():
+        _, flight, *_ = n.split("/")
+        clock = own.get(f"delay/{flight}/{gyros}")
+        if n.startswith("delay/") and clock is not None and lateness(flight) not in own:
+            late, j = clock
+            if k == j:
+                out[f"delay/{flight}/{CONTROL_DELAY}"] = (-late, float(np.sqrt(cov[j, j])))
+            else:
+                spread = cov[k, k] + cov[j, j] - 2.0 * cov[k, j]
+                out[n] = (value - late, float(np.sqrt(max(spread, 0.0))))
+        else:
+            out[n.replace("lateness/", "delay/")] = (value, float(np.sqrt(cov[k, k])))
+    return out
+
+
+def _one_ahead(fit: GustFit) -> list[Array]:
+    """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the record has them: those of sensors
+    late by whole rows that much later."""
+    setup, point, own = fit.setup, fit.fit.flown.point, fit.fit
+    followed = follow(own.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process)
+    delta = own.evidence.step()[0]
+    out = []
+    for segment, steps, one, w in zip(setup.segments, own.steps, followed, own.evidence.white, strict=True):
+        path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
+        predicted = steps.y_ref[:, setup.which] + np.einsum("nij,nj->ni", steps.H[:, setup.which], path)
+        late = rows_late(setup, segment, point)
+        out.append(np.column_stack([moved(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)]))
+    return out

@@ -10,13 +10,22 @@ from numpy.typing import NDArray
 
 from sysid.effects import QUIETER, gather, whiten
 from sysid.parallel import Processes
-from uqharness.identification import Observed, ReplayFit, equation_error_start, excited_alone, fit_replays
-from uqharness.refinement.candidates import sensor_gain, unsensed
-from uqharness.refinement.fit import PRIOR, Fit, cost_of, fit_at, fly, refit
-from uqharness.refinement.sensed import sensor_late_s
-from uqharness.refinement.setup import Bench, estimated_channels
-from uqharness.refinement.types import Flown, Point, Setup
-from uqharness.replay import CONTROL_DELAY, UNSEEN, spread_over
+from uqharness.identification import equation_error_start, excited_alone, fit_replays
+from uqharness.identification.linearised import (
+    PRIOR,
+    Bench,
+    Fit,
+    Flown,
+    Setup,
+    cost_of,
+    estimated_channels,
+    fit_at,
+    fly,
+    observed,
+    point_of,
+    refit,
+)
+from uqharness.replay import spread_over
 from uqharness.simulator import Aircraft, engine
 
 ESTIMATOR_ROUNDS = 2
@@ -87,36 +96,3 @@ def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
     """A note about parameters that are asked for and not among the ``names`` estimated, if there are any."""
     rest = [n for n in asked if n not in names]
     return [f"not excited or not determined by these flights and left as they are: {', '.join(rest)}"] if rest else []
-
-
-def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observed:
-    """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of what was measured."""
-    late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
-    if not sensed:
-        return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
-    point = Point({}, {}, (), dict(sensed))
-    late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
-    data = [
-        np.column_stack([unsensed(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)])
-        for z, s in zip(setup.measured, setup.segments, strict=True)
-    ]
-    return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
-
-
-def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None) -> Point:
-    """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured."""
-    estimates = found.values()
-    nuisance = {n: estimates[n.replace("lateness/", "delay/")] for n in setup.nuisance}
-    nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
-    point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
-    return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
-
-
-def begun_at(point: Point) -> dict[str, float]:
-    """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
-    return {n.replace("lateness/", "delay/"): value / _gain(n, point) for n, value in point.nuisance.items()}
-
-
-def _gain(name: str, point: Point) -> float:
-    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is no bias."""
-    return sensor_gain(name.split("/")[2], point) if name.startswith("bias/") else 1.0

@@ -23,12 +23,11 @@ from sysid.effects import (
     fit_smooth,
     smooth_term,
 )
-from uqharness.refinement.candidates import effect_columns
+from uqharness.identification.linearised import Fit, Setup, effect_columns, merged
 from uqharness.refinement.find import Found
-from uqharness.refinement.fit import Fit, merged
-from uqharness.refinement.gusts import column_evidence
 from uqharness.refinement.judge import evidence_of
-from uqharness.refinement.types import Array, Bent, Setup
+from uqharness.refinement.setup import column_evidence
+from uqharness.refinement.types import Array, Bent
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
 Inputs = dict[str, tuple[int, Array]]

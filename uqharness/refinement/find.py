@@ -32,26 +32,36 @@ from sysid.effects import (
     Selection,
     chance_limit,
     conditional_interval,
-    corrected_each,
     scores,
     threshold,
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
+from uqharness.identification.linearised import (
+    PRIOR,
+    Bench,
+    Fit,
+    GustFit,
+    Setup,
+    effect_columns,
+    gust_refit,
+    in_one_step,
+    lateness,
+    make_setup,
+    setup_in_gusts,
+    turbulent,
+    with_jumps,
+)
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_alone
-from uqharness.refinement.between_rows import with_jumps
-from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import PRIOR, Fit
-from uqharness.refinement.gusts import GustFit, column_evidence, gust_refit
 from uqharness.refinement.rates import as_known_here, limits_tried
 from uqharness.refinement.round import Start, like_turning_air
 from uqharness.refinement.rounds import eligible, resolved
 from uqharness.refinement.search import Say, Searched, search
-from uqharness.refinement.setup import Bench, candidates_for, make_setup, setup_in_gusts, turbulent
+from uqharness.refinement.setup import candidates_for, column_evidence
 from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
-from uqharness.refinement.types import Array, Bent, Setup, lateness
+from uqharness.refinement.types import Bent
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
 
@@ -191,10 +201,10 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         selection = with_resolution(known, start.effects, setup.segments[0].dt_s, gusty)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     moved = gusty or bool(best and best.held)
-    parameters = in_one_step(last, start.names, after, selection, gusty, moved)
+    parameters = in_one_step(last, start.names, after, [*selection.values], gusty, moved)
     selection, slopes = of_lift_slope(selection, start.before, after)
     open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
-    plain = in_one_step(evidence, start.names, start.before, Selection(()), gusty, moved=gusty)
+    plain = in_one_step(evidence, start.names, start.before, (), gusty, moved=gusty)
     notes, trail = searched.notes, searched.trail
     if gusts is not None:
         gain = f"{gusts.gain:.4g}" if gusts.gain < DIVERGED else "over a million"
@@ -274,23 +284,6 @@ def left_beside(
     t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
     order = np.argsort(-np.abs(t))
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
-
-
-def in_one_step(
-    evidence: Evidence, names: Sequence[str], fit: Fit, selection: Selection, gusty: bool, moved: bool = True
-) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """(value, corrected standard error) of the parameters beside the effects, the last step taken unless not ``moved``; gusty: that
-    of moments as it covers in turbulence."""
-    free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *selection.values]
-    found = corrected_each(evidence, free, names)
-    at = fit.flown.point.values
-
-    def wider(coefficient: int, values: Array) -> float:
-        """By how much: more than 1 of an input of `Columns` that changes Cl, Cm or Cn."""
-        return MOMENTS_IN_GUSTS if gusty and (coefficient > 2 if coefficient >= 0 else np.any(values[:, 3:])) else 1.0
-
-    own = fit.columns[0].inputs
-    return {n: (float(at[n] + (delta if moved else 0.0)), wider(*own[n]) * std) for n, (delta, std, _) in found.items()}
 
 
 def score_table(evidence: Evidence, free: Sequence[str], effects: Sequence[Effect]) -> tuple[tuple[str, float], ...]:

@@ -13,14 +13,21 @@ import numpy as np
 
 from sysid.effects import Evidence, shared, solve
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import with_jumps
-from uqharness.refinement.candidates import effect_columns
+from uqharness.identification.linearised import (
+    Bench,
+    Fit,
+    Flown,
+    Setup,
+    effect_columns,
+    fit_at,
+    gust_refit,
+    with_jumps,
+    with_sensors_of,
+)
 from uqharness.refinement.find import Found
-from uqharness.refinement.fit import Fit, fit_at
-from uqharness.refinement.gusts import column_evidence, gust_refit
-from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.showing.show import Shown
-from uqharness.refinement.types import Array, Flown, Setup, Side
+from uqharness.refinement.types import Array, Side
 from uqharness.simulator import Aircraft
 
 

@@ -15,13 +15,12 @@ import numpy as np
 
 from sysid.effects import FAR, Choice, Columns, Evidence, corrected_each
 from sysid.parallel import Processes
-from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.find import Found, in_one_step, with_resolution
-from uqharness.refinement.fit import merged
-from uqharness.refinement.gusts import column_evidence
+from uqharness.identification.linearised import Point, Setup, effect_columns, in_dynamics, in_one_step, merged
+from uqharness.refinement.find import Found, with_resolution
 from uqharness.refinement.hold_out import Both, both_sides
+from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.showing.show import Shown, left_in, show, with_replays
-from uqharness.refinement.types import Point, Setup, Side, in_dynamics
+from uqharness.refinement.types import Side
 from uqharness.simulator import Aircraft
 
 Write = Callable[[Found], Aircraft]
@@ -255,5 +254,5 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     chosen = [replace(c, value=value, std=std, t=value / std) for c, (value, std, _) in zip(kept, now.values(), strict=True)]
     estimated = replace(found.selection, chosen=tuple(chosen))
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
-    parameters = in_one_step(evidence, found.names, found.after, selection, found.gusty)
+    parameters = in_one_step(evidence, found.names, found.after, [*selection.values], found.gusty)
     return replace(found, parameters=parameters, selection=selection)

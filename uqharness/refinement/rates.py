@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.effects import Choice, Columns, Gusts, Selection, corrected, scores
-from uqharness.refinement.candidates import HERE, NEAR, in_dead_zone, surface_change
-from uqharness.refinement.fit import Fit
-from uqharness.refinement.gusts import column_evidence
+from uqharness.identification.linearised import HERE, NEAR, Fit, Setup, in_dead_zone, surface_change
 from uqharness.refinement.round import Round
-from uqharness.refinement.types import Setup
+from uqharness.refinement.setup import column_evidence
 from uqharness.replay import CONTROLS, runs_per_row
 from uqharness.simulator import Actuator
 

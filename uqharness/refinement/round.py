@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from sysid.effects import DIFFERENT, GUST_ODDS, STANDS, Effect, Evidence, Gusts, Selection
 from sysid.parallel import Processes
-from uqharness.refinement.fit import Fit, moved_starts, stepped
-from uqharness.refinement.types import Point, Setup
+from uqharness.identification.linearised import Fit, Point, Setup, moved_starts, stepped
 from uqharness.simulator import Aircraft
 
 

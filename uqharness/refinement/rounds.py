@@ -9,15 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, TWINS, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
+from uqharness.identification.linearised import (
+    Bench,
+    Setup,
+    best_flown,
+    effect_columns,
+    gust_refit,
+    refit,
+    slopes_here,
+    with_sensors_of,
+)
 from uqharness.plugin import Estimate
-from uqharness.refinement.candidates import effect_columns, slopes_here
-from uqharness.refinement.fit import best_flown, refit
-from uqharness.refinement.gusts import column_evidence, gust_refit
 from uqharness.refinement.rates import felt
 from uqharness.refinement.round import About, Round, Start, joint_point
-from uqharness.refinement.setup import Bench, with_sensors_of
+from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.types import Setup
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
 from uqharness.refinement.writing.slopes import control_slopes
 from uqharness.replay import CONTROLS

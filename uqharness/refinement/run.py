@@ -16,14 +16,14 @@ from sysid.logs import FOUND
 from sysid.parallel import Processes
 from uqharness import __version__
 from uqharness.files import inner_folder
+from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
 from uqharness.parallel import worker_map
 from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
-from uqharness.refinement.fit import positions
 from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, written_at
 from uqharness.refinement.rounds import write_copy, write_staged
 from uqharness.refinement.search import Say
-from uqharness.refinement.setup import Bench, file_hash, make_setup, refuse_shared, setup_in_gusts
+from uqharness.refinement.setup import file_hash, refuse_shared
 from uqharness.refinement.showing.document import document_of
 from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
 from uqharness.refinement.showing.intervals import (
@@ -40,7 +40,7 @@ from uqharness.refinement.showing.pboxes import no_pbox
 from uqharness.refinement.showing.show import air_of
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
-from uqharness.refinement.types import Setup, Side
+from uqharness.refinement.types import Side
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
 from uqharness.refinement.writing.effects import Written
 from uqharness.replay import CONTROLS, read_flights, renamed

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.digests import file_sha256
-from sysid.effects import Effect
+from sysid.effects import Columns, Effect, Evidence, Gusts, follow, gather, whiten_each
 from sysid.effects.catalogue import catalogue
 from sysid.effects.subsystem_effects import subsystem_effects
-from sysid.estimation import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
-from uqharness.identification import BIASES, OUTPUTS
-from uqharness.refinement.types import Flown, Setup
-from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, measured_outputs, states
-from uqharness.replay.flights import segments
-from uqharness.simulator import Actuator, Aircraft
-from uqharness.simulator.actuators import actuators
+from uqharness.identification.linearised import PRIOR, Fit, Setup, in_step, merged
+from uqharness.replay import SENSOR_OF
 
 
 def file_hash(path: Path) -> str:
@@ -43,51 +35,6 @@ def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
                 f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves "
                 f"nothing: give another one"
             )
-
-
-def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()) -> Setup:
-    """Segments, measured outputs and noise of some flights."""
-    arm = aircraft.accelerometer_m
-    cut = [s for f in flights for s in segments(f, measured, arm)]
-    outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
-    data = [b for f in flights for b in measured_outputs(f, outputs)]
-    known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
-    late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
-    return Setup(
-        tuple(flights), tuple(cut), tuple(states(f, p) for f in flights for p in f.pieces), outputs, tuple(data),
-        np.array([known[c] for c in outputs]),
-        tuple(b for b in BIASES if b in outputs), late, tuple(measured), tuple(ideal), servos=servos_of(aircraft, measured, ideal),
-        timed=tuple(f.name for f in flights if f.name not in late),
-    )  # fmt: skip
-
-
-def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
-    """The same flights, without effects that are active, with the accelerometers where this aircraft has them: a centre of gravity
-    that moves leaves them behind."""
-    segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
-    return replace(setup, segments=segments, active=(), carriers={})
-
-
-def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
-    """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
-    out: dict[str, Actuator] = {}
-    for surface in ("elevator", "aileron", "rudder"):
-        if surface in aircraft.card.inputs and surface not in (*measured, *ideal):
-            with contextlib.suppress(BadInputError):
-                out |= actuators(aircraft, [surface])
-    return out
-
-
-class Bench(ExitStack):
-    """An aircraft staged for replay, as it flies and with every control straight through. A context."""
-
-    def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
-        super().__init__()
-        self._folders = [ReplayFolder(aircraft, measured=setup.positions, ideal=ideal) for ideal in (setup.ideal, CONTROLS)]
-
-    def __enter__(self) -> Bench:
-        self.model, self.straight = map(self.enter_context, self._folders)
-        return self
 
 
 def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
@@ -112,23 +59,9 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     return found
 
 
-def turbulent(setup: Setup, flown: Flown) -> bool:
-    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
-    columns = [k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
-    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
-    return process_noise_shown(residual, [y[:, columns] for y in flown.outputs], setup.noise[columns])
-
-
-def estimated_channels(setup: Setup) -> tuple[str, ...]:
-    """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
-    told = {c for flight in setup.flights for c in flight.record.metadata.estimates}
-    return tuple(c for c in setup.outputs if c in told)
-
-
-def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
-    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
-    says nothing of what an estimator computed."""
-    stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
-    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
-    noise = np.array([n if c in guessed else stated.get(c, n) for c, n in given])
-    return replace(setup, noise=noise)
+def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None) -> Evidence:
+    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
+    columns = merged(fit.columns, extra)
+    measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
+    white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
+    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import AIR, NX, Reference, linearise, rates, unforced, whole_states
+from tests.helpers.open_equations import OpenEquations
 
 MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
 TERMS = (

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.equations import OpenEquations
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
@@ -16,6 +15,7 @@ from sysid.effects.gust_score import Score
 from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import Gusts, gust_intensity, process_of
 from sysid.parallel import ALONE
+from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
 
 NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])

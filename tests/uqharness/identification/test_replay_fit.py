@@ -16,11 +16,11 @@ from uqharness.errors import BadInputError
 from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
+from uqharness.identification.linearised import Bench, Point, make_setup, observed
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
-from uqharness.refinement.base import base_fit_and_noise, left_alone, observed
-from uqharness.refinement.setup import Bench, make_setup
+from uqharness.refinement.base import base_fit_and_noise, left_alone
 from uqharness.refinement.showing.show import show
-from uqharness.refinement.types import Point, Side
+from uqharness.refinement.types import Side
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
 from uqharness.replay.flights import prepare
 from uqharness.replay.pool import spread_over

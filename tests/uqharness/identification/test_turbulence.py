@@ -1,12 +1,100 @@
-"""Identification in turbulence: filter error takes over, and only where the air moves."""
+"""Identification in turbulence: filter error takes over, only where the air moves, and its intervals hold the truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import uqharness as uq
+from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.airframes import write_aircraft
+from tests.hidden_effects.cases import perturbed
+from tests.hidden_effects.flights import Flight, fly
+from tests.hidden_effects.manoeuvres import card
+
+TRUTH = perturbed(Airframe(), np.random.default_rng(5))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An aircraft whose coefficients are 15 % off, and flights of the true one by independent equations: two in turbulence."""
+    place = tmp_path_factory.mktemp("turbulence")
+    write_aircraft("espaaro", Airframe(), place)
+    asked = [
+        card(7, 21.0, seconds=45.0, w20_kt=12.0),
+        card(8, 24.0, seconds=45.0, w20_kt=12.0, first=4),
+        card(9, 22.0, seconds=25.0),
+    ]
+    for k, record in enumerate(fly([Flight(c, TRUTH) for c in asked])):
+        record.write(place / f"flight-{k}.parquet")
+    return place
+
+
+def truth_of(found: uq.Identification) -> np.ndarray:
+    return np.array([TRUTH.coefficients[n.removeprefix("aero/")] for n in found.names])
+
+
+def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
+    """A filter that took gusts otherwise than they act, and controls to act at their rows, was twenty standard errors off."""
+    found = uq.identify(folder / "espaaro", [folder / "flight-0.parquet", folder / "flight-1.parquet"], workers=1)
+    assert (found.method, found.converged) == ("filter error", True)
+    known = np.array([found.status[n] == "identified" for n in found.names])
+    z = ((found.theta - truth_of(found)) / found.std)[known]
+    assert known.sum() >= 20
+    assert np.sqrt(np.mean(z**2)) < 1.4
+    assert np.abs(z).max() < 4.0
+    assert found.whiteness.min() > 1e-4
+    assert found.cov.shape == (known.sum(), known.sum())
+    np.testing.assert_allclose(np.sqrt(np.diagonal(found.cov)), found.std[known])
+    # The sensors' noise, and the gusts of one sample.
+    left = np.sqrt(np.nanmean(np.concatenate(found.residual) ** 2, axis=0)) / [found.noise[c] for c in found.outputs]
+    assert (left > 0.9).all()
+    assert (left < 4.0).all()
+    late = [v for n, v in found.nuisance.items() if n.startswith("delay/")]
+    assert len(late) == 2
+    assert all(abs(value) < 4.0 * std for value, std in late)
+
+
+def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
+    asked = ["Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
+    outputs = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "az_mps2")
+    found = uq.identify(
+        folder / "espaaro",
+        folder / "flight-0.parquet",
+        parameters=asked,
+        outputs=outputs,
+        biases=("q_radps",),
+        delays=(),
+        workers=1,
+    )
+    assert found.method == "filter error"
+    assert found.names == tuple(f"aero/{n}" for n in asked)
+    assert found.outputs == outputs
+    assert [n.split("/")[0] for n in found.nuisance] == ["bias"]
+    assert all(m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual))
+
+
+def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
+    own = Airframe().coefficients["Cm_q"]
+    assert TRUTH.coefficients["Cm_q"] < 1.02 * own
+    card_ = write_aircraft("espaaro", Airframe(), folder / "bounded") / "airframe.toml"
+    rows = card_.read_text(encoding="utf-8").splitlines()
+    bounded = f'"aero/Cm_q" = {{ initial = {own}, bounds = [{1.02 * own}, 0.0] }}'
+    card_.write_text("\n".join(bounded if row.startswith('"aero/Cm_q"') else row for row in rows), encoding="utf-8")
+    found = uq.identify(folder / "bounded" / "espaaro", folder / "flight-0.parquet", workers=1)
+    assert found.method == "filter error"
+    assert found.status["aero/Cm_q"] == "not-identified"
+    assert "at its lower bound" in found.reason["aero/Cm_q"]
+    assert found.theta[found.names.index("aero/Cm_q")] == own
+    assert len(found.identified) == len(found.cov)
+
+
+def test_without_moving_air_filter_error_is_output_error(folder: Path):
+    found = uq.identify(folder / "espaaro", folder / "flight-2.parquet", method="filter-error", workers=1)
+    assert found.method == "output error"
+    assert any("filter error, asked for, finds no air" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

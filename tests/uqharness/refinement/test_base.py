@@ -5,11 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from uqharness.identification.linearised import Fit, Flown, Setup
 from uqharness.refinement import base
-from uqharness.refinement.base import as_quiet, begun_at, noise_left
-from uqharness.refinement.fit import Fit
-from uqharness.refinement.setup import estimated_channels, setup_in_gusts
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.refinement.base import as_quiet, noise_left
 
 OUTPUTS = ("alpha_rad", "p_radps")
 
@@ -19,11 +17,6 @@ def setup_of(measured=(), estimates=(), noise=(0.002, 0.004)):
     other = SimpleNamespace(metadata=SimpleNamespace(estimates=()))
     flights = [SimpleNamespace(record=other), SimpleNamespace(record=record)]
     return SimpleNamespace(outputs=OUTPUTS, measured=measured, flights=flights, noise=np.array(noise))
-
-
-def test_channels_that_an_estimator_computed_are_known():
-    assert estimated_channels(setup_of(estimates=("alpha_rad", "h_m"))) == ("alpha_rad",)
-    assert estimated_channels(setup_of()) == ()
 
 
 def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
@@ -38,14 +31,6 @@ def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
     # A channel that shows less than its own noise keeps that.
     still = setup_of([0.01 * residual])
     assert noise_left(still, SimpleNamespace(outputs=[np.zeros((4000, 2))]), ["alpha_rad"])[0] == 0.002
-
-
-def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
-    monkeypatch.setattr("uqharness.refinement.setup.replace", lambda setup, noise: noise)
-    card = SimpleNamespace(sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035}))
-    aircraft = SimpleNamespace(card=card)
-    assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
-    assert setup_in_gusts(aircraft, setup_of()).tolist() == [0.0017, 0.0035]
 
 
 @pytest.mark.parametrize(("left", "taken"), [(0.7, 0.7), (0.3, 0.5), (1.4, 1.0)])
@@ -63,11 +48,3 @@ def test_a_sensor_is_as_quiet_as_the_fit_leaves_it_down_to_half_its_card(monkeyp
     assert quiet.noise == pytest.approx(taken * card, rel=0.02)
     assert again.flown.cost == pytest.approx(np.nansum((residual / quiet.noise) ** 2))
     assert again.evidence == ([quiet.noise], ("aero/a",), [0])
-
-
-def test_a_fit_is_sought_from_where_a_point_stands():
-    """What `point_of` makes of a fit, the other way: biases lie before the sensor's gain."""
-    nuisance = {"bias/f/p_radps": 0.03, "lateness/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
-    point = Point({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
-    begin = begun_at(point)
-    assert begin == {"bias/f/p_radps": pytest.approx(0.02), "delay/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}

@@ -10,11 +10,18 @@ import pytest
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
 from tests.helpers.flown import fly
-from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.fit import fly as replayed
-from uqharness.refinement.fit import positions, probes
-from uqharness.refinement.setup import Bench, make_setup, with_sensors_of
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.identification.linearised import (
+    Bench,
+    Flown,
+    Point,
+    Setup,
+    effect_columns,
+    make_setup,
+    positions,
+    probes,
+    with_sensors_of,
+)
+from uqharness.identification.linearised import fly as replayed
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay.flights import read_flights
 from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft

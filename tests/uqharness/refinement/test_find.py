@@ -12,8 +12,7 @@ from sysid.effects import CERTAIN_T, MOMENTS_IN_GUSTS, RATES_IN_GUSTS, condition
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement import find
-from uqharness.refinement.find import Found, chosen_interval, in_one_step, left_beside, slips_s, with_resolution
+from uqharness.refinement.find import Found, chosen_interval, left_beside, slips_s, with_resolution
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -66,27 +65,6 @@ def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():
     same = replace(chosen, std=0.1)
     assert chosen_interval(same, 6.0) == pytest.approx(conditional_interval(0.62, 0.1, 6.0))
     assert chosen_interval(replace(chosen, value=0.0, t=0.0), 6.0) == pytest.approx((-0.245, 0.245), abs=1e-3)
-
-
-def test_in_turbulence_parameters_of_moments_have_wider_errors_and_those_of_forces_have_not(monkeypatch):
-    block = np.zeros((5, 6))
-    force, moment = block.copy(), block.copy()
-    force[:, 2], moment[:, 4] = 1.0, 1.0
-    names = ("aero/lift", "aero/pitch", "aero/CZ_q", "aero/Cm_q")
-    inputs = dict(zip(names, [(-1, force), (-1, moment), (2, block[:, 0]), (4, block[:, 0])], strict=True))
-    fit = SimpleNamespace(
-        columns=[SimpleNamespace(names=names, inputs=inputs)],
-        flown=SimpleNamespace(point=SimpleNamespace(values=dict.fromkeys(names, 1.0))),
-    )
-    monkeypatch.setattr(find, "corrected_each", lambda evidence, free, wanted: dict.fromkeys(wanted, (0.5, 0.1, 0.1)))
-
-    def errors(gusty: bool) -> list[float]:
-        found = in_one_step(None, names, fit, Selection(()), gusty)
-        assert {v for v, _ in found.values()} == {1.5}
-        return [std / 0.1 for _, std in found.values()]
-
-    assert errors(True) == pytest.approx([1.0, MOMENTS_IN_GUSTS, 1.0, MOMENTS_IN_GUSTS])
-    assert errors(False) == pytest.approx([1.0] * 4)
 
 
 @pytest.mark.parametrize(("moved_s", "said_s"), [(0.0475, 0.0402), (0.0, 0.0)])

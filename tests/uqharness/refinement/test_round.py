@@ -9,10 +9,9 @@ import pytest
 
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
-from uqharness.refinement.candidates import around, servo_change
+from uqharness.identification.linearised import Point, around, servo_change
 from uqharness.refinement.rates import SHARES, just_so
 from uqharness.refinement.round import About, joint_point
-from uqharness.refinement.types import Point
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import Actuator
 

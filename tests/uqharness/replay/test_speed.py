@@ -12,7 +12,7 @@ from tests.helpers.sixdof import Airframe, simulate
 from tests.hidden_effects.cases import cards
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
-from uqharness.refinement.sensed import moved_later
+from uqharness.identification.linearised import moved_later
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, segments

@@ -11,13 +11,14 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import CERTAIN_T, DIFFERENT, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
 from sysid.estimation import NOISE_FLOOR
+from uqharness.identification.linearised import Setup
 from uqharness.refinement.find import Found, chosen_interval
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.showing.remains import NOTHING, label, no_place, place_of, states_along
 from uqharness.refinement.showing.show import Shown, gap_document, left_in
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
-from uqharness.refinement.types import Bent, Setup
+from uqharness.refinement.types import Bent
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.simulator import Actuator, Aircraft
 

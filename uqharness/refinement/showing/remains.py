@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from sysid.effects import Effect, scores
 from sysid.estimation import rms
+from uqharness.identification.linearised import Flown, Setup
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import Judged, evidence_of
 from uqharness.refinement.rounds import eligible
 from uqharness.refinement.showing.scan import BY_CHANCE, LEAST_SAMPLES, With, band_of, densest, goes_with, loudest
 from uqharness.refinement.showing.show import Shown
 from uqharness.refinement.showing.words import would_tell
-from uqharness.refinement.types import Flown, Setup
 
 Array = NDArray[np.float64]
 NEAREST = 3

@@ -14,11 +14,23 @@ from sysid.estimation import NOISE_FLOOR, channel_noise, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
-from uqharness.refinement.base import begun_at, observed, point_of
-from uqharness.refinement.fit import fly
-from uqharness.refinement.gusts import gust_refit, moved, rows_late, unfiltered
-from uqharness.refinement.setup import Bench, estimated_channels, with_sensors_of
-from uqharness.refinement.types import Flown, Point, Setup, Side
+from uqharness.identification.linearised import (
+    Bench,
+    Flown,
+    Point,
+    Setup,
+    begun_at,
+    estimated_channels,
+    fly,
+    gust_refit,
+    moved,
+    observed,
+    point_of,
+    rows_late,
+    unfiltered,
+    with_sensors_of,
+)
+from uqharness.refinement.types import Side
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over
 from uqharness.simulator import Aircraft
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from sysid.effects import Effect
 from sysid.units import FT_M
+from uqharness.identification.linearised import Carrier, in_dynamics
 from uqharness.plugin import Estimate, put_values
-from uqharness.refinement.types import Carrier, in_dynamics
 from uqharness.refinement.writing.numbers import servo_of, write_mass, write_servo
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
 from uqharness.simulator import Aircraft, copy_folder, servo_number

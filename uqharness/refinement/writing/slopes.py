@@ -9,8 +9,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import Selection
-from uqharness.refinement.fit import Fit
-from uqharness.refinement.reference import Probe
+from uqharness.identification.linearised import Fit, Probe
 from uqharness.refinement.writing.terms import INFLOW_POWERS
 
 

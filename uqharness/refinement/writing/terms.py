@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from sysid.effects import V_REFERENCE_MPS, Effect, Term
 from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
+from uqharness.identification.linearised import STALL
 from uqharness.plugin import state_source
 from uqharness.simulator import Aircraft
 from uqharness.xml import AeroSection, Expression, call, computes, prop, value
 
-STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 INFLOW_POWERS = 4
 """Numbers of the polynomial over CT that inflow is written as."""
 _CONTROLS = {"de": "elevator_pos_deg", "da": "aileron_pos_deg", "dr": "rudder_pos_deg", "dt": "throttle_pct"}

@@ -22,15 +22,15 @@ from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
+from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
-from uqharness.refinement.setup import make_setup, setup_in_gusts
 from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
 from uqharness.refinement.showing.mission import campaign_for, fly_missions
 from uqharness.refinement.showing.pboxes import both_boxes
 from uqharness.refinement.showing.remains import Nearest
 from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
-from uqharness.refinement.types import Point, Side
+from uqharness.refinement.types import Side
 from uqharness.refinement_document import Place
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refine_words import left_over, nowhere

@@ -11,9 +11,7 @@ import pytest
 
 from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
-from uqharness.refinement.candidates import effect_columns
-from uqharness.refinement.reference import Probe, ProbeJob, probe_all
-from uqharness.refinement.types import Point
+from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.refinement.writing.slopes import control_slopes, inflow_numbers, of_lift_slope
 from uqharness.replay import ReplayFolder

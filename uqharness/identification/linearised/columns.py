@@ -13,13 +13,14 @@ from sysid.aerodynamics import COEFFICIENTS, GustStates, whole_states
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import Columns, Effect, MadeColumns
-from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
-from uqharness.refinement.writing.terms import STALL
+from uqharness.identification.linearised.reference import Probe
+from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import CONTROLS, FELT, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
 
 Array = NDArray[np.float64]
+STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
+"""Steepness and angles of attack of the separation point that a loss of lift by stall is written with."""
 GROUND_SPANS = 3.0
 """Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
 LEAST_INFLOW = 1e-9

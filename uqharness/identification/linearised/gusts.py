@@ -8,7 +8,7 @@ JSBSim, and what the aircraft did from one sample to the next can be predicted f
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,25 +18,30 @@ from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_stat
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import (
     REMEMBERED_AIRS,
-    Columns,
-    Evidence,
     Followed,
     Gusts,
     follow,
     gather,
     gust_intensity,
     minus_twice_log,
-    whiten_each,
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.refinement.between_rows import bends_of, jumped, middles, with_jumps
-from uqharness.refinement.candidates import as_felt, at_vane, sensor_gain, sensor_offset, unsensed, vane_place_m
-from uqharness.refinement.fit import PRIOR, Fit, merged, parameter_columns, positions, probes, step_from, stepped, steps_of
-from uqharness.refinement.reference import Probe, with_properties
-from uqharness.refinement.sensed import as_sensed, moved_later, sensor_late_s
-from uqharness.refinement.setup import confirming_segments
-from uqharness.refinement.types import Flown, Point, Setup, late_by, unseen_share
+from uqharness.identification.linearised.between_rows import bends_of, jumped, middles, with_jumps
+from uqharness.identification.linearised.columns import as_felt, at_vane, sensor_gain, sensor_offset, unsensed, vane_place_m
+from uqharness.identification.linearised.fit import (
+    PRIOR,
+    Fit,
+    parameter_columns,
+    positions,
+    probes,
+    step_from,
+    stepped,
+    steps_of,
+)
+from uqharness.identification.linearised.reference import Probe, with_properties
+from uqharness.identification.linearised.sensed import as_sensed, moved_later, sensor_late_s
+from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
 
@@ -53,17 +58,18 @@ NEAREST = 0.05
 """Part of a row within which surfaces that act late are moved by their slopes."""
 LEAST_SHARE = 0.125
 """Least share of a step that is taken where steps grow."""
-TOLERANCE = 0.2
-"""Length of a step, in standard errors, that ends the iteration."""
+TOLERANCE, ITERATIONS = 0.2, 10
+"""Length of a step, in standard errors, that ends the iteration; how many there are at most."""
 
 
 @dataclass(frozen=True)
 class GustFit:
-    """A fit with the gusts it was made with."""
+    """A fit with the gusts it was made with; length: that of its last step, in standard errors."""
 
     fit: Fit
     gusts: Gusts
     setup: Setup
+    length: float
 
     @property
     def surprise(self) -> float:
@@ -145,12 +151,13 @@ def _later(controls: Array, rows: float, jumps: NDArray[np.bool_]) -> Array:
 
 def gust_refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = 10, tune: bool = False,
-    known: bool = False,
+    limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = ITERATIONS,
+    tune: bool = False, known: bool = False, told: Callable[[int, float], None] | None = None,
 ) -> GustFit:  # fmt: skip
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
 
-    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it.
+    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it. told: is
+    told each iteration's number and the length of its step in standard errors.
     """
     point, gusts, analytic = start, near, None
     setup = with_jumps(setup, model)
@@ -187,6 +194,8 @@ def gust_refit(
         share = max(0.5 * share, LEAST_SHARE) if length > before and not sought else share
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
+        if told is not None:
+            told(number, length)
         if (causal and length < TOLERANCE and not moving) or number == iterations or not gusts.air:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
@@ -195,7 +204,7 @@ def gust_refit(
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, setup)
+    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, setup, length)
 
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
@@ -315,11 +324,3 @@ def _changed(p: Probe, moved: Array) -> Array:
     change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients
     change[:, 0] -= p.by_inflow * faster[:, 0]
     return change
-
-
-def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None) -> Evidence:
-    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
-    columns = merged(fit.columns, extra)
-    measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
-    white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
-    return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -1,4 +1,4 @@
-"""A rigid aeroplane's equations in the open, linear in its coefficient terms: what filter error needs of a model.
+"""A rigid aeroplane's equations in the open, linear in its coefficient terms, to check linearised flights against.
 
 States V alpha beta p q r phi theta and the gusts' five (`sysid.aerodynamics.gust_states`); inputs de da dr [deg], other
 forces [N] and moments

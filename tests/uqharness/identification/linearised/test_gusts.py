@@ -20,16 +20,16 @@ from sysid.effects.gust_score import Score
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
 from tests.helpers.flown import fly as flown
-from uqharness.refinement import gusts as refine_gusts
+from uqharness.identification.linearised import gusts as refine_gusts
+from uqharness.identification.linearised.columns import effect_columns, later_controls
+from uqharness.identification.linearised.fit import positions, step_from, stepped, steps_of
+from uqharness.identification.linearised.gusts import as_measured, in_step, moved, rows_late
+from uqharness.identification.linearised.reference import Probe
+from uqharness.identification.linearised.sensed import as_sensed
+from uqharness.identification.linearised.setup import make_setup
+from uqharness.identification.linearised.types import Point
 from uqharness.refinement import rounds as refine_rounds
-from uqharness.refinement.candidates import effect_columns, later_controls
-from uqharness.refinement.fit import positions, step_from, stepped, steps_of
-from uqharness.refinement.gusts import as_measured, in_step, moved, rows_late
-from uqharness.refinement.reference import Probe
-from uqharness.refinement.sensed import as_sensed
-from uqharness.refinement.setup import make_setup
 from uqharness.refinement.showing import show as refine_show
-from uqharness.refinement.types import Point
 from uqharness.replay.flights import prepare
 from uqharness.replay.model import ReplayFolder
 from uqharness.simulator.aircraft import find_aircraft

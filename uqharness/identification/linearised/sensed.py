@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.refinement.candidates import at_vane, sensor_gain, sensor_offset, vane_place_m
-from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Point, Setup
+from uqharness.identification.linearised.columns import at_vane, sensor_gain, sensor_offset, vane_place_m
+from uqharness.identification.linearised.reference import Probe
+from uqharness.identification.linearised.types import Point, Setup
 from uqharness.replay import SENSOR_OF, Segment, late_rows
 
 Array = NDArray[np.float64]

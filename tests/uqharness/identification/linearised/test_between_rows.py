@@ -10,10 +10,10 @@ import pytest
 
 from sysid.estimation import Seen, carried, gains
 from sysid.parallel import ALONE
-from tests.uqharness.refinement.test_gusts import DT, MASS, N, probe_of
-from uqharness.refinement import between_rows
-from uqharness.refinement.fit import fit_at, fly
-from uqharness.refinement.types import Point, Setup, unseen
+from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
+from uqharness.identification.linearised import between_rows
+from uqharness.identification.linearised.fit import fit_at, fly
+from uqharness.identification.linearised.types import Point, Setup, unseen
 from uqharness.replay import CONTROLS, FELT
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.segments import Commands, Segment

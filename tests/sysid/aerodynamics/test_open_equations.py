@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.equations import OUTPUTS, OpenEquations
 from sysid.aerodynamics.segmentation import as_logged, cut
 from sysid.aerodynamics.terms import split_name
 from sysid.record import FlightRecord, Metadata
+from tests.helpers.open_equations import OUTPUTS, OpenEquations
 from tests.helpers.sixdof import TABLE_2_6, Airframe, derivative, isa_density, thrust
 
 TERMS = tuple(f"aero/{n}" for n in TABLE_2_6)

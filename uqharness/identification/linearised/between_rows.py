@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.parallel import Processes
-from uqharness.identification import jumping_in
-from uqharness.refinement.reference import Probe
-from uqharness.refinement.types import Flown, Point, Setup
+from uqharness.identification.linearised.reference import Probe
+from uqharness.identification.linearised.types import Flown, Point, Setup
+from uqharness.identification.replay_fit import jumping_in
 from uqharness.replay import CONTROLS, ReplayModel, Segment, StatesOf, altitudes, by_run, force_all, surface_positions
 
 Array = NDArray[np.float64]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sysid.effects.subsystem_effects import subsystem_effects
-from uqharness.refinement.candidates import at_vane
-from uqharness.refinement.sensed import placed, sensor_late_s
+from uqharness.identification.linearised.columns import at_vane
+from uqharness.identification.linearised.sensed import placed, sensor_late_s
+from uqharness.identification.linearised.types import Point
 from uqharness.refinement.setup import candidates_for
-from uqharness.refinement.types import Point
 from uqharness.replay import Segment
 
 RATES = ("p_radps", "q_radps", "r_radps")

@@ -1,0 +1,28 @@
+"""Where a fit by replays ended, as a point of the linearised flights, and the other way."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from uqharness.identification.linearised.from_replays import begun_at, point_of
+from uqharness.identification.linearised.types import Point
+
+
+def test_a_fit_is_sought_from_where_a_point_stands():
+    """What `point_of` makes of a fit, the other way: biases lie before the sensor's gain."""
+    nuisance = {"bias/f/p_radps": 0.03, "lateness/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
+    point = Point({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
+    begin = begun_at(point)
+    assert begin == {"bias/f/p_radps": pytest.approx(0.02), "delay/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
+
+
+@pytest.mark.parametrize(("timed", "controls", "alpha"), [((), -0.03, 0.01), (("f",), 0.03, 0.04)])
+def test_a_logs_sensors_are_early_where_its_controls_are_late(timed, controls, alpha):
+    """A fit has the controls 30 ms and alpha 40 ms behind the gyros; where controls act at their rows, gyros are 30 ms early."""
+    values = {"aero/Cm_q": -10.0, "delay/f/controls": 0.03, "delay/f/alpha_rad": 0.04}
+    found = SimpleNamespace(values=lambda: values, starts=list)
+    nuisance = ("delay/f/gyro", "delay/f/alpha_rad") if not timed else ("lateness/f/controls", "delay/f/alpha_rad")
+    setup = SimpleNamespace(nuisance=nuisance, late={"f": ["gyro", "alpha_rad"]}, timed=timed)
+    point = point_of(found, setup, ["aero/Cm_q"])
+    assert point.values == {"aero/Cm_q": -10.0}
+    assert point.nuisance == {nuisance[0]: pytest.approx(controls), nuisance[1]: pytest.approx(alpha)}
