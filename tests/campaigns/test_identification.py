@@ -20,6 +20,7 @@ from campaigns.identification.reproduce import (
     summary,
     true_values,
 )
+from campaigns.identification.through_jsbsim import covered, one_seed, said
 from tests.helpers import sixdof, stall_model
 from uqharness.cli.main import main
 from uqharness.replay.model import CONTROLS
@@ -199,3 +200,17 @@ def test_simplified_model_of_table_2_4_is_closer_than_the_published_one(tmp_path
     assert numbers["median_error_pct"] < 4.3
     assert numbers["identified"] == 26
     assert numbers["covered_95"] > numbers["published_covered_95"] + 0.4
+
+
+def test_coverage_through_jsbsim_counts_what_has_no_estimate():
+    table = pd.DataFrame({"z": [0.1, -1.9, 2.1, np.nan], "method": "filter error"})
+    assert covered(table) == 0.5
+    assert said(table) == "50 % of 4 intervals hold the truth, rms of error / std 1.64 (filter error)"
+
+
+@pytest.mark.slow
+def test_a_log_in_turbulence_is_identified_as_a_user_does(tmp_path):
+    table = one_seed(61, tmp_path, "light")
+    assert set(table["method"]) == {"filter error"}
+    assert table["converged"].all()
+    assert covered(table) > 0.85

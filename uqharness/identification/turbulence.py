@@ -153,8 +153,8 @@ def _judged(
 
 
 def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, float]]:
-    """Biases, delays and shares with their standard errors, from column ``first`` on; delays of a log's sensors are told from its
-    gyros, by which its controls are late, as output error has them."""
+    """Biases, delays and shares with their standard errors, from column ``first`` on. A log's delays count from its gyros,
+    as output error has them: its controls are late by what the gyros are early."""
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
     step = fit.fit.evidence.step()[0]
     own = {n: (point.nuisance[n] + float(step[k]), k) for k, n in enumerate(names) if k >= first}

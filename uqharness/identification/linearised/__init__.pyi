@@ -3,15 +3,12 @@ from .columns import HERE as HERE
 from .columns import NEAR as NEAR
 from .columns import STALL as STALL
 from .columns import around as around
-from .columns import at_vane as at_vane
 from .columns import effect_columns as effect_columns
 from .columns import in_dead_zone as in_dead_zone
 from .columns import later_controls as later_controls
-from .columns import sensor_gain as sensor_gain
 from .columns import servo_change as servo_change
 from .columns import slopes_here as slopes_here
 from .columns import surface_change as surface_change
-from .columns import unsensed as unsensed
 from .fit import PRIOR as PRIOR
 from .fit import Fit as Fit
 from .fit import best_flown as best_flown
@@ -42,8 +39,6 @@ from .reference import ProbeJob as ProbeJob
 from .reference import probe_all as probe_all
 from .sensed import as_sensed as as_sensed
 from .sensed import moved_later as moved_later
-from .sensed import placed as placed
-from .sensed import sensor_late_s as sensor_late_s
 from .setup import Bench as Bench
 from .setup import estimated_channels as estimated_channels
 from .setup import make_setup as make_setup

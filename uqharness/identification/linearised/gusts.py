@@ -18,6 +18,7 @@ from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_stat
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import (
     REMEMBERED_AIRS,
+    Columns,
     Followed,
     Gusts,
     follow,
@@ -56,8 +57,8 @@ MOVED = 0.2
 """Logarithm of a gust's strength, or of a sensor's noise, by which a search must have moved it to be worth another."""
 NEAREST = 0.05
 """Part of a row within which surfaces that act late are moved by their slopes."""
-LEAST_SHARE = 0.125
-"""Least share of a step that is taken where steps grow."""
+SHARE_WITHIN = 0.125, 4.0
+"""Least and largest share of a step that is taken."""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration; how many there are at most."""
 
@@ -159,9 +160,11 @@ def gust_refit(
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it. told: is
     told each iteration's number and the length of its step in standard errors.
     """
-    point, gusts, analytic = start, near, None
     setup = with_jumps(setup, model)
+    point = start if near is not None or not setup.late else likelier(model, straight, setup, start, map_)
+    gusts, analytic = near, None
     length, share, moving = float("inf"), 1.0, not known
+    delta: Array | None = None
     path: list[Array] | None = None
     own = [n for n in names if n not in {e.key for e in setup.active}]
     for number in range(1, iterations + 1):
@@ -187,11 +190,10 @@ def gust_refit(
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
-        before = length
+        before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
-        # A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot.
-        # In other air the same step has another length.
-        share = max(0.5 * share, LEAST_SHARE) if length > before and not sought else share
+        # In other air the same step is another one.
+        share = 1.0 if before is None else relaxed(share, before, delta, evidence.everything[0])
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if told is not None:
@@ -205,6 +207,18 @@ def gust_refit(
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
     return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, setup, length)
+
+
+def relaxed(share: float, before: Array, now: Array, information: Array) -> float:
+    """Share of the step ``now`` (K,) to take, by what became of that ``before``, of which ``share`` was taken: Aitken's for vectors
+    (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in standard errors.
+
+    A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot. Steps
+    of late sensors fall short.
+    """
+    change = now - before
+    size = float(change @ information @ change)
+    return float(np.clip(-share * (before @ information @ change) / size, *SHARE_WITHIN)) if size > 0.0 else 1.0
 
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
@@ -226,6 +240,21 @@ def unfiltered(
     steps = _Linear(setup, flown, found, map_)
     both = zip(steps.measured, steps.all(gusts.states), strict=True)
     return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
+
+
+def likelier(model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, map_: Processes) -> Point:
+    """``start``, or the same with every sensor in time, whichever is likelier in its likeliest air.
+
+    Delays found by replays in turbulence may be far off, and a filter that begins with them stays near them.
+    """
+    in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
+    found = []
+    for point in (start, replace(start, nuisance=in_time)):
+        steps = _Linear(setup, *predict(model, straight, setup, point, map_), map_)
+        gusts, _ = _air(setup, steps, None, tune=False)
+        followed = follow(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process)
+        found.append((minus_twice_log(whitened(followed, [Columns((), {}, {})] * len(setup.segments))), point))
+    return min(found, key=lambda one: one[0])[1]
 
 
 class _Linear:

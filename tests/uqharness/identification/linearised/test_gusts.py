@@ -257,7 +257,10 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
         factor = quieter[min(k, len(quieter) - 1)] if tune else 1.0
         return some_air(strengths[min(k, len(strengths) - 1)], air), np.array([factor])
 
-    evidence = SimpleNamespace(names=("aero/Cm_q",), step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)))
+    evidence = SimpleNamespace(
+        names=("aero/Cm_q",), step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)),
+        everything=(np.eye(1), None),
+    )  # fmt: skip
     linear = SimpleNamespace(all=lambda states: [], measured=[])
     columns = [SimpleNamespace(names=("aero/Cm_q",))]
     for name, instead in {
@@ -307,9 +310,27 @@ def test_a_fit_ends_about_its_own_predictions(monkeypatch):
     assert paths == [None, ["path 1"]]
 
 
-def test_steps_that_grow_are_shortened(monkeypatch):
-    grown = [(1.0, 20.0), (-1.0, 60.0), (1.0, 70.0), (1.0, 40.0), (1.0, 0.1)]
-    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == [1.0, -0.5, 0.25, 0.25]
+@pytest.mark.parametrize(
+    ("gain", "shares"), [(2.5, [1.0, 0.4]), (0.4, [1.0, 2.5]), (1.0, [1.0]), (20.0, [1.0, 0.125]), (0.1, [1.0, 4.0])]
+)
+def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, shares):
+    """Of steps that go so many times as far as they should, the second is right, within bounds; lengths in standard errors."""
+    information = np.array([[4.0, 1.0], [1.0, 9.0]])
+    x, answer, share, before, taken = np.zeros(2), np.array([1.0, -3.0]), 1.0, None, []
+    for _ in shares:
+        step = gain * (answer - x)
+        share = 1.0 if before is None else refine_gusts.relaxed(share, before, step, information)
+        x, before = x + share * step, step
+        taken.append(share)
+    assert taken == pytest.approx(shares)
+    if gain in (2.5, 0.4, 1.0):
+        np.testing.assert_allclose(x, answer)
+
+
+def test_steps_are_shortened_in_a_fit(monkeypatch):
+    """Steps of 2.5 times what is asked: 2.5, then -3.75, of which two fifths are taken."""
+    grown = [(2.5, 20.0), (-3.75, 60.0), (0.0, 0.1)]
+    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == pytest.approx([2.5, -1.5])
 
 
 def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
