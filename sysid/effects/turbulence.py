@@ -161,19 +161,21 @@ def gust_intensity(
         if len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR:
             # Far from what is stated no slope may lead back.
             last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
-        here = search.descend(some, last, kinds)
+        here = search.descend(some, last.with_own(near.own, flights), kinds)
+    # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act besides.
+    own = search.own(of, here, {} if near is None else near.own)
+    here = here.with_own(own, flights)
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
-        here = search.descend(some, other, kinds) if other.states != here.states else here
+        if other.states != here.states:
+            here = search.descend(some, other, kinds)
+            own = search.own(of, here, own)
+            here = here.with_own(own, flights)
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
-    own = dict.fromkeys(flights, here.values)
-    if len(own) > 1:
-        begin = own if near is None else near.own
-        own = {f: search.descend(_spread(of[f], _OF_A_FLIGHT), replace(here, values=begin[f]), ()).values for f in own}
     process = _process([own[f] for f in flights], V, here.states)
     passing = {f: s.passing_mps for f, s in zip(flights, here.states, strict=True)}
     return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
@@ -185,6 +187,18 @@ class _Point:
     values: FloatArray
     factors: FloatArray
     cost: float = np.inf
+    stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(_START))))
+
+    def of(self, k: int) -> FloatArray:
+        """(7,) intensities in a segment."""
+        return np.asarray(self.values * self.stronger[k % len(self.stronger)])
+
+    def with_own(self, own: Mapping[str, FloatArray], flights: Sequence[str]) -> _Point:
+        """With the air of each segment as strong as that of its flight; moments that nothing explains are the model's, and alike in
+        all flights."""
+        stronger = np.array([own.get(f, self.values) / self.values for f in flights])
+        stronger[:, _MOMENTS] = 1.0
+        return replace(self, stronger=stronger)
 
     def acting(self, **how: Any) -> _Point:
         """With gusts that act otherwise in every segment."""
@@ -210,11 +224,19 @@ class _Search:
         if key not in self.asked:
             data = [self.measured[k] for k in some]
             self.asked[key] = AirLikelihood(self.linear(some, acting), data, self.which, self.by)
-        return self.asked[key](point.factors * self.noise, self.process(some, point.states, point.values), slopes)
+        return self.asked[key](point.factors * self.noise, self.process(some, point), slopes)
 
-    def process(self, some: Sequence[int], states: Sequence[GustStates], values: FloatArray) -> Process:
+    def process(self, some: Sequence[int], point: _Point) -> Process:
         """Noise that gusts make in the segments ``some``."""
-        return _process([values] * len(some), [self.V[k] for k in some], [states[k] for k in some])
+        return _process([point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some])
+
+    def own(self, flights: Mapping[str, Sequence[int]], point: _Point, begin: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Flight -> (7,) its own intensities, sought from where they ``begin``, else from the point's."""
+        if len(flights) == 1:
+            return dict.fromkeys(flights, point.values)
+        alone = replace(point, stronger=np.ones((1, len(_START))))
+        from_ = {f: replace(alone, values=begin.get(f, point.values)) for f in flights}
+        return {f: self.descend(_spread(members, _OF_A_FLIGHT), from_[f], ()).values for f, members in flights.items()}
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
         """A point with gusts that pass at one speed in each of the ``flights`` (their segments), the likeliest about the mean
@@ -248,7 +270,7 @@ class _Search:
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
         at, sizes = len(point.values), (len(point.values), len(unlike))
-        each = [self.process(some, point.states, alone) for alone in np.diag(point.values)]
+        each = [self.process(some, replace(point, values=alone)) for alone in np.diag(point.values)]
 
         def here(x: FloatArray) -> _Point:
             return replace(point, values=point.values * np.exp(x[:at]), factors=point.factors * np.exp(x[at:] @ shared))

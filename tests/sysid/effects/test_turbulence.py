@@ -39,9 +39,10 @@ class Made(dict[GustStates, list[Steps]]):
 
 def drawn(
     truth: GustStates, values: np.ndarray, moment: float = 0.0, faster: Sequence[float] = (0.0,) * 4, n: int = 150, axis: int = 3,
+    stronger: Sequence[float] = (1.0,) * 4,
 ) -> tuple[Made, list[np.ndarray]]:  # fmt: skip
     """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave of that size
-    besides, in Cl or that of CX..Cn which axis says; faster: of each flight [m/s]."""
+    besides, in Cl or that of CX..Cn which axis says; faster: of each flight [m/s]; stronger: factor on its intensities."""
     rng = np.random.default_rng(4)
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     ref = []
@@ -52,8 +53,8 @@ def drawn(
         ref.append(reference(x, equations))
     made = Made(ref)
     data = []
-    for steps in made[truth]:
-        Q, begin = process_of(values, 22.0, truth)
+    for steps, factor in zip(made[truth], stronger, strict=True):
+        Q, begin = process_of(factor * values, 22.0, truth)
         d = np.sqrt(begin) * rng.standard_normal(NX)
         z = np.empty((n, len(NOISE)))
         wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
@@ -170,6 +171,24 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
     assert search.best(range(4), [here, one]).states == (one if passing else here).states
     if passing:
         assert speed == pytest.approx(passing, rel=0.05)
+
+
+def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
+    """Air made for 23.5 m/s, met at 22 m/s: four times weaker than on the whole in one flight, four times stronger in the other."""
+    factors = (0.25, 0.25, 4.0, 4.0)
+    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400, stronger=factors)
+    search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
+    flights, of = ["a", "a", "b", "b"], {"a": [0, 1], "b": [2, 3]}
+    common = search.descend(range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ())
+    own = search.own(of, common, {})
+    np.testing.assert_allclose(np.log(own["b"][:3] / own["a"][:3] / 16.0), 0.0, atol=np.log(2.0))
+    point = common.with_own(own, flights)
+    np.testing.assert_allclose(point.of(0)[:4], own["a"][:4])
+    np.testing.assert_array_equal(point.of(3)[4:], common.values[4:])
+    assert search.best(range(4), [point]).cost < common.cost - 100.0
+    said = [np.array([s.passing_mps for s in search.passing(of, p).states]) for p in (point, common)]
+    assert np.abs(said[0] / 23.5 - 1.0).max() < 0.04
+    assert np.abs(said[1] / 23.5 - 1.0).max() > np.abs(said[0] / 23.5 - 1.0).max()
 
 
 def test_the_air_of_some_flights_in_others():
