@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.effects import corrected_each, follow
+from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
@@ -100,6 +100,7 @@ def filter_route(
     tint = colour(white)
     warnings = [f"{n} not identified: {reason[n]}" for n in free if reason[n]]
     warnings += by_channel(colour_warnings(tint, std, std_crb, "filter error"), outputs)
+    warnings += _moments_left(fit.gusts)
     nuisance = _nuisance(fit, cov, len(free))
     warnings = [*misplaced(setup.flights, setup.segments, nuisance), *warnings]
     converged = fit.length < CONVERGED
@@ -120,6 +121,17 @@ def filter_route(
         noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)), method="filter error", converged=converged,
         warnings=tuple(warnings), notes=(*found.notes, note), seconds=found.seconds + time.perf_counter() - begun,
     )  # fmt: skip
+
+
+def _moments_left(gusts: Gusts) -> list[str]:
+    """A sentence for each axis about which moments act that the model does not explain: the filter takes them for noise."""
+    gains = zip(("roll", "pitch", "yaw"), gusts.moments.tolist(), strict=True)
+    return [
+        f"moments act about the {axis} axis that the model does not explain: allowing for them gains {gain:.0f} in twice the log "
+        "likelihood. A term is missing, or the air is stronger than its model is good for; refine looks for it"
+        for axis, gain in gains
+        if gain > CERTAIN_T**2
+    ]
 
 
 def _of_names(names: Sequence[str], kept: Sequence[str], values: Array) -> Array:

@@ -11,6 +11,7 @@ import uqharness as uq
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.airframes import write_aircraft
 from tests.hidden_effects.cases import perturbed
+from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
 
@@ -46,6 +47,7 @@ def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     assert np.sqrt(np.mean(z**2)) < 1.4
     assert np.abs(z).max() < 4.0
     assert found.whiteness.min() > 1e-4
+    assert not [w for w in found.warnings if "moments act" in w]
     assert found.cov.shape == (known.sum(), known.sum())
     np.testing.assert_allclose(np.sqrt(np.diagonal(found.cov)), found.std[known])
     # The sensors' noise, and the gusts of one sample.
@@ -74,6 +76,16 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     assert found.outputs == outputs
     assert [n.split("/")[0] for n in found.nuisance] == ["bias"]
     assert all(m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual))
+
+
+def test_moments_that_the_model_lacks_are_told(folder: Path):
+    """Pitching moment due to roll rate squared, as the dissertation's section 2.7.2 has it, is in no parameter."""
+    hidden = Effect("Cm", "p_hat^2", 12.0)
+    (record,) = fly([Flight(card(7, 21.0, seconds=45.0, w20_kt=12.0), TRUTH, (hidden,))])
+    record.write(folder / "hidden.parquet")
+    found = uq.identify(folder / "espaaro", folder / "hidden.parquet", workers=1)
+    assert found.method == "filter error"
+    assert [w.split(" axis")[0] for w in found.warnings if "moments act" in w] == ["moments act about the pitch"]
 
 
 def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
