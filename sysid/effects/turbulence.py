@@ -163,15 +163,14 @@ def gust_intensity(
             last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
         here = search.descend(some, last.with_own(near.own, flights), kinds)
     # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act besides.
-    own = search.own(of, here, {} if near is None else near.own)
+    own = search.own(of, here, {}, _FEW) if near is None else near.own
     here = here.with_own(own, flights)
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
-        if other.states != here.states:
-            here = search.descend(some, other, kinds)
-            own = search.own(of, here, own)
-            here = here.with_own(own, flights)
+        here = search.descend(some, other, kinds) if other.states != here.states else here
+    own = search.own(of, here, own)
+    here = here.with_own(own, flights)
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])
@@ -230,13 +229,15 @@ class _Search:
         """Noise that gusts make in the segments ``some``."""
         return _process([point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some])
 
-    def own(self, flights: Mapping[str, Sequence[int]], point: _Point, begin: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    def own(
+        self, flights: Mapping[str, Sequence[int]], point: _Point, begin: Mapping[str, FloatArray], most: int = _MOST_DESCENTS
+    ) -> dict[str, FloatArray]:
         """Flight -> (7,) its own intensities, sought from where they ``begin``, else from the point's."""
         if len(flights) == 1:
             return dict.fromkeys(flights, point.values)
         alone = replace(point, stronger=np.ones((1, len(_START))))
         from_ = {f: replace(alone, values=begin.get(f, point.values)) for f in flights}
-        return {f: self.descend(_spread(members, _OF_A_FLIGHT), from_[f], ()).values for f, members in flights.items()}
+        return {f: self.descend(_spread(members, _OF_A_FLIGHT), from_[f], (), most).values for f, members in flights.items()}
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
         """A point with gusts that pass at one speed in each of the ``flights`` (their segments), the likeliest about the mean
