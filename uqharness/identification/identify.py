@@ -118,8 +118,8 @@ def identify(
             return withdrawn(found)
         if tell is not None:
             tell(_why_filter_error(found, method))
-        from uqharness.identification.linearised.gusts import ITERATIONS as FILTER_ITERATIONS
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
+        from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
         from uqharness.identification.turbulence import Asked, filter_route, filter_setup
 
         on_stage("filter error")

@@ -19,15 +19,16 @@ from uqharness.identification.linearised.fit import in_gusts
 from uqharness.identification.linearised.from_replays import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
 from uqharness.identification.linearised.setup import estimated_channels, make_setup, setup_in_gusts
-from uqharness.identification.linearised.types import Setup, lateness
+from uqharness.identification.linearised.types import Setup
 from uqharness.identification.replay_fit import ReplayFit
 from uqharness.identification.result import Identification, by_channel
-from uqharness.replay import CONTROL_DELAY, SENSOR_OF, Flight, ReplayModel, delayed, misplaced
+from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
 from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
-CONVERGED = 1.0
-"""Length of the last step, in standard errors, up to which an estimation has converged: the step itself is taken."""
+CONVERGED, ITERATIONS = 2.0, 16
+"""Length of the last step, in standard errors of all parameters together, up to which an estimation has converged: the step itself
+is taken, and where commands act half-way between the places they are moved to, the last steps may hop by one. Most iterations."""
 NO_AIR = (
     "filter error, asked for, finds no air that moves across the flight path: without process noise it is output error, whose "
     "estimates these are"
@@ -47,7 +48,7 @@ class Asked:
 
 
 def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification) -> Setup:
-    """The flights as filter error takes them, by default as `refine` does.
+    """The flights as filter error takes them: as `refine` does, but that delays are those that output error estimates.
 
     found: output error's result, which tells how uncertain channels are that an estimator computed and no sensor measured.
     """
@@ -56,11 +57,12 @@ def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, fo
         columns = [k for k, c in enumerate(setup.outputs) if c in asked.outputs]
         outputs = tuple(setup.outputs[k] for k in columns)
         setup = replace(setup, outputs=outputs, measured=tuple(z[:, columns] for z in setup.measured), noise=setup.noise[columns])
-    if asked.delays is not None:
-        late = delayed(flights, setup.outputs, asked.delays)
-        timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
-        sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
-        setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
+    # By default a log's sensors are late against its gyros, and its controls late as well: a filter finds where commands act far
+    # sooner than by how much all sensors are late together.
+    late = delayed(flights, setup.outputs, asked.delays)
+    timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
+    sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
+    setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
     setup = setup_in_gusts(aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs)))
     left = dict(zip(found.outputs, np.concatenate(found.residual).T, strict=True))
     guessed = [c for c in estimated_channels(setup) if c in left]
@@ -85,7 +87,7 @@ def filter_route(
     bounds = dict(zip(found.names, limits, strict=True))
     start = point_of(fitted, setup, found.names)
     try:
-        fit = gust_refit(*models, setup, start, free, bounds, map_, tune=True, told=told)
+        fit = gust_refit(*models, setup, start, free, bounds, map_, iterations=ITERATIONS, tune=True, told=told)
     except np.linalg.LinAlgError as error:
         raise BadInputError(f"filter error: no filter follows these flights ({error}); use --method output-error") from None
     if not fit.gusts.air:
@@ -165,25 +167,13 @@ def _judged(
 
 
 def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, float]]:
-    """Biases, delays and shares with their standard errors, from column ``first`` on. A log's delays count from its gyros,
-    as output error has them: its controls are late by what the gyros are early."""
+    """Biases, delays and shares with their standard errors, from column ``first`` on, by the names that output error has."""
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
-    step = fit.fit.evidence.step()[0]
-    own = {n: (point.nuisance[n] + float(step[k]), k) for k, n in enumerate(names) if k >= first}
-    gyros, out = SENSOR_OF["p_radps"], {}
-    for n, (value, k) in own.items():
-        _, flight, *_ = n.split("/")
-        clock = own.get(f"delay/{flight}/{gyros}")
-        if n.startswith("delay/") and clock is not None and lateness(flight) not in own:
-            late, j = clock
-            if k == j:
-                out[f"delay/{flight}/{CONTROL_DELAY}"] = (-late, float(np.sqrt(cov[j, j])))
-            else:
-                spread = cov[k, k] + cov[j, j] - 2.0 * cov[k, j]
-                out[n] = (value - late, float(np.sqrt(max(spread, 0.0))))
-        else:
-            out[n.replace("lateness/", "delay/")] = (value, float(np.sqrt(cov[k, k])))
-    return out
+    step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
+    return {
+        n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
+        for k, n in enumerate(names) if k >= first
+    }  # fmt: skip
 
 
 def _one_ahead(fit: GustFit) -> list[Array]:

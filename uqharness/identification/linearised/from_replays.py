@@ -30,11 +30,9 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
 
 def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None) -> Point:
     """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured; 0 stands for
-    what the fit has not estimated. Where it has the controls late, and the setup has not, all sensors are that much early."""
+    what the fit has not estimated."""
     estimates = found.values()
-    clock = {f: estimates.get(f"delay/{f}/{CONTROL_DELAY}", 0.0) for f in setup.late if f not in setup.timed}
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
-    nuisance = {n: v - clock.get(n.split("/")[1], 0.0) if n.startswith("delay/") else v for n, v in nuisance.items()}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
     point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
     return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})

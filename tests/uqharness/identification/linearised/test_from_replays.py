@@ -16,13 +16,10 @@ def test_a_fit_is_sought_from_where_a_point_stands():
     assert begin == {"bias/f/p_radps": pytest.approx(0.02), "delay/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
 
 
-@pytest.mark.parametrize(("timed", "controls", "alpha"), [((), -0.03, 0.01), (("f",), 0.03, 0.04)])
-def test_a_logs_sensors_are_early_where_its_controls_are_late(timed, controls, alpha):
-    """A fit has the controls 30 ms and alpha 40 ms behind the gyros; where controls act at their rows, gyros are 30 ms early."""
-    values = {"aero/Cm_q": -10.0, "delay/f/controls": 0.03, "delay/f/alpha_rad": 0.04}
+def test_a_point_has_what_a_fit_found_and_nothing_of_what_it_did_not_estimate():
+    values = {"aero/Cm_q": -10.0, "delay/f/controls": 0.03, "delay/f/alpha_rad": 0.04, "unseen/f": 0.5}
     found = SimpleNamespace(values=lambda: values, starts=list)
-    nuisance = ("delay/f/gyro", "delay/f/alpha_rad") if not timed else ("lateness/f/controls", "delay/f/alpha_rad")
-    setup = SimpleNamespace(nuisance=nuisance, late={"f": ["gyro", "alpha_rad"]}, timed=timed)
+    setup = SimpleNamespace(nuisance=("bias/f/p_radps", "lateness/f/controls", "delay/f/alpha_rad"))
     point = point_of(found, setup, ["aero/Cm_q"])
     assert point.values == {"aero/Cm_q": -10.0}
-    assert point.nuisance == {nuisance[0]: pytest.approx(controls), nuisance[1]: pytest.approx(alpha)}
+    assert point.nuisance == {"bias/f/p_radps": 0.0, "lateness/f/controls": 0.03, "delay/f/alpha_rad": 0.04, "unseen/f": 0.5}
