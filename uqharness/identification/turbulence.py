@@ -19,7 +19,7 @@ from uqharness.identification.linearised.fit import in_gusts
 from uqharness.identification.linearised.from_replays import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
 from uqharness.identification.linearised.setup import estimated_channels, make_setup, setup_in_gusts
-from uqharness.identification.linearised.types import Setup
+from uqharness.identification.linearised.types import Point, Setup
 from uqharness.identification.replay_fit import ReplayFit
 from uqharness.identification.result import Identification, by_channel
 from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
@@ -30,8 +30,8 @@ CONVERGED, ITERATIONS = 2.0, 16
 """Length of the last step, in standard errors of all parameters together, up to which an estimation has converged: the step itself
 is taken, and where commands act half-way between the places they are moved to, the last steps may hop by one. Most iterations."""
 NO_AIR = (
-    "filter error, asked for, finds no air that moves across the flight path: without process noise it is output error, whose "
-    "estimates these are"
+    "filter error finds no air that moves across the flight path, as turbulence does: without process noise it is output error, "
+    "whose estimates these are"
 )
 
 
@@ -85,22 +85,32 @@ def filter_route(
     begun = time.perf_counter()
     free = [n for n in found.names if n not in held]
     bounds = dict(zip(found.names, limits, strict=True))
-    start = point_of(fitted, setup, found.names)
-    try:
-        fit = gust_refit(*models, setup, start, free, bounds, map_, iterations=ITERATIONS, tune=True, told=told)
-    except np.linalg.LinAlgError as error:
-        raise BadInputError(f"filter error: no filter follows these flights ({error}); use --method output-error") from None
+
+    def fit_from(setup: Setup, point: Point, near: Gusts | None = None) -> GustFit:
+        try:
+            return gust_refit(*models, setup, point, free, bounds, map_, near, ITERATIONS, tune=True, told=told)
+        except np.linalg.LinAlgError as error:
+            raise BadInputError(f"filter error: no filter follows these flights ({error}); use --method output-error") from None
+
+    fit = fit_from(setup, point_of(fitted, setup, found.names))
     if not fit.gusts.air:
         return replace(found, notes=(*found.notes, NO_AIR))
     values, cov, crb, reason = _judged(fit, free, bounds)
+    if lost := {n: text for n, text in reason.items() if text}:
+        # What the flights do not determine goes back to where it was, and the rest is estimated beside values that will be flown.
+        free, initial = [n for n in free if n not in lost], dict(zip(found.names, found.initial.tolist(), strict=True))
+        point = replace(fit.fit.flown.point, values={**fit.fit.flown.point.values, **{n: initial[n] for n in lost}})
+        fit = fit_from(fit.setup, point, fit.gusts)
+        values, cov, crb, reason = _judged(fit, free, bounds)
     kept = [n for n in free if not reason[n]]
     where = [free.index(n) for n in kept]
+    reason = {**reason, **lost, **held}
     std, std_crb = (_of_names(found.names, kept, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb))
     outputs, modelled = fit.setup.outputs, _one_ahead(fit)
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
     white = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
     tint = colour(white)
-    warnings = [f"{n} not identified: {reason[n]}" for n in free if reason[n]]
+    warnings = [f"{n} not identified: {reason[n]}" for n in found.names if reason[n] and n not in held]
     warnings += by_channel(colour_warnings(tint, std, std_crb, "filter error"), outputs)
     warnings += _moments_left(fit.gusts)
     nuisance = _nuisance(fit, cov, len(free))
@@ -117,7 +127,7 @@ def filter_route(
         found,
         theta=np.array([values[n] if n in kept else i for n, i in zip(found.names, found.initial.tolist(), strict=True)]),
         std=std, std_crb=std_crb, status={n: "identified" if n in kept else "not-identified" for n in found.names},
-        reason={n: held.get(n) or reason[n] for n in found.names}, cov=cov[np.ix_(where, where)],
+        reason={n: reason[n] for n in found.names}, cov=cov[np.ix_(where, where)],
         nuisance=nuisance, outputs=outputs, measured=list(fit.setup.measured),
         modelled=modelled, residual=residual, whiteness=tint.p_value,
         noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)), method="filter error", converged=converged,
