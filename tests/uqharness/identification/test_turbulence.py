@@ -101,7 +101,7 @@ def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
     assert "at its lower bound" in found.reason["aero/Cm_q"]
     assert found.theta[found.names.index("aero/Cm_q")] == own
     assert len(found.identified) == len(found.cov)
-    # The others are estimated beside the value that it goes back to: with half the damping missing, the pitching terms make it up.
+    # The others are estimated beside the value that it goes back to.
     alone = uq.identify(
         folder / "bounded" / "espaaro",
         folder / "flight-0.parquet",

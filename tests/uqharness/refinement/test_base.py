@@ -12,11 +12,8 @@ from uqharness.refinement.base import as_quiet, noise_left
 OUTPUTS = ("alpha_rad", "p_radps")
 
 
-def setup_of(measured=(), estimates=(), noise=(0.002, 0.004)):
-    record = SimpleNamespace(metadata=SimpleNamespace(estimates=estimates))
-    other = SimpleNamespace(metadata=SimpleNamespace(estimates=()))
-    flights = [SimpleNamespace(record=other), SimpleNamespace(record=record)]
-    return SimpleNamespace(outputs=OUTPUTS, measured=measured, flights=flights, noise=np.array(noise))
+def setup_of(measured):
+    return SimpleNamespace(outputs=OUTPUTS, measured=measured, noise=np.array([0.002, 0.004]))
 
 
 def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():

@@ -9,11 +9,11 @@ from uqharness.identification.linearised.setup import estimated_channels, setup_
 OUTPUTS = ("alpha_rad", "p_radps")
 
 
-def setup_of(measured=(), estimates=(), noise=(0.002, 0.004)):
+def setup_of(estimates=()):
     record = SimpleNamespace(metadata=SimpleNamespace(estimates=estimates))
     other = SimpleNamespace(metadata=SimpleNamespace(estimates=()))
     flights = [SimpleNamespace(record=other), SimpleNamespace(record=record)]
-    return SimpleNamespace(outputs=OUTPUTS, measured=measured, flights=flights, noise=np.array(noise))
+    return SimpleNamespace(outputs=OUTPUTS, flights=flights, noise=np.array([0.002, 0.004]))
 
 
 def test_channels_that_an_estimator_computed_are_known():
