@@ -42,14 +42,31 @@ def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
     return LENGTHS[0] * unit, LENGTHS[1] * unit, LENGTHS[2] * unit
 
 
+def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
+    """Velocity relative to the air in heading axes [m/s]: along the heading and level, to the right, and down."""
+    sf, cf, st, ct, sa, ca, sb, cb = trig
+    ahead, right, below = x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
+    upright = sf * right + cf * below
+    return ct * ahead + st * upright, cf * right - sf * below, ct * upright - st * ahead
+
+
+def heading_rates(x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
+    """Rates of change of `heading` [m/s2], given those of V, alpha, beta, phi, theta."""
+    dV, dalpha, dbeta, dphi, dtheta = rated
+    sf, cf, st, ct, sa, ca, sb, cb = trig
+    U, S, W = heading(x, trig)
+    dahead = dV * ca * cb - x[0] * (sa * cb * dalpha + ca * sb * dbeta)
+    dright = dV * sb + x[0] * cb * dbeta
+    dbelow = dV * sa * cb + x[0] * (ca * cb * dalpha - sa * sb * dbeta)
+    upright, dupright = ct * W + st * U, sf * dright + cf * dbelow + dphi * S
+    dU, dW = ct * dahead + st * dupright + dtheta * W, ct * dupright - st * dahead - dtheta * U
+    return dU, cf * dright - sf * dbelow - dphi * upright, dW
+
+
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
-    sf, cf, st, ct = trig[:4]
-    along, across = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
-    seen = along - (st - ct * along) * (1.0 - x[11] / x[0])
-    _, T_q, T_r = gust_lags_s(gusts, x[0])
-    faster = x[0] / (gusts.passing_mps or x[0])
-    return x[8], faster * (x[9] + gusts.rotating * seen) / T_q, faster * (x[10] - gusts.rotating * across) / T_r
+    _, S, W = heading(x, trig)
+    return x[8], (x[9] + gusts.rotating * W) / (LENGTHS[1] * gusts.b), (x[10] - gusts.rotating * S) / (LENGTHS[2] * gusts.b)
 
 
 def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
@@ -61,28 +78,21 @@ def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """What the turning of u_h, v_h with the heading adds to the rates of V [m/s2], alpha, beta [rad/s]."""
-    sf, cf, _, ct = trig[:4]
-    dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
-    u_h, v_V = x[11] - x[0], x[12] + sf * x[1] - cf * x[2]
-    sideways = dpsi * u_h / x[0]
-    return dpsi * v_V * x[0], sf * sideways, -cf * sideways
-
-
-def gust_rates(gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any, Any, Any]:
-    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta, phi (`turning` included)."""
-    dV, dalpha, dbeta, dphi = rated
+    """What the turning of u_h, v_h with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
     sf, cf, st, ct = trig[:4]
+    U, S, _ = heading(x, trig)
+    dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
+    ahead, right = dpsi * (x[12] - S), -dpsi * (x[11] - U)
+    return ct * ahead, sf * st * ahead + cf * right, cf * st * ahead - sf * right
+
+
+def gust_rates(gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any, Any, Any]:
+    """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
+    dU, dS, dW = heading_rates(x, rated, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
-    lift, slip = cf * x[1] + sf * x[2], cf * x[2] - sf * x[1]
-    along = cf * dalpha + sf * dbeta + dphi * slip
-    across = cf * dbeta - sf * dalpha - dphi * lift
-    climb = st - ct * lift  # sin(gamma), to first order in alpha and beta
-    dclimb = (ct + st * lift) * (x[4] * cf - x[5] * sf) - ct * along
-    along = along - (dclimb - climb * dV / x[0]) * (1.0 - x[11] / x[0])
-    faster = x[0] / (gusts.passing_mps or x[0])
     T_p, _, _ = gust_lags_s(gusts, x[0])
-    return -p_h / T_p, -q_h / faster - gusts.rotating * along, gusts.rotating * across - r_h / faster, dV, across
+    passing = gusts.passing_mps or x[0]
+    return -p_h / T_p, -passing * q_h - gusts.rotating * dW, -passing * r_h + gusts.rotating * dS, dU, dS
 
 
 def flow_rates(x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float) -> tuple[Any, Any, Any]:
@@ -157,18 +167,19 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
     h1 = J[1, 0] * p + J[1, 1] * q + J[1, 2] * r
     h2 = J[2, 0] * p + J[2, 1] * q + J[2, 2] * r
     m0, m1, m2 = work[9] - (q * h2 - r * h1), work[10] - (r * h0 - p * h2), work[11] - (p * h1 - q * h0)
-    Vd, alphad, betad = flow_rates(x, felt, trig, body.gravity)
     sf, cf, st, ct = trig[:4]
-    phid = p + st / ct * (q * sf + r * cf)
+    phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
     if body.gusty:
-        dV, dalpha, dbeta = turning(body.gusts, x, trig)
-        Vd, alphad, betad = Vd + dV, alphad + dalpha, betad + dbeta
-        of_air = gust_rates(body.gusts, x, (Vd, alphad, betad, phid), trig)
+        more = turning(body.gusts, x, trig)
+        Vd, alphad, betad = flow_rates(x, (felt[0] + more[0], felt[1] + more[1], felt[2] + more[2]), trig, body.gravity)
+        of_air = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
         rate[8], rate[9], rate[10], rate[11], rate[12] = of_air[0], of_air[1], of_air[2], of_air[3], of_air[4]
+    else:
+        Vd, alphad, betad = flow_rates(x, felt, trig, body.gravity)
     rate[0], rate[1], rate[2] = Vd, alphad, betad
     for i in range(3):
         rate[3 + i] = K[i, 0] * m0 + K[i, 1] * m1 + K[i, 2] * m2
-    rate[6], rate[7] = phid, q * cf - r * sf
+    rate[6], rate[7] = phid, thetad
     a, b, c = body.arm[0], body.arm[1], body.arm[2]
     pd, qd, rd = rate[3], rate[4], rate[5]
     # Felt at the arm: turning's rate times it, and what its turning itself adds.
@@ -265,6 +276,7 @@ def loops() -> Loops:
     """Compiled when they are first called."""
     from sysid.linalg.compiled import compiled, within
 
-    for part in (sines, sines_near, gust_lags_s, level, rotation, turning, gust_rates, flow_rates, motion, _series):
+    air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates
+    for part in (sines, sines_near, *air, flow_rates, motion, _series):
         within(part)
     return Loops(compiled(_rated), compiled(_slopes), compiled(_stepped))

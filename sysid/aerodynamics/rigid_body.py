@@ -104,7 +104,7 @@ def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
     """(n, 8) STATES with those of still air, (n, 13); as they are without gusts."""
     if gusts is None:
         return x
-    return np.column_stack([x, *gusts.start(x[:, 0], x[:, 1], x[:, 2], x[:, 6])])
+    return np.column_stack([x, *gusts.start(x.T)])
 
 
 def rates(

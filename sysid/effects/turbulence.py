@@ -125,10 +125,9 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     # A coefficient's noise is a moment's by dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
-    # Stationary from the start: T x' = -x + n has the variance N/(2T), and the states 9 and 10 are T times the rotation.
-    tied = states.rotating * np.array([0.0, noise[1], noise[2]])
-    begin[8:11] = 0.5 * np.array(states.lags_s(V)) * (noise[8:11] + tied)
-    begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]]
+    # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are velocities.
+    begin[8:11] = 0.5 * np.array(states.lags_s(V)) * [noise[8], *(states.rotating * V**2 * noise[1:3])]
+    begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]] * [1.0, V**2]
     return noise, begin
 
 

@@ -58,8 +58,7 @@ class OpenEquations:
 
     def start(self, measured: Sequence[float]) -> FloatArray:
         """x (13,) from the eight measured STATES, in still air."""
-        V, alpha, beta, phi = measured[0], measured[1], measured[2], measured[6]
-        return np.array([*measured, *self.gusts.start(V, alpha, beta, phi)])
+        return np.array([*measured, *self.gusts.start(measured)])
 
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt (13,)."""
@@ -67,13 +66,10 @@ class OpenEquations:
         trig = sines(x)
         sf, cf, st, ct = trig[:4]
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta, trig)
-        own = flow_rates(x, (ax, ay, az), trig, self.gravity)
-        Vd, alphad, betad = (a + b for a, b in zip(own, self.gusts.turning(x, trig), strict=True))
-        phid = p + st / ct * (q * sf + r * cf)
-        return [
-            Vd, alphad, betad, pd, qd, rd, phid, q * cf - r * sf,
-            *self.gusts.rates(x, (Vd, alphad, betad, phid), trig),
-        ]  # fmt: skip
+        seen = zip((ax, ay, az), self.gusts.turning(x, trig), strict=True)
+        flow = flow_rates(x, tuple(a + b for a, b in seen), trig, self.gravity)
+        attitude = p + st / ct * (q * sf + r * cf), q * cf - r * sf
+        return [*flow, pd, qd, rd, *attitude, *self.gusts.rates(x, (*flow, *attitude), trig)]
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
         """The outputs."""

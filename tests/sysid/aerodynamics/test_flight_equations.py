@@ -84,5 +84,17 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
 
 def test_what_python_calls_is_what_is_compiled() -> None:
     """Everything that a loop calls is of its own file: numba renews what it keeps by that file alone."""
-    for name in ("sines", "gust_lags_s", "level", "rotation", "turning", "gust_rates", "flow_rates", "motion", "_series"):
+    for name in (
+        "sines",
+        "gust_lags_s",
+        "heading",
+        "heading_rates",
+        "level",
+        "rotation",
+        "turning",
+        "gust_rates",
+        "flow_rates",
+        "motion",
+        "_series",
+    ):
         assert getattr(equations, name).__module__ == equations.__name__

@@ -186,9 +186,8 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     np.testing.assert_allclose(point.of(0)[:4], own["a"][:4])
     np.testing.assert_array_equal(point.of(3)[4:], common.values[4:])
     assert search.best(range(4), [point]).cost < common.cost - 100.0
-    said = [np.array([s.passing_mps for s in search.passing(of, p).states]) for p in (point, common)]
-    assert np.abs(said[0] / 23.5 - 1.0).max() < 0.04
-    assert np.abs(said[1] / 23.5 - 1.0).max() > np.abs(said[0] / 23.5 - 1.0).max()
+    said = np.array([s.passing_mps for s in search.passing(of, point).states])
+    assert np.abs(said / 23.5 - 1.0).max() < 0.04
 
 
 def test_the_air_of_some_flights_in_others():
