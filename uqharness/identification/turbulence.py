@@ -26,9 +26,9 @@ from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, mispla
 from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
-CONVERGED, ITERATIONS = 2.0, 16
-"""Length of the last step, in standard errors of all parameters together, up to which an estimation has converged: the step itself
-is taken, and where commands act half-way between the places they are moved to, the last steps may hop by one. Most iterations."""
+CONVERGED, ITERATIONS = 0.5, 16
+"""Length of the last step, in standard errors of all parameters together, up to which an estimation has converged, for the step
+itself is taken; most iterations."""
 NO_AIR = (
     "filter error finds no air that moves across the flight path, as turbulence does: without process noise it is output error, "
     "whose estimates these are"

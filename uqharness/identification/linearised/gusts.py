@@ -55,8 +55,8 @@ SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
 MOVED = 0.2
 """Logarithm of a gust's strength, or of a sensor's noise, by which a search must have moved it to be worth another."""
-NEAREST = 0.05
-"""Part of a row within which surfaces that act late are moved by their slopes."""
+PLACES = 0.05
+"""Part of a row from one place to the next to which commands are moved; between two, surfaces are on a straight line."""
 SHARE_WITHIN = 0.125, 4.0
 """Least and largest share of a step that is taken."""
 TOLERANCE, ITERATIONS = 0.2, 10
@@ -120,34 +120,39 @@ def predict(
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     flown = Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
-    late, rest = acting(model, setup, point)
-    jumps = np.array([c in model.jumping for c in model.controls])
-    controls = [_later(u, rows, jumps) for u, rows in zip(positions(model, late, point), rest, strict=True)]
-    away = middles(model, late, point)
+    both, shares = acting(model, setup, point)
+    controls = _between([positions(model, acts, point) for acts in both], shares)
+    away = _between([middles(model, acts, point) for acts in both], shares)
     found = probes(straight, setup, flown, controls, map_, consistent=False)
     bent = zip(found, bends_of(straight, setup, flown, found, away, map_), away, strict=True)
     return flown, [replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in bent]
 
 
-def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[Setup, list[float]]:
-    """The setup with the commands of its segments where they act at a point, to `NEAREST` of a row, and how many rows later than
-    that they do in each."""
-    late = {s.flight: late_by(point, s.flight) / s.dt_s for s in setup.segments}
-    nearest = {flight: NEAREST * round(rows / NEAREST) for flight, rows in late.items()}
-    rest = [late[s.flight] - nearest[s.flight] for s in setup.segments]
-    if not any(nearest.values()):
-        return setup, rest
-    moved = [f.with_commands_later(nearest.get(f.name, 0.0) * f.record.dt_s) for f in setup.flights]
-    cut = [s for f in moved for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]
-    return replace(setup, segments=tuple(cut)), rest
+def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup], list[float]]:
+    """The setup with the commands of its segments at the places before and after where they act at a point, and the share of the
+    way from the one to the other in each segment; one setup alone where that is nothing.
+
+    One place alone, and slopes from there, had estimates half-way between two places hop from one to the other without end.
+    """
+    places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
+    before = {flight: float(np.floor(place)) for flight, place in places.items()}
+    shares = [places[s.flight] - before[s.flight] for s in setup.segments]
+    return [_moved(model, setup, before, further) for further in (0.0, 1.0) if not further or any(shares)], shares
 
 
-def _later(controls: Array, rows: float, jumps: NDArray[np.bool_]) -> Array:
-    """(n, c) controls as they stand a part of a row later, to the first order; jumps (c,): which of them jump, at their rows."""
-    if not rows:
-        return controls
-    change = np.where(jumps, np.diff(controls, axis=0, prepend=controls[:1]), np.gradient(controls, axis=0))
-    return np.asarray(controls - rows * change)
+def _moved(model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float) -> Setup:
+    """The setup with each flight's commands so many PLACES later."""
+    if not further and not any(places.values()):
+        return setup
+    later = [f.with_commands_later((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s) for f in setup.flights]
+    cut = [s for f in later for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]
+    return replace(setup, segments=tuple(cut))
+
+
+def _between(both: Sequence[Sequence[Array]], shares: Sequence[float]) -> list[Array]:
+    """Of each segment what stands the share of the way from one to the other."""
+    first, last = both[0], both[-1]
+    return [a + share * (b - a) for a, b, share in zip(first, last, shares, strict=True)]
 
 
 def gust_refit(

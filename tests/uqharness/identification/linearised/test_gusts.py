@@ -386,18 +386,33 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_setup(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        late, rest = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": late_s}, ()))
-        assert max(abs(r) for r in rest) <= 0.5 * refine_gusts.NEAREST + 1e-9
-        jumps = np.zeros(4, dtype=bool)
-        found = [refine_gusts._later(u, rows, jumps) for u, rows in zip(positions(model, late), rest, strict=True)]
+        both, shares = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": late_s}, ()))
+        found = refine_gusts._between([positions(model, acts) for acts in both], shares)
         expected = positions(model, make_setup(aircraft, [flight.with_commands_later(late_s)], ()))
-        slopes = [refine_gusts._later(u, late_s / DT, jumps) for u in positions(model, setup)]
-        same, none = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": 1e-4}, ()))
-    assert same is setup
-    assert none == pytest.approx([1e-4 / DT] * len(setup.segments))
-    for one, other, rough in zip(found, expected, slopes, strict=True):
+        rows = positions(model, setup)
+        alone, nothing = refine_gusts.acting(model, setup, Point({}, {}, ()))
+    assert [acts is setup for acts in alone] == [True]
+    assert not any(nothing)
+    for one, other, at_rows in zip(found, expected, rows, strict=True):
+        rough = at_rows - late_s * np.gradient(at_rows, DT, axis=0)
         assert np.abs(one - other)[3:].max() < 0.03
         assert np.abs(rough - other)[3:].max() > 0.2
+
+
+def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
+    """Half-way between two places, a little to either side is the same; from place to place the whole way is gone."""
+    aircraft = find_aircraft("espaaro")
+    flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
+    setup, step = make_setup(aircraft, [flight], ()), refine_gusts.PLACES * DT
+    with ReplayFolder(aircraft) as model:
+
+        def at(places):
+            both, shares = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": places * step}, ()))
+            return np.concatenate(refine_gusts._between([positions(model, acts) for acts in both], shares))
+
+        way = np.abs(at(1.0) - at(0.0)).max()
+        for places in (0.0, 0.5, 1.0, -1.0):
+            assert np.abs(at(places + 1e-3) - at(places - 1e-3)).max() < 0.004 * way
 
 
 def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
@@ -405,12 +420,8 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     u = np.tile([1.0, 0.0, 0.0, 55.0], (N, 1))
     u[6:, 0] += 4.0
     u[:, 1] = 0.3 * np.arange(N)
-    jumps = np.array([True, False, False, False])
-    change = (refine_gusts._later(u, 0.1, jumps) - u) / (0.1 * DT)
-    assert np.flatnonzero(change[:, 0]).tolist() == [6]
-    assert change[6, 0] == pytest.approx(-4.0 / DT)
-    assert change[:, 1] == pytest.approx(-0.3 / DT)
-    assert refine_gusts._later(u, 0.0, jumps) is u
+    # What jumps is lacking at its row, what moves steadily everywhere.
+    change = np.column_stack([-np.diff(u[:, 0], prepend=u[0, 0]), -np.gradient(u[:, 1]), 0.0 * u[:, 2:]]) / DT
     probe = probe_of(np.random.default_rng(3))
     jumped = np.zeros((N, 4))
     steady = np.repeat(np.random.default_rng(4).standard_normal((1, 6, 4)), N, axis=0)
