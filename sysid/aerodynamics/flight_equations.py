@@ -149,7 +149,9 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
     if body.gusty and body.by_flow:
         # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
         nothing = (0.0 * x[0], 0.0 * x[0], 0.0 * x[0])
-        own = flow_rates(x, nothing, trig, body.gravity)
+        # A force that the model does not know of changes them, too.
+        more = ((load[0] - at.load[0]) / body.mass, (load[1] - at.load[1]) / body.mass, (load[2] - at.load[2]) / body.mass)
+        own = flow_rates(x, (more[0] + nothing[0], more[1] + nothing[1], more[2] + nothing[2]), trig, body.gravity)
         for i in range(6):
             work[i] += at.x[i]
         zero = 0.0 * x[0]

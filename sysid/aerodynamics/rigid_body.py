@@ -144,8 +144,9 @@ class _Rigid:
             along = Along(*(v[:-1] + later * (v[1:] - v[:-1]) for v in along))
         along = Along(*(v[: len(x)] for v in along))
         rate, seen = np.empty(x.shape), np.empty((len(x), len(OUTPUTS)))
-        load = along.load if extra is None else along.load + extra
-        loops().rated(np.ascontiguousarray(x), self.body, along, load, rate, seen)
+        # What is added is the model's own, with all that follows from it.
+        along = along if extra is None else along._replace(load=along.load + extra)
+        loops().rated(np.ascontiguousarray(x), self.body, along, along.load, rate, seen)
         return rate, seen
 
     def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:

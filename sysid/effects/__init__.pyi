@@ -53,7 +53,6 @@ from .tuned import EARNED as EARNED
 from .tuned import FAR as FAR
 from .tuned import GUST_LIMIT as GUST_LIMIT
 from .tuned import GUST_ODDS as GUST_ODDS
-from .tuned import MOMENTS_IN_GUSTS as MOMENTS_IN_GUSTS
 from .tuned import OVERWHELMING as OVERWHELMING
 from .tuned import QUIETER as QUIETER
 from .tuned import RATES_IN_GUSTS as RATES_IN_GUSTS

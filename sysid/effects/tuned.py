@@ -42,10 +42,6 @@ masses."""
 RATES_IN_GUSTS = 6.7
 """Factor on the standard errors of terms with rates of the wind angles in turbulence: rms of (estimate - truth) / standard error
 of five such cases (docs/hidden-effects.md)."""
-MOMENTS_IN_GUSTS = 1.25
-"""Factor on the standard errors of parameters and effects of moments in turbulence: rms of (estimate - truth) / standard error of
-1,216 parameters in draws 1 and 2 is 1.23, of those of forces 1.1; of 49 such effects 1.47, of 38 of forces 1.07
-(docs/hidden-effects.md)."""
 RESOLVED_ROWS = 0.01
 """Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
 servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time

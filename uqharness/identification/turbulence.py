@@ -15,7 +15,6 @@ from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised.fit import in_gusts
 from uqharness.identification.linearised.from_replays import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
 from uqharness.identification.linearised.setup import estimated_channels, make_setup, setup_in_gusts
@@ -161,8 +160,8 @@ def _judged(
     names = list(evidence.names)
     gate = assess(evidence.everything[0], tuple(names))
     found = corrected_each(evidence, names, names)
-    # Standard errors as they cover, by the correlation of the plain ones.
-    wider = [(in_gusts(fit.fit, n) if n in free else 1.0) * found[n][1] / found[n][2] for n in names]
+    # Standard errors corrected for colour, by the correlation of the plain ones.
+    wider = [found[n][1] / found[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
     cov = gate.inverse * np.outer(wider, wider)
     for n in free:

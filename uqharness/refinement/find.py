@@ -14,12 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import (
     CERTAIN_T,
     DIFFERENT,
     GUST_LIMIT,
-    MOMENTS_IN_GUSTS,
     OVERWHELMING,
     RATES_IN_GUSTS,
     RESOLVED_ROWS,
@@ -201,10 +199,10 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         selection = with_resolution(known, start.effects, setup.segments[0].dt_s, gusty)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     moved = gusty or bool(best and best.held)
-    parameters = in_one_step(last, start.names, after, [*selection.values], gusty, moved)
+    parameters = in_one_step(last, start.names, after, [*selection.values], moved)
     selection, slopes = of_lift_slope(selection, start.before, after)
     open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
-    plain = in_one_step(evidence, start.names, start.before, (), gusty, moved=gusty)
+    plain = in_one_step(evidence, start.names, start.before, (), moved=gusty)
     notes, trail = searched.notes, searched.trail
     if gusts is not None:
         gain = f"{gusts.gain:.4g}" if gusts.gain < DIVERGED else "over a million"
@@ -253,16 +251,14 @@ def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float, gusty: bool) -> Selection:
     """Standard errors as they cover: of times with what a replay resolves added (a servo's lag by Tustin's rule at 10 ms is off
-    by a part of a ms), in turbulence of rates of the wind angles by RATES_IN_GUSTS and of moments by MOMENTS_IN_GUSTS, whose t
-    stays the evidence's."""
+    by a part of a ms), in turbulence of rates of the wind angles by RATES_IN_GUSTS, whose t stays the evidence's."""
 
     def widened(c: Choice) -> Choice:
         effect = effects[c.key]
         if effect.unit == "s":
             std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
             return replace(c, std=std, t=c.value / std)
-        by = RATES_IN_GUSTS if like_turning_air(effect) else MOMENTS_IN_GUSTS if effect.coefficient in COEFFICIENTS[3:] else 1.0
-        return replace(c, std=by * c.std) if gusty else c
+        return replace(c, std=RATES_IN_GUSTS * c.std) if gusty and like_turning_air(effect) else c
 
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 

@@ -17,7 +17,7 @@ from sysid.aerodynamics import GustStates, Reference, Steps, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
-from sysid.effects import MOMENTS_IN_GUSTS, Columns, Evidence, MadeColumns, White, corrected_each, gather, names_of, whiten
+from sysid.effects import Columns, Evidence, MadeColumns, White, corrected_each, gather, names_of, whiten
 from sysid.parallel import ALONE, Processes
 from uqharness.identification.linearised.between_rows import jumped, middles
 from uqharness.identification.linearised.columns import (
@@ -269,19 +269,10 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
 
 
 def in_one_step(
-    evidence: Evidence, names: Sequence[str], fit: Fit, chosen: Sequence[str] = (), gusty: bool = False, moved: bool = True
+    evidence: Evidence, names: Sequence[str], fit: Fit, chosen: Sequence[str] = (), moved: bool = True
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
     """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the last step taken unless not
-    ``moved``; gusty: those of moments as they cover in turbulence."""
+    ``moved``."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
     found, at = corrected_each(evidence, free, names), fit.flown.point.values
-    return {
-        n: (float(at[n] + (delta if moved else 0.0)), (in_gusts(fit, n) if gusty else 1.0) * std)
-        for n, (delta, std, _) in found.items()
-    }
-
-
-def in_gusts(fit: Fit, name: str) -> float:
-    """Factor on the standard error of a property in turbulence: more than 1 of one that changes Cl, Cm or Cn."""
-    coefficient, values = fit.columns[0].inputs[name]
-    return MOMENTS_IN_GUSTS if (coefficient > 2 if coefficient >= 0 else np.any(values[:, 3:])) else 1.0
+    return {n: (float(at[n] + (delta if moved else 0.0)), std) for n, (delta, std, _) in found.items()}
