@@ -47,7 +47,16 @@ class Body:
 
 def start_state(V: float, alpha: float, beta: float, *others: float) -> np.ndarray:
     """x at the beginning of a segment, from the eight measured states: the air does not rotate."""
-    return np.array([V, alpha, beta, *others, *GustStates(ESPAARO.b).start(V, alpha, beta, others[3])])
+    measured = np.array([V, alpha, beta, *others])
+    return np.array([*measured, *GustStates(ESPAARO.b).start(measured)])
+
+
+NOISY = (0, 1, 2, 3, 4, 5, 8)
+"""States with process noise: V, alpha, beta as the gusts come; p_h; p, q, r a little, for what gusts so described leave over."""
+STATE_STD = (1.0, 0.02, 0.02, 0.05, 0.05, 0.05, 0.05, 0.05, 0.08, 0.2, 0.2, 1.5, 1.2)
+"""What a segment's first samples leave open of its start (13,); of the air, its own spread in light to moderate turbulence."""
+NOISE_START = (0.5, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.2, 0.1, 0.1, 0.1, 0.1)
+"""First guesses of the process noise, per root second, of NOISY states: light turbulence, roughly; the others' do not count."""
 
 
 ESPAARO = Body(21.34, 6.055, 8.26, 11.51, 0.25, 1.97, 3.66, 0.53)
@@ -137,9 +146,10 @@ class AirEquations:
         ax, ay, az, L, M, N = self._loads(x, u, theta, trig)
         sa, ca, sb, cb = np.sin(alpha), np.cos(alpha), np.sin(beta), np.cos(beta)
         ub, vb, wb = V * ca * cb, V * sb, V * sa * cb
-        du = ax - body.g * st + r * vb - q * wb
-        dv = ay + body.g * ct * sf + p * wb - r * ub
-        dw = az + body.g * ct * cf + q * ub - p * vb
+        of_air = self.gusts.turning(x, trig)
+        du = ax + of_air[0] - body.g * st + r * vb - q * wb
+        dv = ay + of_air[1] + body.g * ct * sf + p * wb - r * ub
+        dw = az + of_air[2] + body.g * ct * cf + q * ub - p * vb
         dV = (ub * du + vb * dv + wb * dw) / V
         plane = V * cb
         roll = L - (body.Izz - body.Iyy) * q * r + body.Ixz * p * q
@@ -148,14 +158,12 @@ class AirEquations:
         det = body.Ixx * body.Izz - body.Ixz**2
         turning = q * sf + r * cf
         dalpha, dbeta = (ca * dw - sa * du) / plane, (dv - sb * dV) / plane
-        turned = self.gusts.turning(x, trig)
-        dV, dalpha, dbeta = dV + turned[0], dalpha + turned[1], dbeta + turned[2]
-        dphi = p + st / ct * turning
+        dphi, dtheta = p + st / ct * turning, q * cf - r * sf
         return np.array(
             np.broadcast_arrays(
                 dV, dalpha, dbeta,
                 (body.Izz * roll + body.Ixz * yaw) / det, pitch / body.Iyy, (body.Ixz * roll + body.Ixx * yaw) / det,
-                dphi, q * cf - r * sf, *self.gusts.rates(x, (dV, dalpha, dbeta, dphi), trig),
+                dphi, dtheta, *self.gusts.rates(x, (dV, dalpha, dbeta, dphi, dtheta), trig),
             )
         )  # fmt: skip
 

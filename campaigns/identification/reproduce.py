@@ -24,7 +24,10 @@ from numpy.typing import NDArray
 
 from campaigns.identification import round_trip
 from campaigns.identification.air_equations import (
+    NOISE_START,
+    NOISY,
     OUTPUTS,
+    STATE_STD,
     AirEquations,
     Build,
     body_axis_build,
@@ -33,7 +36,6 @@ from campaigns.identification.air_equations import (
     wind_axis_build,
 )
 from campaigns.identification.flights import FINE_STEP_S, PASSING_MPS, fly_flights
-from sysid.aerodynamics.gust_states import NOISE_START, NOISY, STATE_STD
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.result import FilterErrorFit
 from uqharness.errors import BadInputError

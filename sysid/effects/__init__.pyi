@@ -55,7 +55,6 @@ from .tuned import GUST_LIMIT as GUST_LIMIT
 from .tuned import GUST_ODDS as GUST_ODDS
 from .tuned import OVERWHELMING as OVERWHELMING
 from .tuned import QUIETER as QUIETER
-from .tuned import RATES_IN_GUSTS as RATES_IN_GUSTS
 from .tuned import RESOLVED_ROWS as RESOLVED_ROWS
 from .tuned import SEVERAL as SEVERAL
 from .tuned import STANDS as STANDS

@@ -39,9 +39,6 @@ GUST_LIMIT = 6.0
 GUST_ODDS = 30.0
 """Gain asked besides of what a gust model that is a little off would look like: rates of the wind angles, sensors, servos,
 masses."""
-RATES_IN_GUSTS = 6.7
-"""Factor on the standard errors of terms with rates of the wind angles in turbulence: rms of (estimate - truth) / standard error
-of five such cases (docs/hidden-effects.md)."""
 RESOLVED_ROWS = 0.01
 """Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
 servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time

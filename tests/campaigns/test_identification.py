@@ -74,9 +74,10 @@ def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
     u = np.append(U, 1.2)
     calm = start_state(*STATE.values())
     gusty, turned = calm.copy(), calm.copy()
-    _, T_q, T_r = equations.gusts.lags_s(STATE["V"])
+    # The states of pitching and yawing air are the gradients' lengths times the rotation.
+    lengths = equations.gusts.b / np.pi * np.array([4.0, 3.0])
     in_heading_axes = sixdof.rotation_to_body(STATE["phi"], STATE["theta"], 0.0).T @ np.array([0.1, 0.1, 0.1])
-    gusty[8:11] += np.array([1.0, T_q, T_r]) * in_heading_axes
+    gusty[8:11] += np.array([1.0, *lengths]) * in_heading_axes
     turned[3:6] -= 0.1
     # The aerodynamic loads see rates relative to the air; y shows the body's own.
     np.testing.assert_allclose(equations.g(gusty, u, theta)[8:], equations.g(turned, u, theta)[8:], rtol=1e-12)

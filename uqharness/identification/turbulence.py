@@ -25,9 +25,10 @@ from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, mispla
 from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
-CONVERGED, ITERATIONS = 0.5, 16
+CONVERGED, ITERATIONS = 2.0, 16
 """Length of the last step, in standard errors of all parameters together, up to which an estimation has converged, for the step
-itself is taken; most iterations."""
+itself is taken: a sensor hardly late or early has other slopes on either side, between which the last steps may hop. Most
+iterations."""
 NO_AIR = (
     "filter error finds no air that moves across the flight path, as turbulence does: without process noise it is output error, "
     "whose estimates these are"

@@ -21,7 +21,7 @@ from uqharness.simulator import Aircraft
 
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
     """Those that would not be named beside something unexplained; limit: |t| asked of any. |t| is by the standard error that is
-    told: in turbulence that of rates of the wind angles is wider than what chose them."""
+    told, which may be wider than what chose them."""
     t = [abs(c.value / c.std) for c in chosen]
     asked = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), limit + DIFFERENT)
     return tuple(c for c, own in zip(chosen, t, strict=True) if not own >= asked)

@@ -19,7 +19,6 @@ from sysid.effects import (
     DIFFERENT,
     GUST_LIMIT,
     OVERWHELMING,
-    RATES_IN_GUSTS,
     RESOLVED_ROWS,
     UNKNOWN_ROWS,
     Choice,
@@ -53,7 +52,7 @@ from uqharness.identification.linearised import (
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_alone
 from uqharness.refinement.rates import as_known_here, limits_tried
-from uqharness.refinement.round import Start, like_turning_air
+from uqharness.refinement.round import Start
 from uqharness.refinement.rounds import eligible, resolved
 from uqharness.refinement.search import Say, Searched, search
 from uqharness.refinement.setup import candidates_for, column_evidence
@@ -196,7 +195,7 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
     else:
         setup, after, last, gusts = best.setup, best.fit, best.evidence, best.gusts
         known = as_known_here(resolved(start, best), best)
-        selection = with_resolution(known, start.effects, setup.segments[0].dt_s, gusty)
+        selection = with_resolution(known, start.effects, setup.segments[0].dt_s)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
     moved = gusty or bool(best and best.held)
     parameters = in_one_step(last, start.names, after, [*selection.values], moved)
@@ -249,16 +248,14 @@ def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
     return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", strong)
 
 
-def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float, gusty: bool) -> Selection:
-    """Standard errors as they cover: of times with what a replay resolves added (a servo's lag by Tustin's rule at 10 ms is off
-    by a part of a ms), in turbulence of rates of the wind angles by RATES_IN_GUSTS, whose t stays the evidence's."""
+def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
+    """Standard errors of times with what a replay resolves added: a servo's lag by Tustin's rule is off by part of a ms."""
 
     def widened(c: Choice) -> Choice:
-        effect = effects[c.key]
-        if effect.unit == "s":
-            std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
-            return replace(c, std=std, t=c.value / std)
-        return replace(c, std=RATES_IN_GUSTS * c.std) if gusty and like_turning_air(effect) else c
+        if effects[c.key].unit != "s":
+            return c
+        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+        return replace(c, std=std, t=c.value / std)
 
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 

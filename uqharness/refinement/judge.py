@@ -253,6 +253,6 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     now = corrected_each(evidence, [*free, *rest], rest)
     chosen = [replace(c, value=value, std=std, t=value / std) for c, (value, std, _) in zip(kept, now.values(), strict=True)]
     estimated = replace(found.selection, chosen=tuple(chosen))
-    selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s, found.gusty)
+    selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s)
     parameters = in_one_step(evidence, found.names, found.after, [*selection.values])
     return replace(found, parameters=parameters, selection=selection)

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import CERTAIN_T, RATES_IN_GUSTS, conditional_interval
+from sysid.effects import CERTAIN_T, conditional_interval
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
-from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.find import Found, chosen_interval, left_beside, slips_s, with_resolution
+from sysid.effects.selection import Choice
+from uqharness.refinement.find import Found, chosen_interval, left_beside, slips_s
 from uqharness.refinement.showing.words import still_asked
 
 
@@ -44,16 +44,6 @@ def test_what_only_resembles_the_chosen_is_not():
 def test_words_name_it_and_its_strength():
     effect = coefficient_effect("Cm", "p_hat^2")
     assert still_asked(effect, -12.34).startswith(f"{effect.name} is still asked for (|t| 12.3)")
-
-
-def test_in_turbulence_rates_of_the_wind_angles_have_wider_errors_and_nothing_else_has():
-    some = [coefficient_effect(*of) for of in (("Cl", "betadot_hat"), ("Cm", "p_hat^2"), ("CZ", "p_hat^2"))]
-    chosen = tuple(Choice(e.key, 2.0, 0.1, 20.0, 400.0, 1.0, 0.0) for e in some)
-    effects = {e.key: e for e in some}
-    calm, gusty = (with_resolution(Selection(chosen), effects, 0.02, gusty).chosen for gusty in (False, True))
-    assert [c.std for c in calm] == [0.1, 0.1, 0.1]
-    assert [c.std for c in gusty] == pytest.approx([RATES_IN_GUSTS * 0.1, 0.1, 0.1])
-    assert [c.t for c in gusty] == [20.0, 20.0, 20.0]
 
 
 def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():

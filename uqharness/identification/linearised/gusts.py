@@ -195,7 +195,7 @@ def gust_refit(
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
-        before = None if sought else delta
+        before, last_length = None if sought else delta, length
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
         share = 1.0 if before is None else relaxed(share, before, delta, evidence.everything[0])
@@ -203,7 +203,9 @@ def gust_refit(
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if told is not None:
             told(number, length)
-        if (causal and length < TOLERANCE and not moving) or number == iterations or not gusts.air:
+        # Air that still moves and moves no estimate is as likely as what it was: what hardly acts is known to no digit.
+        standing = not moving or (sought and last_length < TOLERANCE)
+        if (causal and length < TOLERANCE and standing) or number == iterations or not gusts.air:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         last_point, point = point, stepped(setup, point, step, limits)

@@ -283,10 +283,14 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
 
 def test_the_air_is_sought_until_it_stands_and_where_it_is_known_not_at_all(monkeypatch):
     near = [(1.0, 0.1)] * 9
+    far = [(1.0, 3.0)] * 12
     assert iterated(monkeypatch, near)[0] == [None, 1.0]
     assert iterated(monkeypatch, near, near=some_air())[0] == [1.0]
     assert iterated(monkeypatch, near, near=some_air(), known=True)[0] == []
-    assert iterated(monkeypatch, near, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
+    assert iterated(monkeypatch, far, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
+    # Air that is another each time, and moves no estimate, is good enough when it was sought twice.
+    restless = (3.0, 1.0, 3.0, 1.0, 3.0)
+    assert iterated(monkeypatch, near, strengths=restless, near=some_air(6.0))[0] == [6.0, 3.0]
     # Other noise is other air, where noise is asked for.
     assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air(), tune=True)[0] == [1.0, 1.0]
     assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air())[0] == [1.0]
