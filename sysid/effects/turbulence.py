@@ -169,7 +169,8 @@ def gust_intensity(
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
     own = search.own(of, here, own)
-    here = here.with_own(own, flights)
+    # What is lost counts from this air, which was found flight by flight.
+    here = search.best(some, [here.with_own(own, flights)])
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])
@@ -233,7 +234,7 @@ class _Search:
     ) -> dict[str, FloatArray]:
         """Flight -> (7,) its own intensities, sought from where they ``begin``, else from the point's."""
         if len(flights) == 1:
-            return dict.fromkeys(flights, point.values)
+            return dict.fromkeys(flights, point.of(0))
         alone = replace(point, stronger=np.ones((1, len(_START))))
         from_ = {f: replace(alone, values=begin.get(f, point.values)) for f in flights}
         return {f: self.descend(_spread(members, _OF_A_FLIGHT), from_[f], (), most).values for f, members in flights.items()}

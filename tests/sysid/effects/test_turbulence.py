@@ -173,6 +173,23 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
         assert speed == pytest.approx(passing, rel=0.05)
 
 
+def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought():
+    """Sought from four times the air, which passes at the airspeed: found again."""
+    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400)
+
+    def found(near: turbulence.Gusts | None) -> turbulence.Gusts:
+        air, _ = turbulence.gust_intensity(
+            made, data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 4, GustStates(MASS.b), near,
+        )  # fmt: skip
+        return air
+
+    first = found(None)
+    at_airspeed = tuple(s._replace(passing_mps=0.0) for s in first.states)
+    off = replace(first, values=4.0 * first.values, own={"a": 4.0 * first.values}, states=at_airspeed, passing={"a": 0.0})
+    again = found(off)
+    np.testing.assert_allclose(np.log(again.own["a"][:4] / first.own["a"][:4]), 0.0, atol=0.2)
+
+
 def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     """Air made for 23.5 m/s, met at 22 m/s: four times weaker than on the whole in one flight, four times stronger in the other."""
     factors = (0.25, 0.25, 4.0, 4.0)
