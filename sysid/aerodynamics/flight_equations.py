@@ -148,18 +148,17 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
             work[6 + i] += at.slopes[i, k] * work[k]
     if body.gusty and body.by_flow:
         # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
-        nothing = (0.0 * x[0], 0.0 * x[0], 0.0 * x[0])
+        zero = 0.0 * x[0]
         # A force that the model does not know of changes them, too.
-        more = ((load[0] - at.load[0]) / body.mass, (load[1] - at.load[1]) / body.mass, (load[2] - at.load[2]) / body.mass)
-        own = flow_rates(x, (more[0] + nothing[0], more[1] + nothing[1], more[2] + nothing[2]), trig, body.gravity)
+        unknown = ((load[0] - at.load[0]) / body.mass, (load[1] - at.load[1]) / body.mass, (load[2] - at.load[2]) / body.mass)
+        own = flow_rates(x, (unknown[0] + zero, unknown[1] + zero, unknown[2] + zero), trig, body.gravity)
         for i in range(6):
             work[i] += at.x[i]
-        zero = 0.0 * x[0]
         there = (
             np.sin(at.x[6]) + zero, np.cos(at.x[6]) + zero, np.sin(at.x[7]) + zero, np.cos(at.x[7]) + zero,
             np.sin(work[1]), np.cos(work[1]), np.sin(work[2]), np.cos(work[2]),
         )  # fmt: skip
-        before = flow_rates(work, nothing, there, body.gravity)
+        before = flow_rates(work, (zero, zero, zero), there, body.gravity)
         for i in range(6):
             work[6 + i] += at.by_flow[i, 0] * (own[1] - before[1]) + at.by_flow[i, 1] * (own[2] - before[2])
     p, q, r = x[3], x[4], x[5]
@@ -172,8 +171,8 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
     sf, cf, st, ct = trig[:4]
     phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
     if body.gusty:
-        more = turning(body.gusts, x, trig)
-        Vd, alphad, betad = flow_rates(x, (felt[0] + more[0], felt[1] + more[1], felt[2] + more[2]), trig, body.gravity)
+        turned = turning(body.gusts, x, trig)
+        Vd, alphad, betad = flow_rates(x, (felt[0] + turned[0], felt[1] + turned[1], felt[2] + turned[2]), trig, body.gravity)
         of_air = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
         rate[8], rate[9], rate[10], rate[11], rate[12] = of_air[0], of_air[1], of_air[2], of_air[3], of_air[4]
     else:

@@ -137,10 +137,10 @@ def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup],
     places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
-    return [_moved(model, setup, before, further) for further in (0.0, 1.0) if not further or any(shares)], shares
+    return [_at_places(model, setup, before, further) for further in (0.0, 1.0) if not further or any(shares)], shares
 
 
-def _moved(model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float) -> Setup:
+def _at_places(model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float) -> Setup:
     """The setup with each flight's commands so many PLACES later."""
     if not further and not any(places.values()):
         return setup
