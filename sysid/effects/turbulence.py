@@ -66,8 +66,8 @@ NOISE_PRIOR = np.log(2.0)
 class Gusts:
     """The air of some flights.
 
-    states    how gusts act in each segment; values (7,) as _START over all flights; own: flight -> (7,); passing: flight -> speed
-              at which its gusts pass [m/s], 0: the airspeed
+    states    how gusts act in each segment; values (7,) as _START, of the air the flights' mean; own: flight -> (7,); passing:
+              flight -> speed at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
     across    the part of it that is lost without gusts across the path, in alpha and beta
     moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
@@ -154,29 +154,28 @@ def gust_intensity(
         besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
         other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
         here = search.descend(some, other, kinds) if other.cost < here.cost else here
+        # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
+        here = search.own(of, here, flights, _FEW)
     else:
         near = near.in_other(V, flights)
-        last = _Point(near.states, near.values, known)
+        last = _Point(near.states, near.values, known).with_own(near.own, flights)
         if len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR:
             # Far from what is stated no slope may lead back.
             last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
-        here = search.descend(some, last.with_own(near.own, flights), kinds)
-    # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act besides.
-    own = search.own(of, here, {}, _FEW) if near is None else near.own
-    here = here.with_own(own, flights)
+        here = search.descend(some, last, kinds)
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
         here = search.descend(some, other, kinds) if other.states != here.states else here
-    own = search.own(of, here, own)
     # What is lost counts from this air, which was found flight by flight.
-    here = search.best(some, [here.with_own(own, flights)])
+    here = search.best(some, [search.own(of, here, flights)])
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
-    process = _process([own[f] for f in flights], V, here.states)
-    passing = {f: s.passing_mps for f, s in zip(flights, here.states, strict=True)}
+    own = {f: here.of(members[0]) for f, members in of.items()}
+    passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
+    process = search.process(range(len(measured)), here)
     return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
 
 
@@ -195,9 +194,11 @@ class _Point:
     def with_own(self, own: Mapping[str, FloatArray], flights: Sequence[str]) -> _Point:
         """With the air of each segment as strong as that of its flight; moments that nothing explains are the model's, and alike in
         all flights."""
-        stronger = np.array([own.get(f, self.values) / self.values for f in flights])
+        values = np.mean([own[f] for f in dict.fromkeys(flights)], axis=0)
+        values[_MOMENTS] = self.values[_MOMENTS]
+        stronger = np.array([own[f] / values for f in flights])
         stronger[:, _MOMENTS] = 1.0
-        return replace(self, stronger=stronger)
+        return replace(self, values=values, stronger=stronger, cost=np.inf)
 
     def acting(self, **how: Any) -> _Point:
         """With gusts that act otherwise in every segment."""
@@ -229,15 +230,14 @@ class _Search:
         """Noise that gusts make in the segments ``some``."""
         return _process([point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some])
 
-    def own(
-        self, flights: Mapping[str, Sequence[int]], point: _Point, begin: Mapping[str, FloatArray], most: int = _MOST_DESCENTS
-    ) -> dict[str, FloatArray]:
-        """Flight -> (7,) its own intensities, sought from where they ``begin``, else from the point's."""
-        if len(flights) == 1:
-            return dict.fromkeys(flights, point.of(0))
-        alone = replace(point, stronger=np.ones((1, len(_START))))
-        from_ = {f: replace(alone, values=begin.get(f, point.values)) for f in flights}
-        return {f: self.descend(_spread(members, _OF_A_FLIGHT), from_[f], (), most).values for f, members in flights.items()}
+    def own(self, of: Mapping[str, Sequence[int]], point: _Point, flights: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
+        """The point with each flight's own intensities, sought from those that it has there; of: flight -> its segments; flights:
+        whose each segment is."""
+        if len(of) == 1:
+            return point
+        alone = {f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(_START)))) for f, part in of.items()}
+        own = {f: self.descend(_spread(of[f], _OF_A_FLIGHT), one, (), most).values for f, one in alone.items()}
+        return point.with_own(own, flights)
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
         """A point with gusts that pass at one speed in each of the ``flights`` (their segments), the likeliest about the mean

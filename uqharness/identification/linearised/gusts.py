@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.effects import (
+    DIFFERENT,
     REMEMBERED_AIRS,
     Columns,
     Followed,
@@ -53,8 +54,6 @@ _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "ra
 _SMOOTH_HZ = {"V_mps": 2.0}
 SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
-MOVED = 0.2
-"""Logarithm of a gust's strength, or of a sensor's noise, by which a search must have moved it to be worth another."""
 PLACES = 0.05
 """Part of a row from one place to the next to which commands are moved; between two, surfaces are on a straight line."""
 SHARE_WITHIN = 0.125, 4.0
@@ -168,22 +167,21 @@ def gust_refit(
     setup = with_jumps(setup, model)
     point = start if near is not None or not setup.late else likelier(model, straight, setup, start, map_)
     gusts, analytic = near, None
-    length, share, moving = float("inf"), 1.0, not known
+    length, share, since = float("inf"), 1.0, float("inf")
     delta: Array | None = None
     path: list[Array] | None = None
-    own = [n for n in names if n not in {e.key for e in setup.active}]
+    own, flights = [n for n in names if n not in {e.key for e in setup.active}], {s.flight for s in setup.segments}
     for number in range(1, iterations + 1):
         flown, found = predict(model, straight, setup, point, map_, path)
         found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
-        sought = moving and (number == 1 or length < SETTLED or number == SEARCH_BY)
+        near_enough = length < SETTLED or number == SEARCH_BY
+        other = gusts is None or not flights <= gusts.own.keys()
+        sought = not known and (other or (since > DIFFERENT and near_enough))
         if sought:
-            last = gusts
             gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
-            other = last is None or last.kind != gusts.kind or np.abs(np.log(gusts.values / last.values)).max() > MOVED
-            moving = other or bool(np.abs(np.log(factors)).max() > MOVED)
         assert gusts is not None
         linearised, measured = steps.all(gusts.states), steps.measured
         # Systems of the air that was tried would stand beside the columns, which take the most memory.
@@ -195,7 +193,7 @@ def gust_refit(
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
         evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
-        before, last_length = None if sought else delta, length
+        before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
         share = 1.0 if before is None else relaxed(share, before, delta, evidence.everything[0])
@@ -203,11 +201,12 @@ def gust_refit(
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if told is not None:
             told(number, length)
-        # Air that still moves and moves no estimate is as likely as what it was: what hardly acts is known to no digit.
-        standing = not moving or (sought and last_length < TOLERANCE)
-        if (causal and length < TOLERANCE and standing) or number == iterations or not gusts.air:
+        # Air that was sought where estimates were as near as this is what it would be here.
+        since = 0.0 if known or (sought and causal) else since
+        if (causal and length < TOLERANCE and since <= DIFFERENT) or number == iterations or not gusts.air:
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
+        since += share * length
         last_point, point = point, stepped(setup, point, step, limits)
         path = as_measured(setup, path, last_point, point)
     assert gusts is not None

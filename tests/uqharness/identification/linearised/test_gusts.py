@@ -237,8 +237,9 @@ def test_effects_that_no_filter_can_follow_are_not_flown(monkeypatch, tmp_path):
     assert refine_rounds.fly(None, None, None, tmp_path) is None  # type: ignore[arg-type]
 
 
-def some_air(strength=1.0, air=True):
-    return SimpleNamespace(states=None, kind=None, process=None, values=np.array([strength]), air=air)
+def some_air(strength=1.0, air=True, flights=("one",)):
+    own = dict.fromkeys(flights)
+    return SimpleNamespace(states=None, process=None, values=np.array([strength]), air=air, own=own)
 
 
 def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **asked):
@@ -281,19 +282,26 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
     return sought, taken, paths
 
 
-def test_the_air_is_sought_until_it_stands_and_where_it_is_known_not_at_all(monkeypatch):
+def test_the_air_is_sought_about_predictions_and_where_it_is_known_not_at_all(monkeypatch):
     near = [(1.0, 0.1)] * 9
-    far = [(1.0, 3.0)] * 12
     assert iterated(monkeypatch, near)[0] == [None, 1.0]
     assert iterated(monkeypatch, near, near=some_air())[0] == [1.0]
     assert iterated(monkeypatch, near, near=some_air(), known=True)[0] == []
-    assert iterated(monkeypatch, far, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[0] == [6.0, 3.0, 1.0]
-    # Air that is another each time, and moves no estimate, is good enough when it was sought twice.
-    restless = (3.0, 1.0, 3.0, 1.0, 3.0)
-    assert iterated(monkeypatch, near, strengths=restless, near=some_air(6.0))[0] == [6.0, 3.0]
-    # Other noise is other air, where noise is asked for.
-    assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air(), tune=True)[0] == [1.0, 1.0]
-    assert iterated(monkeypatch, near, quieter=(0.6, 1.0), near=some_air())[0] == [1.0]
+    # Air of other flights is none to filter these with.
+    assert iterated(monkeypatch, near, near=some_air(6.0, flights=("two",)))[0] == [6.0, 1.0]
+
+
+def test_the_air_is_sought_anew_where_estimates_have_moved_since(monkeypatch):
+    """By more than three standard errors in all, or it is what it was."""
+    little = [(1.0, 2.0), (1.0, 2.0), (1.0, 0.9), (1.0, 0.1)]
+    sought, taken, _ = iterated(monkeypatch, little, near=some_air(6.0))
+    assert sought == [6.0]
+    assert len(taken) == 3
+    far = [(1.0, 2.0), (1.0, 2.0), (1.0, 1.1), (1.0, 0.1), (1.0, 0.1)]
+    assert iterated(monkeypatch, far, near=some_air(6.0))[0] == [6.0, 1.0]
+    # A fit does not end in air that was sought elsewhere.
+    back = [(1.0, 2.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
+    assert iterated(monkeypatch, back, near=some_air(6.0))[0] == [6.0, 1.0]
 
 
 def test_what_is_no_air_is_not_followed_further(monkeypatch):
@@ -304,6 +312,7 @@ def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
     """What parameters will explain would be taken for gusts; where steps do not become small, it is sought all the same."""
     steps = [(1.0, 9.0), (1.0, 8.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
     assert iterated(monkeypatch, steps, strengths=(5.0, 5.0))[0] == [None, 5.0]
+    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0), near=some_air())[0] == [1.0]
     hasty = [*[(1.0, 9.0)] * 6, *[(1.0, 0.1)] * 4]
     assert iterated(monkeypatch, hasty, strengths=(5.0, 2.0, 2.0))[0] == [None, 5.0, 2.0]
 
@@ -338,8 +347,10 @@ def test_steps_are_shortened_in_a_fit(monkeypatch):
 
 
 def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
-    found = [(1.0, 0.9), (1.0, 1.4), (1.0, 0.6), (1.0, 0.1)]
-    assert iterated(monkeypatch, found, strengths=(3.0, 1.0, 1.0), near=some_air(6.0))[1] == [1.0, 1.0, 1.0]
+    """In the same air the second of these steps is taken to a half."""
+    found = [(1.0, 0.9), (-1.0, 1.4), (0.1, 0.1)]
+    assert iterated(monkeypatch, found, near=some_air())[1] == [1.0, -1.0]
+    assert iterated(monkeypatch, found, near=some_air(), known=True)[1] == [1.0, -0.5]
 
 
 def test_shares_of_jumps_stay_between_none_and_all():
