@@ -163,6 +163,9 @@ def gust_intensity(
             # Far from what is stated no slope may lead back.
             last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
         here = search.descend(some, last, kinds)
+        # What flights are first taken for, a sensor that is off or an effect that is missing may have decided.
+        other = search.best(some, [here, *(here.acting(rotating=r, turning_with=t) for r, t in ((True, True), *_OTHER_AIR))])
+        here = search.descend(some, other, kinds) if other.kind != here.kind else here
     if here.states[0].rotating:
         # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
         other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
@@ -186,6 +189,11 @@ class _Point:
     factors: FloatArray
     cost: float = np.inf
     stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(_START))))
+
+    @property
+    def kind(self) -> tuple[bool, bool]:
+        """Whether the gusts rotate the air, and turn with the aircraft."""
+        return self.states[0].rotating, self.states[0].turning_with
 
     def of(self, k: int) -> FloatArray:
         """(7,) intensities in a segment."""

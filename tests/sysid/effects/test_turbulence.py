@@ -95,6 +95,17 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     np.testing.assert_allclose(np.log(last.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
 
 
+@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, True)])
+def test_what_gusts_were_first_taken_to_do_is_asked_again(rotating, turning):
+    """A sensor that is off, or an effect that is missing, may have decided it."""
+    made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
+    first = found_in(made, data)
+    wrong = tuple(s._replace(rotating=not rotating, turning_with=not turning) for s in first.states)
+    again = found_in(made, data, replace(first, states=wrong))
+    assert again.kind[:2] == (rotating, turning)
+    np.testing.assert_allclose(np.log(again.values[:4] / first.values[:4]), 0.0, atol=np.log(1.4))
+
+
 def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is left alone."""
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
