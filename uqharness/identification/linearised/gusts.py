@@ -54,6 +54,8 @@ _KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "ra
 _SMOOTH_HZ = {"V_mps": 2.0}
 SETTLED, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
+POWERS = 5
+"""Powers in which states go from a row to between rows: where a row damps a motion by a third the sixth is 2e-4."""
 PLACES = 0.05
 """Part of a row from one place to the next to which commands are moved; between two, surfaces are on a straight line."""
 SHARE_WITHIN = 0.125, 4.0
@@ -282,8 +284,8 @@ class _Linear:
             # Outputs are those at the reference, biases added.
             y = s.y_ref[:, which] - share * as_felt(self.found[k].felt_jump(0.5 * share), self.setup.outputs)
             part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
-            along = self._along(self.found[k], s, y, acting) if any(part) else None
-            s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, along=along)
+            behind = self._behind(self.found[k], s, y, acting, np.array(part)) if any(part) else None
+            s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, behind=behind)
             self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
         for key in asked:
             self.made.move_to_end(key)
@@ -292,32 +294,44 @@ class _Linear:
             self.made.popitem(last=False)
         return out
 
-    def _along(self, p: Probe, steps: Steps, y: Array, acting: GustStates) -> Array:
-        """(n, m) how far outputs ``y`` (n, m) of the reference go in a row, as the model moves its states and as controls move what
-        is not made of these. The reference itself jumps: each row begins with what the one before did not predict."""
+    def _behind(self, p: Probe, steps: Steps, y: Array, acting: GustStates, late: Array) -> Array:
+        """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,) of a row, as the model moves its
+        states and as controls move what is not made of these. The reference itself jumps: each row begins with what the one before
+        did not predict. Of a step, a parabola from its start with the rate that is there to where it ends."""
         point = self.flown.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.which] / gain[:, None]
         x = whole_states(p.reference.x, acting)
+        first = rates(p.reference, p.mass, x, gusts=acting) * steps.dt_s
+        bent = steps.defect + np.diff(x, axis=0) - first[:-1]
+        # A sensor that is late sees the step before a row, one that is early the step behind it.
+        none = np.zeros_like(bent[:1])
+        ended, bent_before = np.concatenate([first[:1], first[:-1] + 2.0 * bent]), np.concatenate([none, bent])
+        begun, bent_behind = first, np.concatenate([bent, none])
         felt = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
         by_controls = np.diff(felt, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
-        by_states = np.einsum("nij,nj->ni", H, rates(p.reference, p.mass, x, gusts=acting)) * steps.dt_s
-        return np.asarray(by_states + np.concatenate([by_controls[:1], by_controls]))
+        out = late * np.concatenate([by_controls[:1], by_controls])
+        for k, part in enumerate(late):
+            slope, bend = (ended, bent_before) if part > 0.0 else (begun, bent_behind)
+            out[:, k] += np.einsum("nx,nx->n", H[:, k], part * slope - part**2 * bend)
+        return np.asarray(out)
 
     def all(self, states: Sequence[GustStates]) -> list[Steps]:
         return self(range(len(self.found)), states)
 
 
 def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> Array:
-    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row to row: (I + T)^a to second
-    order, T = phi - I of the step in which that is and a = -late."""
+    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row to row: (I + T)^a in powers of
+    T = phi - I of the step in which that is, a = -late."""
     H = steps.H.copy()
     turn = steps.phi - np.eye(steps.phi.shape[1])
     for k, part in zip(which, late, strict=True):
         if part:
             step = np.concatenate([turn[:1], turn] if part > 0.0 else [turn, turn[-1:]])
-            once = np.einsum("nx,nxy->ny", H[:, k], step)
-            H[:, k] += -part * once + 0.5 * part * (part + 1.0) * np.einsum("nx,nxy->ny", once, step)
+            power = H[:, k]
+            for j in range(1, POWERS + 1):
+                power = np.einsum("nx,nxy->ny", power, step) * ((1.0 - part - j) / j)
+                H[:, k] += power
     return H
 
 

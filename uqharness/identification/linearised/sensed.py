@@ -18,13 +18,12 @@ Array = NDArray[np.float64]
 
 def as_sensed(
     y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None,
-    between: Array | None = None, along: Array | None = None,
+    between: Array | None = None, behind: Array | None = None,
 ) -> Array:  # fmt: skip
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.
-    Where some are late, between: the same outputs between the rows of a replay as well, or along (n, m): how far each goes in a
-    row.
+    Where some are late, between: the same outputs between the rows of a replay as well, or behind (n, m): what it takes from them.
     """
     forward = vane_place_m(point)
     if forward:
@@ -34,8 +33,8 @@ def as_sensed(
         late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             rows = late / segment.dt_s
-            if along is not None:
-                y[:, k] -= rows * along[:, k]
+            if behind is not None:
+                y[:, k] -= behind[:, k]
             elif between is not None:
                 y[:, k] = late_rows(between[:, k], len(y), rows)
         y[:, k] *= sensor_gain(c, point)

@@ -83,7 +83,7 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     late = rows_late(setup, segment, there)
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
     (z,) = in_step(setup, there)
-    model = as_sensed(truth.copy(), setup, segment, there, late, along=np.gradient(truth, axis=0))
+    model = as_sensed(truth.copy(), setup, segment, there, late, behind=-0.25 * np.gradient(truth, axis=0))
     inside = slice(8, N - 8)
     np.testing.assert_allclose(z[inside], model[inside], atol=1.5e-3)
     np.testing.assert_allclose(model[inside, 1], np.sin(6.0 * (t + 0.005))[inside], atol=1.5e-3)
@@ -95,41 +95,68 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
 
 @pytest.mark.parametrize("late", [0.34, -0.5])
 def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
-    """Beside the fractional power of what takes states from row to row; without it the difference is thirty times as large."""
+    """Beside the fractional power of what takes states from row to row, one of which it damps by a third."""
     rng = np.random.default_rng(8)
-    turn = 0.1 * rng.standard_normal((3, 3))
+    turn = 0.1 * rng.standard_normal((3, 3)) - np.diag([0.4, 0.2, 0.0])
     phi, H = expm(turn), rng.standard_normal((N, 3, 3))
     steps = Steps(DT, np.tile(phi, (N - 1, 1, 1)), *(np.zeros((N - 1, 3, 6)),) * 2, np.zeros((N - 1, 3)), H, H, np.zeros((N, 3)))
     found = refine_gusts.between_rows(steps, [0, 2], [late, 0.0])
     expected = H[:, 0] @ expm(-late * turn)
-    assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 30.0
+    assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 100.0
     np.testing.assert_array_equal(found[:, 1:], H[:, 1:])
 
 
-def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_jumps():
+@pytest.mark.parametrize("late", [0.4, -0.4])
+def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_jumps(late):
+    """States of a roll that 12 1/s damps, at 25 Hz, beside the model's own steps to there, which controls move; by the rate at the
+    row alone they are off by ten times as much."""
     rng = np.random.default_rng(6)
-    probe, acting = probe_of(rng), GustStates(MASS.b)
-    names = ("alpha_rad", "q_radps", "az_mps2")
+    probe, acting, h = probe_of(rng), GustStates(MASS.b), 2.0 * DT
+    slopes = np.zeros((N, 6, 6))
+    slopes[:, 3, 3] = -12.0 * MASS.inertia[0, 0]
+    rolled = replace(probe.reference, dt_s=h, slopes=slopes, consistent=False, x=0.3 * probe.reference.x + [14.0, *[0.0] * 7])
+    probe = replace(probe, reference=rolled)
+    names = ("beta_rad", "p_radps", "az_mps2")
     which = [STEP_OUTPUTS.index(n) for n in names]
-    segment = SimpleNamespace(flight="one", dt_s=DT)
+    segment = SimpleNamespace(flight="one", dt_s=h)
     setup = SimpleNamespace(outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),))
-    flight = SimpleNamespace(point=point())
-    linear = refine_gusts._Linear(setup, flight, [probe], ALONE)  # type: ignore[arg-type]
-    steps = linearise(probe.reference, probe.mass, gusts=acting)
-    y = steps.y_ref[:, setup.which]
-    along = linear._along(probe, steps, y, acting)
-    x = whole_states(probe.reference.x, acting)
-    rate = rates(probe.reference, probe.mass, x, gusts=acting)
-    np.testing.assert_allclose(along[:, :2], DT * rate[:, [STATES.index(n) for n in names[:2]]], atol=1e-9)
+    linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], ALONE)  # type: ignore[arg-type]
+    steps = linearise(rolled, probe.mass, gusts=acting)
+    y = steps.y_ref[:, which]
+    behind = linear._behind(probe, steps, y, acting, np.array([late, late, 0.0]))
+    x = whole_states(rolled.x, acting)
+
+    def after(part: float, at: np.ndarray) -> np.ndarray:
+        """States that the model takes in a part of each step, in many small ones; loads are on straight lines between the rows."""
+        many = 200
+        for j in range(many):
+            share = part * j / many
+            r = replace(
+                rolled, **{n: (v := getattr(rolled, n))[:-1] + share * np.diff(v, axis=0) for n in ("x", "force", "moment")}
+            )
+            r = replace(r, slopes=slopes[:-1])
+            at = at + part * h / many * rates(r, probe.mass, at, gusts=acting)
+        return at
+
+    # Late ones are where the step before began to go to its end, but for what the row did not predict.
+    ends = after(1.0, x[:-1])
+    expected = x[:-1] - after(-late, x[:-1]) if late < 0.0 else ends - after(1.0 - late, x[:-1])
+    rows = slice(0, N - 1) if late < 0.0 else slice(1, N)
+    expected = expected[:, [STATES.index(n) for n in names[:2]]]
+    by_rate = late * h * rates(rolled, probe.mass, x, gusts=acting)[rows][:, [STATES.index(n) for n in names[:2]]]
+    assert np.abs(behind[rows, :2] - expected).max() < 0.1 * np.abs(by_rate - expected).max()
     # The reference's own differences are its jumps, here much larger than anything that moves.
-    assert np.abs(np.diff(y[:, 0])).max() > 10.0 * np.abs(along[:, 0]).max()
+    assert np.abs(np.diff(y[:, 0])).max() > 10.0 * np.abs(behind[:, 0]).max()
+    np.testing.assert_array_equal(behind[:, 2], 0.0)
     # A force that a control alone changes goes with the control, between its rows.
-    flat = replace(probe, reference=replace(probe.reference, x=np.tile(probe.reference.x[:1], (N, 1))))
+    flat = replace(probe, reference=replace(rolled, x=np.tile(rolled.x[:1], (N, 1)), consistent=True))
     steps = linearise(flat.reference, flat.mass, gusts=acting)
-    y = steps.y_ref[:, setup.which]
-    rate = rates(flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting)
-    still = DT * np.einsum("nj,nj->n", steps.H[:, which[2]], rate)
-    np.testing.assert_allclose(linear._along(flat, steps, y, acting)[1:, 2], np.diff(y[:, 2]) + still[1:], rtol=1e-9)
+    y = steps.y_ref[:, which]
+    found = linear._behind(flat, steps, y, acting, np.array([0.0, 0.0, 1e-6]))
+    first = h * rates(flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting)
+    ended = -first[:-1]
+    still = np.einsum("nj,nj->n", steps.H[1:, which[2]], ended)
+    np.testing.assert_allclose(1e6 * found[1:, 2], np.diff(y[:, 2]) + still, rtol=1e-4, atol=1e-4)
 
 
 def probe_of(rng: np.random.Generator) -> Probe:
