@@ -26,7 +26,7 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.effects.gust_score import AirLikelihood, Score
-from sysid.effects.tuned import CERTAIN_T
+from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
@@ -50,7 +50,7 @@ _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
 _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
 """Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps that is away at most; standard
 deviation of that logarithm about a flight's mean airspeed, for gusts are made beforehand for the speed that is to be flown."""
-_OTHER_AIR = ((True, False), (False, False), (False, True))
+_ACTING = ((True, True), (True, False), (False, False), (False, True))
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
 """Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at which it ends; that of a filter that
 fails; the least curvature that it takes."""
@@ -138,40 +138,39 @@ def gust_intensity(
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
     flight on at most six. And (m,) factors by which the sensors' noise changes.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search, its factors part of ``noise``. Gusts pass
-    at the airspeed, or at one speed in each flight, which is then found with the rest, whichever is likelier. kinds: of each
-    channel; the sensors of a kind have one factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none:
-    their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and a filter that takes sensors for
-    twice as noisy as they are follows them late: that looks like a servo's lag.
+    states: what gusts do besides, to begin with; near: an estimate from which to search, its factors part of ``noise``; where
+    strength and noise alone gain no more than chance would, the rest of it stands. Gusts pass at the airspeed, or at one speed in
+    each flight, which is then found with the rest, whichever is likelier. kinds: of each channel; the sensors of a kind have one
+    factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none: their noise is known. In gusts the
+    samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows
+    them late: that looks like a servo's lag.
     """
     known = np.ones(len(noise)) if near is None else near.factors
     search = _Search(linear, measured, which, noise / known, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if near is None:
-        first = search.best(some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS])
-        here = search.descend(some, first, kinds)
-        besides = [replace(here, cost=np.inf).acting(rotating=r, turning_with=t) for r, t in _OTHER_AIR]
-        other = min((search.descend(some, point, (), _FEW) for point in besides), key=lambda point: point.cost)
-        here = search.descend(some, other, kinds) if other.cost < here.cost else here
-        # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
-        here = search.own(of, here, flights, _FEW)
+        last = search.best(some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS])
     else:
         near = near.in_other(V, flights)
         last = _Point(near.states, near.values, known).with_own(near.own, flights)
-        if len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR:
-            # Far from what is stated no slope may lead back.
-            last = search.best(some, [last, replace(last, factors=np.ones(len(noise)))])
-        here = search.descend(some, last, kinds)
-        # What flights are first taken for, a sensor that is off or an effect that is missing may have decided.
-        other = search.best(some, [here, *(here.acting(rotating=r, turning_with=t) for r, t in ((True, True), *_OTHER_AIR))])
+        # Far from what is stated no slope may lead back.
+        far = len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR
+        last = search.best(some, [last, *([replace(last, factors=np.ones(len(noise)))] if far else [])])
+    here = search.descend(some, last, kinds)
+    if near is None or last.cost - here.cost > DIFFERENT**2:
+        # What gusts do, an effect that is missing or a sensor that is off may have decided before.
+        other = search.best(some, [here, *(here.acting(rotating=r, turning_with=t) for r, t in _ACTING if (r, t) != here.kind)])
         here = search.descend(some, other, kinds) if other.kind != here.kind else here
-    if here.states[0].rotating:
-        # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
-        other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
-        here = search.descend(some, other, kinds) if other.states != here.states else here
+        # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
+        here = here if near is not None else search.own(of, here, flights, _FEW)
+        if here.states[0].rotating:
+            # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
+            other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
+            here = search.descend(some, other, kinds) if other.states != here.states else here
+        here = search.own(of, here, flights)
     # What is lost counts from this air, which was found flight by flight.
-    here = search.best(some, [search.own(of, here, flights)])
+    here = search.best(some, [here])
     gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])

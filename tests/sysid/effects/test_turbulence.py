@@ -106,6 +106,21 @@ def test_what_gusts_were_first_taken_to_do_is_asked_again(rotating, turning):
     np.testing.assert_allclose(np.log(again.values[:4] / first.values[:4]), 0.0, atol=np.log(1.4))
 
 
+def test_air_that_gains_nothing_stands(monkeypatch):
+    """Searched from where it was found, no flight's own, no speed and nothing that gusts do is asked; from half of it, all is."""
+    made, data = drawn(GustStates(MASS.b, 22.0), INTENSITIES)
+    first = found_in(made, data)
+    asked = []
+    own = turbulence._Search.own
+    monkeypatch.setattr(turbulence._Search, "own", lambda *a, **k: asked.append(1) or own(*a, **k))
+    again = found_in(made, data, first)
+    assert not asked
+    assert again.passing == first.passing
+    np.testing.assert_allclose(again.moments, first.moments, atol=9.0)
+    found_in(made, data, replace(first, values=0.5 * first.values, own={f: 0.5 * v for f, v in first.own.items()}))
+    assert asked
+
+
 def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is left alone."""
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
