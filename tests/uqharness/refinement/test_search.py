@@ -260,18 +260,24 @@ def test_one_channel_late_by_itself_is_not_believed_beside_another_time(keys, do
     assert bool(lone_among_times(some, LONE)) is doubted
 
 
-def test_then_the_search_is_made_without_such_delays(monkeypatch, tmp_path, evidence):
+@pytest.mark.parametrize(("merit", "believed"), [(90.0, False), (151.0, True), (None, True)])
+def test_then_the_search_is_made_without_such_delays(monkeypatch, tmp_path, evidence, merit, believed):
+    """Which stands unless it is less likely than with the delay by a hundred in twice the log likelihood."""
     (white,) = evidence.white
     names = ("free", "effect/actuator.aileron/lag", "effect/sensor.p_radps/delay", "twin", "other")
     renamed = gather([white], names, [0], {})
     start = started()
     effects = {k: LONE[k] for k in names[1:3]}
     both = {names[1]: 50.0, names[2]: 40.0}
-    ends = {"_".join(sorted(both)): round_of(50.0, True, **both), names[1]: round_of(90.0, True, **{names[1]: 50.0})}
+    alone = None if merit is None else round_of(merit, True, **{names[1]: 50.0})
+    ends = {"_".join(sorted(both)): round_of(50.0, True, **both), names[1]: alone}
     flights = Flights(**{**ends, names[2]: round_of(100.0, again=chosen(**both), **{names[2]: 40.0})})
     monkeypatch.setattr(module, "fly", flights)
     object.__setattr__(start, "effects", effects)
     found = search(start, renamed, tmp_path, lambda _: None)
-    assert found.best.keys == {names[1]}
+    assert found.best.keys == (set(both) if believed else {names[1]})
+    if believed:
+        assert not found.notes
+        return
     assert "late by itself was not believed" in found.notes[0]
     assert "p_radps" in found.notes[0]

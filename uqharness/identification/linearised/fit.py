@@ -192,8 +192,11 @@ def refit(
     model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
     limits: Mapping[str, tuple[float, float]], map_: Processes,
 ) -> Fit:  # fmt: skip
-    """Output error from ``start`` over the properties ``names``, biases, delays and start states."""
+    """Output error from ``start`` over the properties ``names``, biases, delays and start states. Raises LinAlgError where replays
+    from there leave the finite."""
     flown, analytic = fly(model, setup, start, map_), None
+    if not math.isfinite(flown.cost):
+        raise np.linalg.LinAlgError("replays with this model are no numbers")
     for _ in range(_MOST_ITERATIONS):
         fit = fit_at(model, straight, setup, names, flown, map_, analytic)
         analytic, white = fit.analytic, fit.evidence.white

@@ -1,6 +1,10 @@
 """Estimates of a fit on linearised flights."""
 
+import math
 from types import SimpleNamespace
+
+import numpy as np
+import pytest
 
 from uqharness.identification.linearised import fit as fits
 from uqharness.identification.linearised.fit import in_one_step
@@ -22,3 +26,10 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
     assert in_one_step(None, names[:2], fit) == {"aero/CZ_q": (1.5, 0.2), "aero/Cm_q": (-2.5, 0.2)}
     assert in_one_step(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {"aero/CZ_q": (1.0, 0.2)}
     assert asked == [names, (*names, "effect/Cm/de")]
+
+
+@pytest.mark.parametrize("cost", [math.inf, math.nan])
+def test_where_the_first_replays_leave_the_finite_there_is_no_fit(monkeypatch, cost):
+    monkeypatch.setattr(fits, "fly", lambda *_: SimpleNamespace(cost=cost))
+    with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
+        fits.refit(None, None, None, None, (), {}, None)  # type: ignore[arg-type]
