@@ -37,9 +37,9 @@ def base_fit_and_noise(
     aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Base:  # fmt: skip
-    """The fit of the model as it is. What the flights do not excite, and what replays do not determine (it ends at a bound), stays
-    where it is. The noise of channels which the autopilot's estimator computed is what the fit leaves of them, for no card knows an
-    estimator's error."""
+    """The fit of the model as it is. What the flights do not excite stays where it is. What a model that lacks something drives to
+    a bound begins there and is free beside effects, but for flights with an autopilot's estimates, where it stays. The noise of
+    channels which the estimator computed is what the fit leaves of them, for no card knows an estimator's error."""
     fdm = bench.model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[n] for n in names])
@@ -52,10 +52,10 @@ def base_fit_and_noise(
     kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
     found.replay.forget()
     flown = fly(bench.model, setup, point_of(found, setup, names), map_)
-    fit = fit_at(bench.model, bench.straight, setup, kept, flown, map_)
+    fit = fit_at(bench.model, bench.straight, setup, excited, flown, map_)
     guessed = estimated_channels(setup)
     if not guessed:
-        return fit, kept, excited, notes, setup.noise
+        return fit, excited, excited, notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
         setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
         fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)

@@ -115,20 +115,24 @@ def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
     """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
 
     def within(c: Choice) -> Choice:
-        servo = setup.servos.get(_surface(c.key))
-        if not c.key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
-            return c
-        least = _least(setup, c.key)
+        least = least_felt(setup, c.key)
         return c if c.value >= least else replace(c, value=least, t=least / c.std)
 
     return tuple(within(c) for c in chosen)
 
 
-def _least(setup: Setup, key: str) -> float:
-    """Value [s/deg] of a rate limit effect below which nothing changes any more."""
+def least_felt(setup: Setup, key: str) -> float:
+    """Value [s/deg] of a servo's rate limit effect below which nothing changes any more; of any other effect -inf."""
     surface = _surface(key)
-    servo = setup.servos[surface]
-    return min(1.0 / _fastest(setup, surface, replace(servo, rate=np.inf)) - 1.0 / servo.rate, 0.0)
+    servo = setup.servos.get(surface)
+    if not key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
+        return -np.inf
+    fastest = _fastest(setup, surface, replace(servo, rate=np.inf))
+    if servo.lag is not None:
+        # A servo is fastest where its command jumps, and slows down to the next row.
+        rows = servo.lag * setup.segments[0].at_commands().dt_s
+        fastest *= rows / -np.expm1(-rows)
+    return float(min(1.0 / fastest - 1.0 / servo.rate, 0.0))
 
 
 def as_known_here(selection: Selection, found: Round) -> Selection:
@@ -139,7 +143,7 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
         here = c.key + HERE
         if here not in found.evidence.names:
             return c
-        least = _least(found.setup, c.key)
+        least = least_felt(found.setup, c.key)
         value = found.about.flown[c.key]
         flown = found.evidence.taken_out({c.key: -value})
         step, std, _ = corrected(flown, [n for n in found.free if n != c.key], here)
@@ -152,5 +156,4 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
 
 def is_fastest(choice: Choice, setup: Setup) -> bool:
     """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that it may be any number above."""
-    servo = setup.servos.get(_surface(choice.key))
-    return servo is not None and np.isfinite(servo.rate) and choice.value - 2.0 * choice.std <= _least(setup, choice.key)
+    return bool(choice.value - 2.0 * choice.std <= least_felt(setup, choice.key))

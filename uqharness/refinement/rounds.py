@@ -20,7 +20,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.plugin import Estimate
-from uqharness.refinement.rates import felt
+from uqharness.refinement.rates import felt, least_felt
 from uqharness.refinement.round import About, Round, Start, joint_point
 from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.timing import LEAST_LATE_ROWS
@@ -197,7 +197,8 @@ def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Airc
     staged = write_staged(start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder)
     carriers = {e.key: found for e in effects if (found := carrier(e, start.aircraft)) is not None}
     setup = with_sensors_of(start.setup, staged)
-    return staged, replace(setup, active=tuple(effects), carriers=carriers, slopes=slopes)
+    least = {e.key: least_felt(setup, e.key) for e in effects}
+    return staged, replace(setup, active=tuple(effects), carriers=carriers, slopes=slopes, least=least)
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:

@@ -248,23 +248,25 @@ def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, 
 
 
 def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[Array, float]:
-    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays, and a share of a jump at an
-    end of SHARES that the flights would have beyond it."""
+    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays, and what flights would have
+    beyond where it ends: a share of a jump beyond SHARES, a rate limit where it is not felt."""
     delta, length = evidence.step(setup.held)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
     (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
     stay = [n for n, share in shares.items() if (share >= high and move[n] > 0.0) or (share <= low and move[n] < 0.0)]
+    stay += [key for key, least in setup.least.items() if point.effects.get(key, 0.0) <= least and move[key] < 0.0]
     return evidence.step([*setup.held, *stay]) if stay else (delta, length)
 
 
 def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
-    """Properties, active effects and nuisance moved by a step; properties stay within their limits, shares within SHARES."""
+    """Properties, active effects and nuisance moved by a step; properties stay within their limits, rate limits where they are
+    felt, shares within SHARES."""
     free = (-math.inf, math.inf)
     values = {n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v for n, v in point.values.items()}
     effects = dict(point.effects)
     for e in setup.active:
         if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
-            effects[e.key] = effects.get(e.key, 0.0) + step[e.key]
+            effects[e.key] = max(effects.get(e.key, 0.0) + step[e.key], setup.least.get(e.key, -math.inf))
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
     nuisance |= {n: float(np.clip(nuisance[n], *SHARES)) for n in map(unseen, setup.jumping)}

@@ -61,7 +61,7 @@ class Setup:
     active: effects that the model being flown has, or that its sensors have; carriers: key -> carrier of those that have one;
     servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
     a slower servo's effect is read while it is no part of the model; zones: surface -> width [deg] of the dead zone by
-    which one is;
+    which one is; least: key -> value of an active rate limit's effect below which nothing changes any more;
     slopes: numbers that the active effects are written with (`writing.slopes.control_slopes`), none where none is
     """
 
@@ -80,6 +80,7 @@ class Setup:
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     zones: Mapping[str, float] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()

@@ -302,7 +302,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
     }.items():  # fmt: skip
         monkeypatch.setattr(refine_gusts, name, instead)
     setup = SimpleNamespace(
-        active=(), held=(), jumping=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
+        active=(), held=(), least={}, jumping=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
         properties=lambda point: {},
     )  # fmt: skip
     refine_gusts.gust_refit(None, None, setup, SimpleNamespace(), ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
@@ -382,7 +382,7 @@ def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
 
 def test_shares_of_jumps_stay_between_none_and_all():
     """A step beyond an end is held back there, and what the others do is asked without it."""
-    setup = SimpleNamespace(active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"))
+    setup = SimpleNamespace(active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"), least={})
     asked = []
 
     def step(held):
@@ -395,6 +395,21 @@ def test_shares_of_jumps_stay_between_none_and_all():
     assert asked == [[], ["unseen/f"]]
     moved = stepped(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
     assert moved.nuisance == {"unseen/f": 0.8, "unseen/g": 1.0}
+
+
+def test_a_rate_limit_stays_where_it_is_felt():
+    """Beyond, nothing changes: it ends there, and the others are asked without it."""
+    key = "effect/actuator.aileron/rate_limit"
+    effect = SimpleNamespace(key=key)
+    setup = SimpleNamespace(active=(effect,), held=[], jumping=(), nuisance=(), least={key: -0.02}, carriers={key: None})
+    asked = []
+    evidence = SimpleNamespace(names=(key,), step=lambda held: asked.append(held) or (np.array([-0.03]), 1.0))
+    inside, at_end = (Point({}, {}, (), {key: value}) for value in (-0.01, -0.02))
+    step_from(setup, inside, evidence)  # type: ignore[arg-type]
+    step_from(setup, at_end, evidence)  # type: ignore[arg-type]
+    assert asked == [[], [], [key]]
+    assert stepped(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
+    assert stepped(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
 
 
 def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
