@@ -55,7 +55,9 @@ def base_fit_and_noise(
     fit = fit_at(bench.model, bench.straight, setup, excited, flown, map_)
     guessed = estimated_channels(setup)
     if not guessed:
-        return fit, excited, excited, notes, setup.noise
+        lost = [n for n in excited if n not in kept]
+        said = f"the model as it is drives these to a bound; estimated beside effects alone: {', '.join(lost)}"
+        return fit, excited, excited, [*notes, said] if lost else notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
         setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
         fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)
