@@ -94,16 +94,17 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))
 
 
-def test_predictions_are_asked_what_replays_have_at_a_bound(aircraft, flight):
+def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
     with Bench(aircraft, setup) as bench:
-        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, names, limits, ALONE)
-    assert kept == ("aero/Cm_q",)
-    assert excited == names
+        fit, names_estimated, excited, notes, _ = base_fit_and_noise(aircraft, bench, setup, names, limits, ALONE)
+    assert names_estimated == excited == names
     assert fit.flown.point.values["aero/CX_alpha2"] == 1.86
-    assert left_alone(names, kept)[0].endswith(": aero/CX_alpha2")
-    assert left_alone(names, excited) == []
+    assert set(names) <= set(fit.columns[0].names)
+    assert any(n.endswith("beside effects alone: aero/CX_alpha2") for n in notes)
+    assert left_alone(names, names[:1])[0].endswith(": aero/CX_alpha2")
+    assert left_alone(names, names) == []
 
 
 @pytest.fixture
