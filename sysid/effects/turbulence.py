@@ -162,8 +162,9 @@ def gust_intensity(
         # What gusts do, an effect that is missing or a sensor that is off may have decided before.
         other = search.best(some, [here, *(here.acting(rotating=r, turning_with=t) for r, t in _ACTING if (r, t) != here.kind)])
         here = search.descend(some, other, kinds) if other.kind != here.kind else here
-        # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
-        here = here if near is not None else search.own(of, here, flights, _FEW)
+        if near is None:
+            # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
+            here = search.own(of, here, flights, _FEW)
         if here.states[0].rotating:
             # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
             other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])

@@ -38,8 +38,8 @@ def base_fit_and_noise(
     map_: Processes,
 ) -> Base:  # fmt: skip
     """The fit of the model as it is. What the flights do not excite stays where it is. What a model that lacks something drives to
-    a bound begins there and is free beside effects, but for flights with an autopilot's estimates, where it stays. The noise of
-    channels which the estimator computed is what the fit leaves of them, for no card knows an estimator's error."""
+    a bound begins where it was and is free beside effects, but for flights with an autopilot's estimates, where it stays. The
+    noise of channels which the estimator computed is what the fit leaves of them, for no card knows an estimator's error."""
     fdm = bench.model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[n] for n in names])

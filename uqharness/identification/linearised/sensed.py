@@ -32,11 +32,10 @@ def as_sensed(
     for k, c in enumerate(setup.outputs):
         late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
-            rows = late / segment.dt_s
             if behind is not None:
                 y[:, k] -= behind[:, k]
             elif between is not None:
-                y[:, k] = late_rows(between[:, k], len(y), rows)
+                y[:, k] = late_rows(between[:, k], len(y), late / segment.dt_s)
         y[:, k] *= sensor_gain(c, point)
         y[:, k] += sensor_offset(c, segment, point)
     return y

@@ -39,7 +39,7 @@ def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
     """The same flights, without effects that are active, with the accelerometers where this aircraft has them: a centre of gravity
     that moves leaves them behind."""
     segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
-    return replace(setup, segments=segments, active=(), carriers={})
+    return replace(setup, segments=segments, active=(), carriers={}, least={})
 
 
 def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
