@@ -1,6 +1,6 @@
 """Replays by the batch engine, many at once; by JSBSim where the engine does not understand the aircraft, or is not there.
 
-A model's first replay is flown by both, and JSBSim flies all others too where they differ.
+A model's first replay is flown by both, and JSBSim flies all others too where they differ by more than rounding may.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ FELT = ("ax_mps2", "ay_mps2", "az_mps2")
 """Channels that jump with a control."""
 _AGREES = 1e-6
 """Largest difference of a channel between the engines, in units of its largest size in the replay."""
+_OFF, _GROWN = 1e-7, 1e4
+"""By how much a start is moved [m/s, rad, rad/s] to see how far a flight can be foretold; where that has grown so many times it is
+not."""
 
 
 @dataclass(frozen=True)
@@ -151,16 +154,20 @@ def _started(model: ReplayModel, dt_s: float) -> Any:
 
 
 def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
-    """The program, if it flies the job as JSBSim does."""
+    """The program, if it flies the job as JSBSim does, for as long as the start says where the flight goes: a model that diverges
+    and tumbles is elsewhere by rounding alone."""
     if program is None:
         return None
-    ours, theirs = _in_lanes(program, [job])[0], by_jsbsim(job)
-    size = np.nanmax(np.abs(theirs), axis=0, initial=1e-3)
-    with np.errstate(invalid="ignore"):
-        apart = np.nanmax(np.abs(ours - theirs) / size, initial=0.0)
-    if apart <= _AGREES and bool((np.isfinite(ours) == np.isfinite(theirs)).all()):
+    (ours, off), theirs = _in_lanes(program, [job, replace(job, start=job.start + _OFF)]), by_jsbsim(job)
+    alike = np.isfinite(ours) == np.isfinite(off)
+    spread = np.maximum.accumulate(np.where(alike, np.nan_to_num(np.abs(off - ours)), np.inf), axis=0)
+    said = np.max(spread, axis=1) < _GROWN * _OFF
+    size = np.nanmax(np.abs(theirs[said]), axis=0, initial=1e-3)
+    apart = np.abs(ours - theirs)[said] / size
+    same = np.isfinite(ours[said]) == np.isfinite(theirs[said])
+    if said[0] and bool(same.all()) and not (apart > _AGREES + spread[said] / size).any():
         return program
-    _LOG.warning("replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size", apart)
+    _LOG.warning("replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size", np.nanmax(apart, initial=0.0))
     return None
 
 

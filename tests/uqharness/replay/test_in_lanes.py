@@ -140,6 +140,46 @@ def test_an_engine_that_differs_is_not_used(
     assert "differs" in caplog.text
 
 
+TUMBLING = {"aero/Cn_beta": -0.1, "aero/Cm_alpha": 0.2}
+"""Unstable in yaw and pitch: two flights 1e-7 apart at the start are a rad/s apart after two seconds."""
+
+
+def tumbling(model: ReplayModel) -> ReplayJob:
+    """Eight seconds."""
+    piece = segment(400)
+    return ReplayJob(model, piece, TUMBLING, piece.start)
+
+
+def test_where_rounding_decides_the_engine_is_used(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_programs", {})
+    job = tumbling(model)
+    ours, theirs = fly_all([job])[0], by_jsbsim(job)
+    assert module._programs[module._alike(job)] is not None
+    assert apart(ours[:50], theirs[:50]) < 1e-6
+    assert apart(ours, theirs) > 1e-4
+
+
+@pytest.mark.parametrize("fault", ["scale", "failure"])
+def test_an_engine_that_differs_before_rounding_decides_is_not_used(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault: str
+) -> None:
+    real = module._in_lanes
+
+    def other(rows: np.ndarray) -> np.ndarray:
+        if fault == "scale":
+            return rows * (1.0 + 1e-5)
+        rows = rows.copy()
+        rows[30:] = np.nan
+        return rows
+
+    monkeypatch.setattr(module, "_programs", {})
+    monkeypatch.setattr(module, "_in_lanes", lambda program, some: [other(rows) for rows in real(program, some)])
+    job = tumbling(model)
+    fly_all([job])
+    assert module._programs[module._alike(job)] is None
+    assert "differs" in caplog.text
+
+
 def test_without_a_compiler_jsbsim_flies(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
