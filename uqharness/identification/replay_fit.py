@@ -91,15 +91,17 @@ def fit_replays(
     tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
     free = [n for n in layout.names if n not in held]
     rest = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
-    fit = _first_that_flies(lambda theta: fit_from(theta, free), [np.concatenate([values, rest]) for values in tries])
+    begun = [np.concatenate([values, rest]) for values in tries]
+    fit = _first_that_flies(lambda theta: fit_from(theta, free), begun)
     fit = replace(fit, status={**fit.status, **dict.fromkeys(held, "not-identified")}, reason={**fit.reason, **held})
     lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
     if lost:
         # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
-        theta = fit.theta.copy()
-        for n in lost:
-            theta[layout.names.index(n)] = tries[-1][list(names).index(n)]
-        again = fit_from(theta, [n for n in free if n not in lost])
+        # What was estimated beside a value far from there, at a bound, may fit worse than what the estimate began with.
+        places = [layout.names.index(n) for n in lost]
+        options = [_with(theta, begun[-1], places) for theta in (fit.theta, *begun)]
+        nearest = min(options, key=lambda theta: _misfit(observed.data, replay(theta)))
+        again = fit_from(nearest, [n for n in free if n not in lost])
         status = {**again.status, **dict.fromkeys((*lost, *held), "not-identified")}
         reason = {**again.reason, **{n: fit.reason[n] for n in (*lost, *held)}}
         kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
@@ -108,6 +110,16 @@ def fit_replays(
             n_simulations=fit.n_simulations + again.n_simulations,
         )  # fmt: skip
     return ReplayFit(fit, layout, replay, (*lost, *held))
+
+
+def _misfit(data: Sequence[Array], flown: Sequence[Array]) -> float:
+    """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise what is left of it; infinite where
+    replays fail."""
+    left = np.concatenate(data) - np.concatenate(flown)
+    measured = np.isfinite(np.concatenate(data))
+    if not np.isfinite(left[measured]).all():
+        return float("inf")
+    return float(sum(known.sum() * np.log(np.mean(part[known] ** 2)) for part, known in zip(left.T, measured.T, strict=True)))
 
 
 def _with(values: Array, fixed: Array, places: Sequence[int]) -> Array:

@@ -47,7 +47,7 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
         second = max(twos, key=lambda f: f.merit, default=best)
         if second.merit > best.merit and second.stands_out(len(fits)):
             other = _settled(about, second, train, write, map_)
-            done = other if done is None or other.shown.surprise < done.shown.surprise else done
+            done = min((d for d in (done, other) if d is not None), key=lambda d: d.shown.surprise, default=None)
     if done is None:
         return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
     round_, aircraft, shown = done.round, done.aircraft, done.shown
@@ -91,19 +91,27 @@ class _Done:
     shown: Shown
 
 
-def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
-    """A term flown, and estimated once more about the flight with it, which is nearer to what was measured."""
+def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done | None:
+    """A term flown, and estimated once more about the flight with it, which is nearer to what was measured; None as `_flown`."""
     done = _flown(about, fit, train, write, map_)
-    if about.found.gusty or not np.isfinite(done.shown.cost):
+    if done is None or about.found.gusty or not np.isfinite(done.shown.cost):
         return done
     found = done.round.found
     setup, flown = linearised(found, done.aircraft, train, found.setup, done.shown.flown, map_)
     again = _flown(CurvesAbout(found, flown, setup, done.round), fit, train, write, map_)
-    return again if again.shown.cost < done.shown.cost else done
+    return again if again is not None and again.shown.cost < done.shown.cost else done
 
 
-def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done:
+def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done | None:
+    """The term as it flies; None where the flight that it is estimated about is so far off that its estimates are no numbers."""
     round_ = about.estimated(fit.term)
+    estimates = [
+        *round_.fit.values,
+        *(value for value, _ in round_.found.parameters.values()),
+        *round_.found.selection.values.values(),
+    ]
+    if not np.isfinite(estimates).all():
+        return None
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
     shown = show(aircraft, train, map_, written_at(round_.found, near=round_.found.after.flown.point))

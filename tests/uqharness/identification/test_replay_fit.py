@@ -94,6 +94,31 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))
 
 
+@pytest.mark.parametrize("far", [False, True])
+def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(aircraft, flight, monkeypatch, far):
+    setup = make_setup(aircraft, [flight], ())
+    observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
+    names, near, card = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.0, 1.84]), np.array([-11.0, 1.86])
+    begun, real = [], replay_fit.output_error
+
+    def estimated(replay, theta, *arguments, **more):
+        begun.append(theta)
+        fit = real(replay, theta, *arguments, **more)
+        if len(begun) == 1 and far:
+            # Beside a value at its bound, another one was driven away.
+            fit.theta[0] = -50.0
+        return fit
+
+    monkeypatch.setattr(replay_fit, "output_error", estimated)
+    with ReplayFolder(aircraft) as model:
+        fit = fit_replays(model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map))
+    assert fit.lost == ("aero/CX_alpha2",)
+    assert [theta[1] for theta in begun] == [1.84, 1.86]
+    first = begun[1][0]
+    assert first == -13.0 if far else first == pytest.approx(-13.8, abs=0.5)
+    assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
+
+
 def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
