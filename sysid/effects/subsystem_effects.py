@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from sysid.effects.catalogue import JATEGAONKAR, Effect
 from sysid.effects.tuned import ODDS
 
-_POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic", "lift")
+_POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic")
 _WIND = ("V_mps", "alpha_rad", "beta_rad")
 # subsystem, term, name, physics, regime, unit
 _AIRCRAFT = (

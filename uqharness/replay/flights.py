@@ -16,7 +16,7 @@ from sysid.errors import LogError
 from sysid.logs import bridge, default_cache, import_log, in_degrees, labelled, no_aeroplane, surely_late
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
-from uqharness.replay.ground import height_known
+from uqharness.replay.ground import height_known, heights
 from uqharness.replay.logged_commands import command_later, mean_ahead, with_steps_placed
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.power import with_throttle
@@ -260,8 +260,7 @@ def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float,
         time = record["time_s"][rows]
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
         start = np.array([_start(record, name, rows) for name in STATES])
-        height = record["h_m"][rows] if "h_m" in record else np.zeros(len(time))
-        h = float(np.nanmedian(height[: max(1, round(2.0 / record.dt_s))])) if np.isfinite(height).any() else 0.0
+        h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
         asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
         commands = None if between is None else Commands(flight.per_row, between, asked)
@@ -338,7 +337,8 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
 
 
 def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
-    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured)."""
+    """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured), heights as
+    `ground.heights` has them."""
     out = {}
     for name in CHANNELS:
         values = np.array(flight.record[name][piece.rows], dtype=float) if name in flight.record else np.zeros(0)
@@ -349,7 +349,7 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
             at = np.arange(len(values))
             values = np.interp(at, at[good], values[good])
         out[name] = values
-    return out
+    return {**out, "h_m": heights(out, flight.record.dt_s)} if out["h_m"].any() else out
 
 
 def renamed(names: Sequence[str]) -> list[str]:

@@ -15,6 +15,7 @@ from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
 from uqharness.replay.force import StatesOf, force_all
+from uqharness.replay.ground import heights
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.positions import WORTH_ONCE_S, surface_positions
 from uqharness.replay.segments import Segment
@@ -64,8 +65,8 @@ class JsbsimPrediction:
         altitude = np.full(rows.stop - rows.start, segment.altitude_m)
         if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
             # Below the ground's reach its height must be what the terrain was laid for.
-            above = segment.h_m if self.model.near_ground else np.median(record["h_m"][rows])
-            altitude += record["h_m"][rows] - above
+            height = heights({c: np.array(record[c][rows], dtype=float) for c in (*NEEDED, "h_m")}, record.dt_s)
+            altitude += height - (segment.h_m if self.model.near_ground else np.median(height))
         some = asked_rows(len(controls), every)
         return StatesOf(
             segment, {c: np.asarray(record[c][rows], dtype=float)[some] for c in NEEDED}, controls[some], altitude[some]

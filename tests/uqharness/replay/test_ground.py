@@ -13,12 +13,12 @@ from tests.helpers.flown import fly
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.force import force_states
-from uqharness.replay.ground import altitudes, height_known
+from uqharness.replay.ground import altitudes, height_known, heights
 from uqharness.replay.model import CONTROLS, ReplayFolder
 from uqharness.replay.replay import CHANNELS, fly_segment
 from uqharness.simulator.aircraft import find_aircraft
 
-LIFT, SPAN_M = 0.2, 3.66
+LIFT, SPAN_M, DT_S = 0.2, 3.66, 0.02
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +71,43 @@ def test_a_record_that_starts_in_the_air_at_its_own_zero_does_not_say(record):
     assert height_known(on_the_ground)
     assert not height_known(record.with_columns({"h_m": climbing - 100.0}))
     assert not height_known(record.with_columns({"h_m": np.full(len(time), np.nan)}))
+
+
+def climbing(seconds: float, wrong_pitch_rad: float = 0.0, seed: int = 0) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Channels of a banked flight 4 m up that pitches up and down, its heights 1.5 m off (rms), and the true heights."""
+    n = round(seconds / DT_S)
+    t = DT_S * np.arange(n)
+    channels = {
+        "V_mps": np.full(n, 21.0), "alpha_rad": 0.04 + 0.03 * np.sin(2.0 * t), "beta_rad": np.full(n, 0.02),
+        "phi_rad": 0.3 * np.sin(0.5 * t), "theta_rad": 0.05 + 0.1 * np.sin(1.3 * t),
+    }  # fmt: skip
+    V, a, b, phi, theta = channels.values()
+    air = np.stack([V * np.cos(a) * np.cos(b), V * np.sin(b), V * np.sin(a) * np.cos(b)])
+    up = np.stack([np.sin(theta), -np.sin(phi) * np.cos(theta), -np.cos(phi) * np.cos(theta)])
+    climb = np.sum(air * up, axis=0)
+    true = 4.0 + DT_S * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
+    noise = 1.5 * np.random.default_rng(seed).normal(size=n)
+    return {**channels, "theta_rad": theta + wrong_pitch_rad, "h_m": true + noise}, true
+
+
+def test_heights_follow_the_climb_of_the_air_data_without_noise() -> None:
+    channels, true = climbing(8.0)
+    assert heights({**channels, "h_m": true}, DT_S) == pytest.approx(true, abs=1e-9)
+
+
+@pytest.mark.parametrize(("wrong_pitch_rad", "most_m"), [(0.0, 0.2), (0.03, 0.2)])
+def test_noise_of_heights_is_averaged_over_seconds_and_a_wrong_pitch_does_not_drift(wrong_pitch_rad: float, most_m: float) -> None:
+    every = [climbing(8.0, wrong_pitch_rad, seed) for seed in range(20)]
+    found = [heights(channels, DT_S) - true for channels, true in every]
+    assert np.sqrt(np.mean(np.square(found))) < most_m
+    # At the first row; taken for level over two seconds, what climbs is higher there.
+    assert np.std([f[0] for f in found]) < 0.35
+    assert abs(np.mean([f[0] for f in found])) < 0.15
+    assert np.mean([np.median(channels["h_m"][:100]) - true[0] for channels, true in every]) > 0.8
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5])
+def test_heights_of_few_rows(rows: int) -> None:
+    channels, true = climbing(8.0)
+    few = heights({c: v[:rows] for c, v in {**channels, "h_m": true}.items()}, DT_S)
+    assert few == pytest.approx(true[:rows], abs=1e-9)
