@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
+from sysid.units import IN_M
 from tests.helpers.flown import fly
 from uqharness.identification.linearised import (
     Bench,
@@ -22,6 +24,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.identification.linearised import fly as replayed
+from uqharness.plugin import with_card
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay.flights import read_flights
 from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
@@ -83,3 +86,18 @@ def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_sa
         left = change[:, felt] - FORWARD_M * column[:, felt]
         assert np.sqrt(np.mean(left**2)) < 0.03 * np.sqrt(np.mean(change[:, felt] ** 2))
         assert np.abs(change[:, felt]).max() > 0.02
+
+
+def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> None:
+    """A Cessna whose fuel, pilots and luggage weigh a fifth of the whole, and stay where they are."""
+    loaded = with_card(find_aircraft("c172p"))
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    write_effects(loaded, [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "c172p")
+    other = replace(find_aircraft(tmp_path / "c172p"), engine_path=loaded.engine_path, systems_path=loaded.systems_path)
+    aft_m = []
+    for one in (loaded, other):
+        fdm = open_aircraft(one)
+        fdm.run_ic()
+        assert fdm["inertia/empty-weight-lbs"] < 0.85 * fdm["inertia/weight-lbs"]
+        aft_m.append(IN_M * fdm["inertia/cg-x-in"])
+    assert aft_m[0] - aft_m[1] == pytest.approx(FORWARD_M, rel=1e-6)

@@ -11,7 +11,7 @@ from pathlib import Path
 from sysid.effects import Effect
 from sysid.units import FT_M, IN_M, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.simulator import Actuator, Aircraft, sensors_from_cg, servo_number
+from uqharness.simulator import Actuator, Aircraft, engine, open_aircraft, sensors_from_cg, servo_number
 from uqharness.simulator.actuators import actuators
 from uqharness.xml import (
     Document,
@@ -67,9 +67,16 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
     unit = attribute(place, "unit")
     if unit not in _METRES:
         raise BadInputError(f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN')
-    # Structural x points aft.
-    _shift(document, x, -value / _METRES[unit], remark)
+    # Structural x points aft; the number is the empty aircraft's, and what it carries stays where it is.
+    _shift(document, x, -value * _over_empty(aircraft) / _METRES[unit], remark)
     sensors_from_cg(folder / "airframe.toml", value, remark)
+
+
+def _over_empty(aircraft: Aircraft) -> float:
+    """Weight of the aircraft, fuel and loads on board included, over that of it empty."""
+    fdm = open_aircraft(aircraft)
+    engine.run_ic(fdm)
+    return float(fdm["inertia/weight-lbs"] / fdm["inertia/empty-weight-lbs"])
 
 
 def write_servo(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
