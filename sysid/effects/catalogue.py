@@ -81,7 +81,7 @@ class Effect:
         return parse(self.term) if self.coefficient is not None else None
 
 
-# term -> physics, regime, reference, unit of the coefficient's derivative
+# term -> physics, regime, reference
 _TERMS: dict[str, tuple[str, str, str]] = {
     "alpha": ("force or moment proportional to angle of attack", "pitch manoeuvres", ETKIN),
     "alpha^2": ("curvature with angle of attack: drag polar, lift slope falling off", "large changes of angle of attack", KLEIN),
@@ -92,18 +92,14 @@ _TERMS: dict[str, tuple[str, str, str]] = {
     "abs(beta)": ("symmetric change with sideslip: one side of the tail in the fuselage's wake", "large sideslip", KLEIN),
     "abs(beta)*beta": ("crossflow on fuselage and fin grows faster than linearly with sideslip", "large sideslip", KLEIN),
     "alpha*beta": (
-        "dihedral effect or directional stability that changes with angle of attack",
-        "sideslip at varying angle of attack",
+        "dihedral effect or directional stability changes with angle of attack",
+        "sideslip at several angles of attack",
         KLEIN,
     ),
     "p_hat": ("spanwise change of angle of attack in a roll", "aileron doublets", ETKIN),
     "q_hat": ("change of angle of attack at the tail in pitching", "elevator doublets, 3-2-1-1", ETKIN),
     "r_hat": ("change of speed and sideslip along the span in yawing", "rudder doublets", ETKIN),
-    "p_hat^2": (
-        "both tail panels and wings gain angle of attack in a roll, whichever its direction",
-        "aileron doublets, large roll rate",
-        HALE,
-    ),
+    "p_hat^2": ("both tail panels and wings gain angle of attack in a roll either way", "aileron doublets, large roll rate", HALE),
     "q_hat^2": ("pitch damping that is not linear in the rate", "abrupt pitch manoeuvres", KLEIN),
     "r_hat^2": ("both wings in yawing, whichever its direction", "rudder doublets", KLEIN),
     "p_hat*r_hat": ("roll and yaw together", "coordinated rolls", KLEIN),
@@ -112,11 +108,7 @@ _TERMS: dict[str, tuple[str, str, str]] = {
     "abs(p_hat)*p_hat": ("roll damping that is not linear in the rate", "large roll rate", KLEIN),
     "abs(r_hat)*r_hat": ("yaw damping that is not linear in the rate", "large yaw rate", KLEIN),
     "abs(q_hat)*q_hat": ("pitch damping that is not linear in the rate", "large pitch rate", KLEIN),
-    "alpha*p_hat": (
-        "rolling at angle of attack: cross derivative that changes with alpha",
-        "rolls at varying angle of attack",
-        KLEIN,
-    ),
+    "alpha*p_hat": ("rolling: cross derivative that changes with angle of attack", "rolls at varying angle of attack", KLEIN),
     "alpha*q_hat": ("pitch damping that changes with angle of attack", "pitch manoeuvres at varying angle of attack", KLEIN),
     "alpha*r_hat": ("cross derivative of yawing that changes with angle of attack", "yaw at varying angle of attack", KLEIN),
     "beta*p_hat": ("rolling in sideslip: wing and tail see unequal angles", "rolls in sideslip", KLEIN),
@@ -142,11 +134,7 @@ _TERMS: dict[str, tuple[str, str, str]] = {
     "alphadot_hat": ("downwash reaches the tail late; lift builds up late", "elevator doublets, gusts", ETKIN),
     "betadot_hat": ("sidewash reaches the fin late", "rudder doublets", ETKIN),
     "CT": ("slipstream and thrust line: what power does at once", "throttle doublets", JATEGAONKAR),
-    "alpha*CT": (
-        "propeller's normal force and slipstream over the wing",
-        "throttle changes at varying angle of attack",
-        JATEGAONKAR,
-    ),
+    "alpha*CT": ("propeller's normal force, slipstream over the wing", "throttle changes at several angles of attack", JATEGAONKAR),
     "beta*CT": ("propeller's side force; slipstream over the fin", "throttle changes in sideslip", JATEGAONKAR),
     "q_hat*CT": ("pitch damping by the tail in the slipstream", "pitch manoeuvres at different power", JATEGAONKAR),
     "r_hat*CT": ("yaw damping by the fin in the slipstream", "yaw manoeuvres at different power", JATEGAONKAR),

@@ -36,11 +36,12 @@ _SUBSYSTEM = {
 def why(effect: Effect, choice: Choice) -> str:
     """One sentence: physics, where it shows, how strongly the flights say so."""
     sign = "positive" if choice.value > 0 else "negative"
+    usual = f", where {effect.sign} is usual" if effect.sign else ""
     where = f"; it shows in {effect.regime}" if effect.regime else ""
     source = f" ({effect.reference})" if effect.reference else ""
     return (
         f"{effect.physics}{where}{source}. "
-        f"Estimate {choice.value:.4g} ± {choice.std:.2g} ({sign}), |t| {abs(choice.t):.1f} with "
+        f"Estimate {choice.value:.4g} ± {choice.std:.2g} ({sign}{usual}), |t| {abs(choice.t):.1f} with "
         "standard errors corrected for coloured residuals"
     )
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sysid.effects import Choice
+from sysid.effects.catalogue import coefficient_effect
 from uqharness.refinement.showing.document import moments_of, strong_of
+from uqharness.refinement.showing.words import why
 
 
 @pytest.mark.parametrize(("gains", "told"), [((5.0, 99.0, np.nan), []), ((5.0, 400.0, 101.0), ["Cm", "Cn"])])
@@ -28,3 +32,9 @@ def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_y
     ]
     assert strong_of(near, {"effect/Cl/alpha*CT"}) == [("effect/Cl/alpha^3", 33.1)]
     assert strong_of(near, set()) == [("effect/Cl/alpha^3", 33.1), ("effect/Cl/alpha*CT", -31.2)]
+
+
+@pytest.mark.parametrize(("usual", "told"), [("", "(negative)"), ("positive", "(negative, where positive is usual)")])
+def test_a_sign_that_is_usual_is_told(usual, told):
+    effect = replace(coefficient_effect("Cm", "p_hat^2"), sign=usual)
+    assert f"Estimate -2 ± 0.1 {told}, |t| 20.0" in why(effect, Choice("k", -2.0, 0.1, -20.0, 400.0, 300.0, 0.5))
