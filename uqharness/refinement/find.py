@@ -187,20 +187,17 @@ def find_effects(
 
 
 def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
-    """Everything estimated with the best model flown, or without effects where none is better; evidence: without effects."""
-    best, gusty = searched.best, start.gusts is not None
-    if best is None:
-        setup, after, last, gusts = start.setup, start.before, evidence, start.gusts
-        selection = replace(searched.first, chosen=(), refused=_not_borne_out(start, searched.first) or searched.first.refused)
-    else:
-        setup, after, last, gusts = best.setup, best.fit, best.evidence, best.gusts
+    """Everything estimated with the best model; evidence: without effects."""
+    best, gusts, gusty = searched.best, searched.best.gusts, start.gusts is not None
+    if best.keys:
         known = as_known_here(resolved(start, best), best)
-        selection = with_resolution(known, start.effects, setup.segments[0].dt_s)
+        selection = with_resolution(known, start.effects, best.setup.segments[0].dt_s)
+    else:
+        selection = replace(best.again, chosen=(), refused=_not_borne_out(start, best.again) or best.again.refused)
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
-    moved = gusty or bool(best and best.held)
-    parameters = in_one_step(last, start.names, after, [*selection.values], moved)
-    selection, slopes = of_lift_slope(selection, start.before, after)
-    open_ = eligible([*start.effects.values()], start.setup, after.columns[0].names, last)
+    parameters = in_one_step(best.evidence, start.names, best.fit, [*selection.values], moved=gusty or bool(best.held))
+    selection, slopes = of_lift_slope(selection, start.before, best.fit)
+    open_ = eligible([*start.effects.values()], start.setup, best.free, best.evidence)
     plain = in_one_step(evidence, start.names, start.before, (), moved=gusty)
     notes, trail = searched.notes, searched.trail
     if gusts is not None:
@@ -208,11 +205,10 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         notes = (*notes, IN_TURBULENCE.format(gain, gusts.words))
         trail = tuple(f"one-step predictions: {line}" for line in trail)
     return Found(
-        setup, start.names, start.before, after, selection, start.effects, parameters, notes,
+        best.setup, start.names, start.before, best.fit, selection, start.effects, parameters, notes,
         {n: value for n, (value, _) in plain.items()}, gusts,
-        limit=start.limit, trail=trail, slopes=slopes,
-        flown={} if best is None else best.about.flown,
-        left=left_beside(last, start.free, [*selection.values], open_),
+        limit=start.limit, trail=trail, slopes=slopes, flown=best.flown,
+        left=left_beside(best.evidence, start.free, [*selection.values], open_),
     )  # fmt: skip
 
 

@@ -144,7 +144,7 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
         if here not in found.evidence.names:
             return c
         least = least_felt(found.setup, c.key)
-        value = found.about.flown[c.key]
+        value = found.flown[c.key]
         flown = found.evidence.taken_out({c.key: -value})
         step, std, _ = corrected(flown, [n for n in found.free if n != c.key], here)
         if not np.isfinite(std):

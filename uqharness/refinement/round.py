@@ -17,15 +17,6 @@ from uqharness.simulator import Aircraft
 
 
 @dataclass(frozen=True)
-class About:
-    """A flight with its evidence: the point flown, the evidence as it would be without effects, values of those flown."""
-
-    point: Point
-    evidence: Evidence
-    flown: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class Start:
     """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
 
@@ -71,13 +62,12 @@ def like_turning_air(effect: Effect) -> bool:
 
 @dataclass(frozen=True)
 class Round:
-    """Effects flown with everything estimated.
+    """Effects flown with everything estimated; the first round has none.
 
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
     merit      minus twice the log likelihood, and what the effects must earn: less is better; gusts: the air, estimated with them
-    about      where it ended
-    held       key -> value flown, of numbers that JSBSim reads once
+    flown      key -> value flown; held: those of numbers that JSBSim reads once
     """
 
     setup: Setup
@@ -87,7 +77,7 @@ class Round:
     again: Selection
     merit: float
     gusts: Gusts | None
-    about: About
+    flown: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -115,13 +105,13 @@ class Round:
         return self.fit.columns[0].names
 
 
-def joint_point(start: Start, about: About, keys: Sequence[str]) -> Point:
+def joint_point(start: Start, about: Round, keys: Sequence[str]) -> Point:
     """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet, and
     other properties as they were without any."""
-    evidence, plain, free = about.evidence, start.before.flown.point, start.free
+    evidence, point, plain, free = about.evidence, about.fit.flown.point, start.before.flown.point, start.free
     delta = evidence.fitted(evidence.index([*free, *keys]))
     step = dict(zip(free, delta[evidence.index(free)].tolist(), strict=True))
-    values = {n: about.point.values.get(n, v) for n, v in plain.values.items()}
-    moved = stepped(start.setup, replace(plain, values=values, nuisance=about.point.nuisance), step, start.limits)
+    values = {n: point.values.get(n, v) for n, v in plain.values.items()}
+    moved = stepped(start.setup, replace(plain, values=values, nuisance=point.nuisance), step, start.limits)
     delta[evidence.index(list(about.flown))] -= [*about.flown.values()]
-    return replace(moved, starts=moved_starts(about.point.starts, evidence.white, delta))
+    return replace(moved, starts=moved_starts(point.starts, evidence.white, delta))

@@ -21,7 +21,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.plugin import Estimate
 from uqharness.refinement.rates import felt, least_felt
-from uqharness.refinement.round import About, Round, Start, joint_point
+from uqharness.refinement.round import Round, Start, joint_point
 from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.timing import LEAST_LATE_ROWS
 from uqharness.refinement.writing.effects import Written, carrier, write_effects
@@ -35,9 +35,9 @@ _OF_TIME = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
 
 
-def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
+def fly(start: Start, selection: Selection, about: Round, folder: Path) -> Round | None:
     """The effects flown, everything estimated with them, again until the numbers that JSBSim reads once (mass, servos) stand, and
-    what would be chosen there; None where no filter can follow the flights with them. about: where it begins.
+    what would be chosen there; None where no filter can follow the flights with them. about: the round it begins from.
 
     Until they stand, what they leave looks like other effects. One whose estimated change is as large as before it was changed, and
     no likelier for it, does not do what its column says, and is left out.
@@ -60,14 +60,14 @@ def fly(start: Start, selection: Selection, about: About, folder: Path) -> Round
             last[c.key] = here
         merit = now.merit
         again = folder.with_name(f"{folder.name}-{number}")
-        following = _fly_once(start, Selection(tuple(chosen)), now.about, again) if chosen else None
+        following = _fly_once(start, Selection(tuple(chosen)), now, again) if chosen else None
         if following is None:
             break
         now = following
     return now
 
 
-def _fly_once(start: Start, selection: Selection, about: About, folder: Path) -> Round | None:
+def _fly_once(start: Start, selection: Selection, about: Round, folder: Path) -> Round | None:
     try:
         return _flown(start, selection, about, folder)
     except np.linalg.LinAlgError:
@@ -87,7 +87,7 @@ def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
     return change if not slope < 0.0 else float(np.clip(-change / slope, -most, most))
 
 
-def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Round:
+def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Round:
     written = replace(selection, chosen=felt(selection.chosen, start.setup)).values
     keys = list(written)
     staged, setup = stage(start, written, folder)
@@ -119,7 +119,7 @@ def _flown(start: Start, selection: Selection, about: About, folder: Path) -> Ro
     merit = cost + sum(start.effects[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
-        About(fit.flown.point, evidence, values), {k: written[k] for k in setup.held},
+        values, {k: written[k] for k in setup.held},
     )  # fmt: skip
 
 

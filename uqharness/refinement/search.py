@@ -35,7 +35,7 @@ from sysid.effects import (
     scores,
     select,
 )
-from uqharness.refinement.round import About, Round, Start
+from uqharness.refinement.round import Round, Start
 from uqharness.refinement.rounds import fly, odds_at
 from uqharness.replay import SENSOR_OF
 
@@ -45,15 +45,14 @@ LONE = (
     "without such delays"
 )
 Say = Callable[[str], None]
-Fly = Callable[[Selection, About, Path], Round | None]
+Fly = Callable[[Selection, Round, Path], Round | None]
 
 
 @dataclass(frozen=True)
 class Searched:
-    """What was proposed about the flight without effects, the best model flown or None, how it went, and what is to be told."""
+    """The best model, which may be the one without effects, how it went, and what is to be told."""
 
-    first: Selection
-    best: Round | None
+    best: Round
     trail: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -63,31 +62,29 @@ def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
     chosen beside another time, unless it is less likely by more than chance gives: a servo whose command comes late looks like a
     gyro and an attitude that are, and a lag."""
     found = _search(start, evidence, work / "round", say)
-    chosen = () if found.best is None else found.best.selection.chosen
-    doubtful = lone_among_times(chosen, start.effects)
+    doubtful = lone_among_times(found.best.selection.chosen, start.effects)
     if not doubtful:
         return found
     without = replace(start, effects={k: e for k, e in start.effects.items() if not _lone(e)})
     again = _search(without, evidence, work / "whole", say)
-    assert found.best is not None
     # By predictions, a sensor's delay takes samples away.
-    if start.gusts is None and (again.best is None or again.best.merit > found.best.merit + CERTAIN_T**2):
+    if start.gusts is None and (not again.best.keys or again.best.merit > found.best.merit + CERTAIN_T**2):
         return found
     return replace(again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),))
 
 
 def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
-    about, odds = About(start.before.flown.point, evidence, {}), odds_at(start, start.free, evidence)
-    first = proposal = select(
-        evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING
-    )  # fmt: skip
+    odds = odds_at(start, start.free, evidence)
+    first = select(evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING)
+    bare = about = Round(start.setup, start.before, evidence, Selection(()), first, start.merit, start.gusts)
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
     doubted = 0
     flight = partial(fly, start)
     for number in range(2, ROUNDS + 2):
-        if not proposal.chosen:
+        proposal = about.again
+        if about.standing or not proposal.chosen:
             break
         here = folder.with_name(f"{folder.name}{number}")
         say(f"round {number}: flying with {_listed(proposal.values)}")
@@ -112,23 +109,21 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
             trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(proposal.values)}")
         # Those that are not the best of what they judge would take the most memory.
         flown = [*(r for r in flown if r is likeliest([*flown, r])), now]
-        if now.standing:
-            break
+        about = now
         seen.add(now.keys)
         following = frozenset(now.again.values)
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
-        proposal, about = now.again, now.about
-    best, lines = without_weak(likeliest(flown), flown, start.limit, flight, folder.with_name(f"{folder.name}-kept"))
-    if best is not None and not best.merit < start.merit and _same_samples(best, frozenset()):
-        return Searched(first, None, (*trail, *lines, "flown, the effects do not lower the error by what they must earn"))
-    if best is not None and not best.standing and not lines:
+    best, lines = without_weak(likeliest(flown) or bare, bare, flown, start.limit, flight, folder.with_name(f"{folder.name}-kept"))
+    if best.keys and not best.merit < bare.merit and _same_samples(best, bare.keys):
+        best, lines = bare, [*lines, "flown, the effects do not lower the error by what they must earn"]
+    if best.keys and not best.standing and not lines:
         lines = ["the best of the rounds flown, not one that stands"]
-    return Searched(first, best, (*trail, *lines))
+    return Searched(best, (*trail, *lines))
 
 
-def instead_of(start: Start, now: Round | None, proposal: Selection, about: About) -> list[Selection]:
+def instead_of(start: Start, now: Round | None, proposal: Selection, about: Round) -> list[Selection]:
     """Proposals with another candidate in the place of the newest effect, where that is doubtful: no filter follows flights with it
     (now: None), it leaves moments that nothing explains, or it is overwhelming and leaves several effects to be asked for."""
     new = [c for c in proposal.chosen if c.key not in about.flown]
@@ -173,20 +168,21 @@ def _same_samples(found: Round, keys: frozenset[str]) -> bool:
 
 
 def without_weak(
-    best: Round | None, flown: Sequence[Round], limit: float, again: Fly, folder: Path
-) -> tuple[Round | None, list[str]]:
-    """The best round, or where effects that it flies say less than they must once they fly, the one without them; and why.
+    best: Round, bare: Round, flown: Sequence[Round], limit: float, again: Fly, folder: Path
+) -> tuple[Round, list[str]]:
+    """The best round, or where effects that it flies say less than they must once they fly, the one without them; and why. bare:
+    the round without any.
 
     Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
     """
-    if best is not None and not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
-        return None, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
-    weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if best is not None and not best.standing else []
-    if best is None or not weak or len(weak) == len(best.selection.chosen):
+    if not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
+        return bare, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
+    weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if not best.standing else []
+    if not weak or len(weak) == len(best.selection.chosen):
         return best, []
     kept = tuple(c for c in best.selection.chosen if c not in weak)
     same = [r for r in flown if r.keys == {c.key for c in kept}]
-    found = min(same, key=lambda r: r.merit) if same else again(Selection(kept), best.about, folder)
+    found = min(same, key=lambda r: r.merit) if same else again(Selection(kept), best, folder)
     if found is None:
         return best, []
     return found, [f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak]

@@ -77,8 +77,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
             np.zeros((8, 4)), np.ones((400, 1), dtype=bool), np.ones(1),
         )  # fmt: skip
         evidence = gather([white], tuple(columns), [0], {}).taken_out({KEY: value})
-        about = SimpleNamespace(flown={KEY: value})
-        return SimpleNamespace(evidence=evidence, free=("other", KEY), setup=setup_with(40.0), about=about)
+        return SimpleNamespace(evidence=evidence, free=("other", KEY), setup=setup_with(40.0), flown={KEY: value})
 
     choice = Choice(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
     (known,) = as_known_here(Selection((choice,)), found(1e4 * here)).chosen

@@ -15,7 +15,7 @@ from uqharness.refinement.rounds import fly
 def round_with(*chosen: Choice, held: dict[str, float], merit: float = 0.0) -> Round:
     """A round that flew with numbers ``held`` and has effects estimated there."""
     own = Selection(chosen)
-    return Round(None, None, None, own, own, merit, None, None, held)  # type: ignore[arg-type]
+    return Round(None, None, None, own, own, merit, None, held=held)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("flown_s", "far", "standing"), [(0.0626, False, True), (0.0622, False, False), (0.0454, True, False)])

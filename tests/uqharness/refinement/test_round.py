@@ -11,7 +11,7 @@ from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
 from uqharness.identification.linearised import Point, around, servo_change
 from uqharness.refinement.rates import SHARES, just_so
-from uqharness.refinement.round import About, joint_point
+from uqharness.refinement.round import joint_point
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import Actuator
 
@@ -33,7 +33,8 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
 def test_parameters_and_start_states_move_with_the_effects():
     evidence = evidence_of((2.0, 3.0, 0.0), noise=0.0)
     starts = (np.zeros(9), np.ones(9))
-    about = About(Point({"aero/a": 10.0}, {}, starts), evidence, {"effect/two": 0.5})
+    fit = SimpleNamespace(flown=SimpleNamespace(point=Point({"aero/a": 10.0}, {}, starts)))
+    about = SimpleNamespace(fit=fit, evidence=evidence, flown={"effect/two": 0.5})
     setup = SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=())
     plain = Point({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
     before = SimpleNamespace(flown=SimpleNamespace(point=plain))

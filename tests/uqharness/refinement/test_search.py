@@ -14,7 +14,7 @@ from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import Choice, Selection
 from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement import search as module
-from uqharness.refinement.round import About, Start
+from uqharness.refinement.round import Round, Start
 from uqharness.refinement.search import comparable, likeliest, lone_among_times, search, without_weak
 
 KEYS = ("free", "thrust", "speed", "twin", "other")
@@ -75,8 +75,8 @@ def round_of(
     flown = chosen(**t)
     return SimpleNamespace(
         merit=merit, standing=standing, gusts=gusts, selection=flown, keys=frozenset(t),
-        about=About("there", told(), dict.fromkeys(t, 1.0)), again=again or flown, far={},
-    )  # type: ignore[arg-type]  # fmt: skip
+        evidence=told(), flown=dict.fromkeys(t, 1.0), again=again or flown, far={},
+    )  # fmt: skip
 
 
 class Flights:
@@ -85,7 +85,7 @@ class Flights:
     def __init__(self, **ends: SimpleNamespace | None) -> None:
         self.ends, self.asked = ends, list[list[str]]()
 
-    def __call__(self, start: Start, selection: Selection, about: About, folder: Path) -> SimpleNamespace | None:
+    def __call__(self, start: Start, selection: Selection, about: Round, folder: Path) -> SimpleNamespace | None:
         keys = [c.key for c in selection.chosen]
         self.asked.append(keys)
         return self.ends["_".join(sorted(keys))]
@@ -102,7 +102,6 @@ def test_a_model_that_proposes_itself_ends_the_search(monkeypatch, tmp_path, evi
     found = searched(monkeypatch, tmp_path, evidence, flights)
     assert flights.asked == [["speed"]]
     assert found.best.keys == {"speed"}
-    assert [c.key for c in found.first.chosen] == ["speed"]
 
 
 def test_what_asks_for_several_more_is_doubted(monkeypatch, tmp_path):
@@ -154,7 +153,10 @@ def test_a_choice_that_goes_to_and_fro_ends_at_the_better_of_the_two(monkeypatch
 def test_effects_that_do_not_earn_their_place_are_none(monkeypatch, tmp_path, evidence, merit, gusts, kept):
     flights = Flights(speed=round_of(merit, True, gusts, speed=50.0))
     found = searched(monkeypatch, tmp_path, evidence, flights, merit=5000.0)
-    assert (found.best is not None) is kept
+    assert found.best.keys == ({"speed"} if kept else set())
+    if not kept:
+        assert (found.best.flown, found.best.merit, found.best.evidence) == ({}, 5000.0, evidence)
+        assert [c.key for c in found.best.again.chosen] == ["speed"]
     assert any("must earn" in line for line in found.trail) is not kept
 
 
@@ -162,7 +164,7 @@ def test_where_no_filter_follows_what_was_flown_before_stands(monkeypatch, tmp_p
     flights = Flights(speed=round_of(100.0, again=chosen(thrust=9.0), speed=50.0), thrust=None)
     found = searched(monkeypatch, tmp_path, evidence, flights)
     assert found.best.keys == {"speed"}
-    assert searched(monkeypatch, tmp_path, evidence, Flights(speed=None, thrust=None)).best is None
+    assert searched(monkeypatch, tmp_path, evidence, Flights(speed=None, thrust=None)).best.keys == set()
 
 
 def test_where_no_filter_follows_what_explains_as_much_flies(monkeypatch, tmp_path, evidence):
@@ -206,30 +208,30 @@ def test_what_says_nothing_once_it_flies_is_left_out(tmp_path):
         asked.append([c.key for c in selection.chosen])
         return round_of(101.0, Cm=-8.0)
 
-    both, alone = round_of(90.0, Cm=-8.0, alphadot=1.7), round_of(100.0, Cm=-8.1)
-    found, lines = without_weak(both, [both, alone], 4.0, fly, tmp_path)  # type: ignore
+    bare, both, alone = round_of(200.0), round_of(90.0, Cm=-8.0, alphadot=1.7), round_of(100.0, Cm=-8.1)
+    found, lines = without_weak(both, bare, [both, alone], 4.0, fly, tmp_path)  # type: ignore
     assert found is alone
     assert "alphadot" in lines[0]
     assert not asked
-    found, _ = without_weak(both, [both], 4.0, fly, tmp_path)  # type: ignore
+    found, _ = without_weak(both, bare, [both], 4.0, fly, tmp_path)  # type: ignore
     assert found is not None
     assert found.merit == 101.0
     assert asked == [["Cm"]]
     for best in (
-        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=3.5), None,
+        round_of(90.0, Cm=-8.0, alphadot=5.0), round_of(90.0, True, Cm=-8.0, alphadot=1.7), round_of(90.0, Cm=3.5), bare,
     ):  # fmt: skip
-        assert without_weak(best, [], 4.0, fly, tmp_path) == (best, [])  # type: ignore
-    assert without_weak(both, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore
+        assert without_weak(best, bare, [], 4.0, fly, tmp_path) == (best, [])  # type: ignore
+    assert without_weak(both, bare, [both], 4.0, lambda *_: None, tmp_path) == (both, [])  # type: ignore
 
 
 @pytest.mark.parametrize("gusts", [None, AIR])
 @pytest.mark.parametrize("standing", [False, True])
 def test_nothing_that_says_something_once_it_flies_is_no_effect(tmp_path, standing, gusts):
     """Chance: |t| 4.5 on the linearised flight, 2.7 once it flies."""
-    best, kept = (round_of(90.0, standing, gusts, alphadot=t) for t in (2.7, 3.1))
-    found = without_weak(best, [best], 4.0, lambda *_: None, tmp_path)  # type: ignore[arg-type]
-    assert found == (None, ["flown, alphadot has |t| 2.7: no effect"])
-    assert without_weak(kept, [kept], 4.0, lambda *_: None, tmp_path) == (kept, [])  # type: ignore[arg-type]
+    bare, (best, kept) = round_of(95.0), (round_of(90.0, standing, gusts, alphadot=t) for t in (2.7, 3.1))
+    found = without_weak(best, bare, [best], 4.0, lambda *_: None, tmp_path)  # type: ignore[arg-type]
+    assert found == (bare, ["flown, alphadot has |t| 2.7: no effect"])
+    assert without_weak(kept, bare, [kept], 4.0, lambda *_: None, tmp_path) == (kept, [])  # type: ignore[arg-type]
 
 
 LONE = {
