@@ -1,9 +1,6 @@
 from .after_selection import conditional_interval as conditional_interval
 from .catalogue import TWINS as TWINS
 from .catalogue import Effect as Effect
-from .disagreement import Disagreement as Disagreement
-from .disagreement import dependence as dependence
-from .disagreement import disagreements as disagreements
 from .effect_terms import V_REFERENCE_MPS as V_REFERENCE_MPS
 from .effect_terms import Term as Term
 from .file import read_effects as read_effects
@@ -49,6 +46,7 @@ from .tuned import CERTAIN_T as CERTAIN_T
 from .tuned import COLOURED_P as COLOURED_P
 from .tuned import COMPARABLE as COMPARABLE
 from .tuned import DIFFERENT as DIFFERENT
+from .tuned import DISAGREES as DISAGREES
 from .tuned import EARNED as EARNED
 from .tuned import FAR as FAR
 from .tuned import GUST_LIMIT as GUST_LIMIT

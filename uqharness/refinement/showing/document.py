@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import CERTAIN_T, DIFFERENT, Alternative, Choice, Disagreement, Effect, Refusal, dependence, disagreements
+from sysid.effects import CERTAIN_T, DIFFERENT, Alternative, Choice, Effect, Refusal
 from sysid.estimation import NOISE_FLOOR
 from uqharness.identification.linearised import Setup
 from uqharness.refinement.find import Found, chosen_interval
 from uqharness.refinement.judge import Judged, Verdict
 from uqharness.refinement.rates import is_fastest
+from uqharness.refinement.showing.disagreement import disagreements
 from uqharness.refinement.showing.remains import NOTHING, label, no_place, place_of, states_along
+from uqharness.refinement.showing.scan import dependence
 from uqharness.refinement.showing.show import Shown, gap_document, left_in
 from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
 from uqharness.refinement.types import Bent
@@ -27,7 +29,7 @@ MOST_SAID = 3
 _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
 
-def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[Disagreement]:
+def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
     because held commands and gusts have their share there; then what it leaves is what is allowed."""
     kinds = [s.kind for s in setup.segments]
@@ -83,12 +85,12 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[s
 
 def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
     """Regions in which coefficients disagree, then coefficients above their noise and the states on which they depend."""
-    out = [_region(d) for d in find_disagreements(setup, shown, shown, controls)]
+    out = find_disagreements(setup, shown, shown, controls)
     states = _ranges(shown, controls)
     for k, c in enumerate(COEFFICIENTS):
         ratio = shown.coefficient_rms(k) / float(shown.floor[k])
         if ratio > NOISE_FLOOR:
-            depends = [{"state": n, "share": s} for n, s in dependence(shown.coefficients, states, k)]
+            depends = [{"state": n, "share": s} for n, s in dependence([g[:, k] for g in shown.coefficients], states)]
             out.append({"coefficient": c, "rms_over_noise": ratio, "depends_on": depends})
     return out
 
@@ -105,13 +107,6 @@ def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
     return {**label(effect), "depends_on": depends, "t": refused.t, "words": words}
 
 
-def _region(d: Disagreement) -> dict[str, Any]:
-    return {
-        "coefficient": d.coefficient, "manoeuvre": d.manoeuvre, "region": {d.state: [d.low, d.high]},
-        "share_outside_95": d.share, "size": d.size, "words": d.words,
-    }  # fmt: skip
-
-
 def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]) -> dict[str, Any]:
     """refinement.json as far as flights and models say it.
 
@@ -126,7 +121,7 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     refused = found.selection.refused
     return {
         "verdict": verdict,
-        "disagreement": [_region(d) for d in find_disagreements(setup, before, after, controls)],
+        "disagreement": find_disagreements(setup, before, after, controls),
         "effects": effects,
         "withdrawn": withdrawn,
         "chosen": [_effect(chosen, c, None, switches) for c in chosen.selection.chosen],

@@ -197,6 +197,15 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
     return None
 
 
+def dependence(series: Sequence[Array], states: Sequence[Mapping[str, Array]], most: int = 3) -> list[tuple[str, float]]:
+    """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean by tenths of the state
+    explains), the largest first."""
+    y = np.concatenate(series)
+    y = y - y.mean()
+    every = ((n, _explained(y, np.concatenate([s[n] for s in states]), len(y))) for n in states[0])
+    return sorted(((n, row[0]) for n, row in every if row is not None), key=lambda r: -r[1])[:most]
+
+
 def _explained(y: Array, x: Array, worth: float) -> tuple[float, float, float, float] | None:
     """(adjusted share of y's variance that a mean by tenths of x explains, its p-value, the range of x with half of that)."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, TENTHS + 1)))

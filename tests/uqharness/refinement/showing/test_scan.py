@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing.scan import BY_CHANCE, band_of, densest, goes_with, loudest
+from uqharness.refinement.showing.scan import BY_CHANCE, band_of, densest, dependence, goes_with, loudest
 
 RATE = 50.0
 TIME = np.arange(4500) / RATE
@@ -116,3 +116,19 @@ def test_rows_not_measured_are_left_out():
     found = goes_with([e], [x])
     assert found is not None
     assert found.state == "alpha_rad"
+
+
+def test_a_residual_depends_on_what_it_was_made_of():
+    rng = np.random.default_rng(0)
+    x = [{"alpha_rad": rng.uniform(0.0, 0.3, 600), "V_mps": rng.uniform(18.0, 24.0, 600), "still": np.zeros(600)} for _ in range(3)]
+    white = [rng.standard_normal(600) for _ in x]
+    made = [e + 40.0 * (s["alpha_rad"] - 0.15) for e, s in zip(white, x, strict=True)]
+    (name, share), (other, rest) = dependence(made, x)
+    assert (name, other) == ("alpha_rad", "V_mps")
+    slope = 1600.0 * 0.3**2 / 12.0
+    assert share == pytest.approx(slope / (slope + 1.0), abs=0.03)
+    assert dependence(made, x, most=1) == [(name, share)]
+    # Adjusted for its numbers, a curve through noise explains nothing.
+    assert abs(rest) < 0.02
+    assert all(abs(s) < 0.02 for _, s in dependence(white, x))
+    assert dependence([np.zeros(600)], x[:1]) == []

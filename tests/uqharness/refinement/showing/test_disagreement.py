@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
-from sysid.effects.disagreement import dependence, disagreements
+from uqharness.refinement.showing.disagreement import disagreements
 
 N, DT = 600, 0.02
 
@@ -27,14 +29,14 @@ def test_a_planted_disagreement_is_found_where_it_is():
     for k in (0, 2):
         gap[k][states[k]["alpha_rad"] > 0.2, 2] += 6.0
     (found,) = disagreements(gap, allowed, states, labels, DT)
-    assert (found.coefficient, found.manoeuvre, found.state) == ("CZ", "pull", "alpha_rad")
-    assert found.low == pytest.approx(0.2, abs=0.01)
-    assert found.high == pytest.approx(0.3, abs=0.01)
-    assert found.share > 0.95
-    assert found.size == pytest.approx(np.sqrt(37.0), rel=0.03)
-    assert found.total_s == pytest.approx(2 * N * DT)
-    assert found.outside_s == pytest.approx(2 * N * DT / 3, rel=0.1)
-    assert found.words.startswith("CZ, pull, alpha_rad 0.2")
+    assert (found["coefficient"], found["manoeuvre"]) == ("CZ", "pull")
+    assert found["region"] == {"alpha_rad": pytest.approx([0.2, 0.3], abs=0.01)}
+    assert found["share_outside_95"] > 0.95
+    assert found["size"] == pytest.approx(np.sqrt(37.0), rel=0.03)
+    outside_s, total_s = map(float, re.search(r" ([\d.]+) s of ([\d.]+) s;", found["words"]).groups())
+    assert total_s == pytest.approx(2 * N * DT)
+    assert outside_s == pytest.approx(2 * N * DT / 3, rel=0.1)
+    assert found["words"].startswith("CZ, pull, alpha_rad 0.2")
     # With as much allowed there is nothing to say, and in half a second too little.
     assert disagreements(gap, [7.0 * a for a in allowed], states, labels, DT) == []
     assert disagreements(gap, allowed, states, labels, DT / 40) == []
@@ -45,19 +47,5 @@ def test_the_worst_come_first_and_no_more_than_asked_for():
     gap[1][:, 3] += 3.0
     gap[1][:, 5] += 9.0
     found = disagreements(gap, allowed, states, labels, DT)
-    assert [d.coefficient for d in found] == ["Cn", "Cl"]
+    assert [d["coefficient"] for d in found] == ["Cn", "Cl"]
     assert disagreements(gap, allowed, states, labels, DT, most=1) == found[:1]
-
-
-def test_a_residual_depends_on_what_it_was_made_of():
-    gap, _, states, _ = flights()
-    for g, s in zip(gap, states, strict=True):
-        g[:, 4] += 40.0 * (s["alpha_rad"] - 0.15)
-    (name, share), (other, rest) = dependence(gap, states, 4)
-    assert (name, other) == ("alpha_rad", "V_mps")
-    slope = 1600.0 * 0.3**2 / 12.0
-    assert share == pytest.approx(slope / (slope + 1.0), abs=0.03)
-    # Adjusted for its numbers, a curve through noise explains nothing.
-    assert abs(rest) < 0.02
-    assert all(abs(s) < 0.02 for _, s in dependence(gap, states, 0))
-    assert dependence([np.zeros((N, 6))], states[:1], 0)[0][1] <= 0.0
