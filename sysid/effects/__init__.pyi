@@ -1,5 +1,4 @@
 from .after_selection import conditional_interval as conditional_interval
-from .catalogue import TWINS as TWINS
 from .catalogue import Effect as Effect
 from .effect_terms import V_REFERENCE_MPS as V_REFERENCE_MPS
 from .effect_terms import Term as Term

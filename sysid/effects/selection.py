@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
+from sysid.effects.catalogue import TWINS
 from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, projected, scores
 from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 FloatArray = NDArray[np.float64]
-Twins = Mapping[tuple[str, str], Sequence[str]]
 DRAWS, DRAWN_IN = 40_000, 8
 LOOKED_AT = 12
 TURNS = 3
@@ -108,7 +108,7 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
 
 def select(
     evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], chosen: Sequence[str] = (), most: int = 6,
-    limit: float | None = None, twins: Twins | None = None, empirical: bool = False, alone: float = np.inf,
+    limit: float | None = None, empirical: bool = False, alone: float = np.inf,
 ) -> Selection:  # fmt: skip
     """Choose effects.
 
@@ -118,7 +118,6 @@ def select(
     empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
     alone       |t| from which one that enters is the last to do so
-    ``twins``   (effect, alternative) -> companions: causes that physics makes alike, but for terms that the companions stand for
     """
     limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
     here: list[str] = list(chosen)
@@ -141,18 +140,16 @@ def select(
                     break
         if here == before:
             break
-    return Selection(judged(evidence, free, here, list(candidates), twins), refused, tuple(trail))
+    return Selection(judged(evidence, free, here, list(candidates)), refused, tuple(trail))
 
 
-def judged(
-    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str], twins: Twins | None = None,
-) -> tuple[Choice, ...]:  # fmt: skip
+def judged(evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str]) -> tuple[Choice, ...]:
     """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
     open_ = [k for k in candidates if k not in here]
     out = []
     for key in here:
         others = [*free, *(o for o in here if o != key)]
-        out.append(_with_alternatives(evidence, others, _judged(evidence, others, key), open_, twins or {}))
+        out.append(_with_alternatives(evidence, others, _judged(evidence, others, key), open_))
     return tuple(sorted(out, key=lambda c: -c.gain))
 
 
@@ -241,7 +238,7 @@ def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str])
     return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
 
 
-def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str], twins: Twins) -> Choice:
+def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str]) -> Choice:
     """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
     if not open_:
         return choice
@@ -249,11 +246,11 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
     alone = float(scores(evidence, others, [choice.key]).information[0])
     least = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
     near = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least]
-    near += [i for i, k in enumerate(open_) if (choice.key, k) in twins and i not in near and np.isfinite(gains[i])]
+    near += [i for i, k in enumerate(open_) if (choice.key, k) in TWINS and i not in near and np.isfinite(gains[i])]
     rows = []
     for i, same in zip(near, likeness(evidence, others, choice.key, [open_[i] for i in near]), strict=True):
         key = open_[i]
-        companions = _companions(evidence, others, twins.get((choice.key, key), ()))
+        companions = _companions(evidence, others, TWINS.get((choice.key, key), ()))
         beside = scores(evidence, [*others, key, *companions], [choice.key])
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
         t = float(np.nan_to_num(beside.t[0])) * (abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0)
@@ -261,8 +258,8 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
         inseparable = abs(t) < DIFFERENT or (bool(companions) and kept < INSEPARABLE_SHARE)
         rows.append(Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions)))
     # Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative.
-    kin = {key for one, key in twins if one == choice.key}
+    kin = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
     nearest = next((a.key for a in alike if a.key not in kin), "")
-    together = sorted(alike, key=lambda a: 0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in twins else 3)
+    together = sorted(alike, key=lambda a: 0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in TWINS else 3)
     return replace(choice, alternatives=(*together[: MOST_ALTERNATIVES - 1], *[r for r in rows if r.separable][:1]))

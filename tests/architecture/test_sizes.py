@@ -31,7 +31,6 @@ MANY_ARGUMENTS: Mapping[str, int] = {
     "sysid/aerodynamics/terms.py": 1,
     "uqharness/identification/compare.py": 1,
     # Matrices of one recursion.
-    "sysid/effects/selection.py": 1,
     "sysid/effects/turbulence.py": 1,
     "sysid/estimation/ekf.py": 1,
     "sysid/estimation/report.py": 1,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, TWINS, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
+from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
 from uqharness.identification.linearised import (
     Bench,
     Setup,
@@ -109,13 +109,10 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
     evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
-    again = select(
-        evidence, free, odds, chosen=keys, limit=start.limit, twins=TWINS, empirical=start.coloured,
-        alone=OVERWHELMING,
-    )  # fmt: skip
+    again = select(evidence, free, odds, chosen=keys, limit=start.limit, empirical=start.coloured, alone=OVERWHELMING)
     again = replace(again, chosen=felt(again.chosen, start.setup))
     same = again.values.keys() == set(keys)
-    own = again.chosen if same else felt(judged(evidence, free, keys, list(odds), TWINS), start.setup)
+    own = again.chosen if same else felt(judged(evidence, free, keys, list(odds)), start.setup)
     merit = cost + sum(start.effects[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
         setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
@@ -142,7 +139,7 @@ def resolved(start: Start, found: Round) -> Selection:
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
         return found.selection
-    again = judged(found.evidence, free, kept, [*open_, *brief], TWINS)
+    again = judged(found.evidence, free, kept, [*open_, *brief])
     return replace(found.selection, chosen=again)
 
 

@@ -25,7 +25,6 @@ from sysid.effects import (
     EARNED,
     OVERWHELMING,
     SEVERAL,
-    TWINS,
     Choice,
     Effect,
     Evidence,
@@ -75,7 +74,7 @@ def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
 
 def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
     odds = odds_at(start, start.free, evidence)
-    first = select(evidence, start.free, odds, limit=start.limit, twins=TWINS, empirical=start.coloured, alone=OVERWHELMING)
+    first = select(evidence, start.free, odds, limit=start.limit, empirical=start.coloured, alone=OVERWHELMING)
     bare = about = Round(start.setup, start.before, evidence, Selection(()), first, start.merit, start.gusts)
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []

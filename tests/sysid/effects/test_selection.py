@@ -82,20 +82,28 @@ def alike():
 TWINS = {("square", "inertia"): ("companion",), ("inertia", "square"): ("companion",)}
 
 
-def alternatives(found, twins) -> dict[str, bool]:
-    chosen = select(found, [], dict.fromkeys(found.names, 0.0), twins=twins).chosen
+@pytest.fixture
+def tied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pair of this test in place of the catalogue's."""
+    monkeypatch.setattr("sysid.effects.selection.TWINS", TWINS)
+
+
+def alternatives(found) -> dict[str, bool]:
+    chosen = select(found, [], dict.fromkeys(found.names, 0.0)).chosen
     assert [c.key for c in chosen] == ["square"]
     return {a.key: a.separable for a in chosen[0].alternatives}
 
 
+@pytest.mark.usefixtures("tied")
 def test_twins_stand_together_though_a_companion_tells_them_apart(alike):
-    assert alternatives(alike, TWINS)["inertia"] is False
+    assert alternatives(alike)["inertia"] is False
 
 
 def test_without_a_tie_the_companion_tells_them_apart(alike):
-    assert alternatives(alike, None).get("inertia", True) is True
+    assert alternatives(alike).get("inertia", True) is True
 
 
+@pytest.mark.usefixtures("tied")
 def test_a_twin_turns_what_stands_in_roll_into_yaw():
     """A second effect in Cl stands; the twin holds the same in Cn, which no parameter has."""
     rng = np.random.default_rng(9)
@@ -105,22 +113,23 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
         "effect/Cn/de": yaw,
     }  # fmt: skip
     found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
-    chosen = select(found, [], dict.fromkeys(columns, 0.0), twins=TWINS).chosen
+    chosen = select(found, [], dict.fromkeys(columns, 0.0)).chosen
     assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
     (choice,) = (c for c in chosen if c.key == "square")
     assert {a.key: a.separable for a in choice.alternatives}["inertia"] is False
 
 
+@pytest.mark.usefixtures("tied")
 def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
     rng = np.random.default_rng(4)
     square, companion, own = drawn(rng), drawn(rng), drawn(rng)
     columns = {"square": square, "inertia": square - 0.6 * companion + 0.7 * own, "companion": companion}
     found = evidence(columns, 1.0 * square + drawn(rng))
-    assert alternatives(found, TWINS)["inertia"] is True
+    assert alternatives(found)["inertia"] is True
 
 
 @pytest.mark.parametrize("there", ["square", "modulus"])
-def test_a_twin_is_told_before_a_third_form_of_the_same(there):
+def test_a_twin_is_told_before_a_third_form_of_the_same(there, monkeypatch):
     """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is a parameter of no other."""
     rng = np.random.default_rng(6)
     square, companion = drawn(rng), drawn(rng)
@@ -130,12 +139,13 @@ def test_a_twin_is_told_before_a_third_form_of_the_same(there):
     }  # fmt: skip
     found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
     open_ = {k: 0.0 for k in columns if k != "companion"}
-    (choice,) = select(found, [], open_, twins=TWINS).chosen
+    (plain,) = select(found, [], open_).chosen
+    monkeypatch.setattr("sysid.effects.selection.TWINS", TWINS)
+    (choice,) = select(found, [], open_).chosen
     assert choice.key == there
     alike_ = [a.key for a in choice.alternatives if not a.separable]
     assert len(alike_) == 2
     assert {"square", "inertia"} <= {choice.key, *alike_}
-    (plain,) = select(found, [], open_).chosen
     assert "inertia" not in [a.key for a in plain.alternatives]
 
 
