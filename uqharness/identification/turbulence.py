@@ -17,7 +17,7 @@ from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised.from_replays import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
-from uqharness.identification.linearised.setup import estimated_channels, make_setup, setup_in_gusts
+from uqharness.identification.linearised.setup import make_setup, noise_left, setup_in_gusts
 from uqharness.identification.linearised.types import Point, Setup
 from uqharness.identification.replay_fit import ReplayFit
 from uqharness.identification.result import Identification, by_channel
@@ -64,10 +64,8 @@ def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, fo
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
     setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
     setup = setup_in_gusts(aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs)))
-    left = dict(zip(found.outputs, np.concatenate(found.residual).T, strict=True))
-    guessed = [c for c in estimated_channels(setup) if c in left]
-    noise = [max(n, rms(left[c])) if c in guessed else n for c, n in zip(setup.outputs, setup.noise.tolist(), strict=True)]
-    return replace(setup, noise=np.array(noise))
+    left = {c: rms(r) for c, r in zip(found.outputs, np.concatenate(found.residual).T, strict=True)}
+    return replace(setup, noise=noise_left(setup, left))
 
 
 def filter_route(

@@ -21,6 +21,7 @@ from uqharness.identification.linearised import (
     estimated_channels,
     fit_at,
     fly,
+    noise_left,
     observed,
     point_of,
     refit,
@@ -59,7 +60,8 @@ def base_fit_and_noise(
         said = f"the model as it is drives these to a bound; estimated beside effects alone: {', '.join(lost)}"
         return fit, excited, excited, [*notes, said] if lost else notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
-        setup = replace(setup, noise=noise_left(setup, fit.flown, guessed))
+        left = dict(zip(setup.outputs, _left_rms(setup, fit.flown).tolist(), strict=True))
+        setup = replace(setup, noise=noise_left(setup, left))
         fit = refit(bench.model, bench.straight, setup, fit.flown.point, kept, limits, map_)
     said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
     text = (
@@ -67,14 +69,6 @@ def base_fit_and_noise(
         f"model leaves them: {said}"
     )
     return fit, kept, excited, [*notes, text], setup.noise
-
-
-def noise_left(setup: Setup, flown: Flown, channels: Sequence[str]) -> NDArray[np.float64]:
-    """(m,) noise of the setup, that of some channels the rms of what replays leave of them where this is more than they show."""
-    out, left = setup.noise.copy(), _left_rms(setup, flown)
-    for k in (setup.outputs.index(c) for c in channels):
-        out[k] = max(out[k], left[k])
-    return out
 
 
 def _left_rms(setup: Setup, flown: Flown) -> NDArray[np.float64]:

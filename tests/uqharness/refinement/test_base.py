@@ -1,4 +1,4 @@
-"""What a log's estimator computed is as uncertain as the model leaves it; a sensor is as its card says, or as quiet as it shows."""
+"""A sensor is as its card says, or as quiet as it shows."""
 
 from types import SimpleNamespace
 
@@ -7,27 +7,9 @@ import pytest
 
 from uqharness.identification.linearised import Fit, Flown, Setup
 from uqharness.refinement import base
-from uqharness.refinement.base import as_quiet, noise_left
+from uqharness.refinement.base import as_quiet
 
 OUTPUTS = ("alpha_rad", "p_radps")
-
-
-def setup_of(measured):
-    return SimpleNamespace(outputs=OUTPUTS, measured=measured, noise=np.array([0.002, 0.004]))
-
-
-def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
-    rng = np.random.default_rng(0)
-    residual = np.column_stack([0.01 * np.sin(0.05 * np.arange(4000)), 0.02 * rng.standard_normal(4000)])
-    residual[::3, 0] = np.nan
-    setup = setup_of([residual[:1000], residual[1000:]])
-    flown = SimpleNamespace(outputs=[np.zeros((1000, 2)), np.zeros((3000, 2))])
-    noise = noise_left(setup, flown, ["alpha_rad"])
-    assert noise[0] == pytest.approx(0.01 / np.sqrt(2.0), rel=0.02)
-    assert noise[1] == 0.004
-    # A channel that shows less than its own noise keeps that.
-    still = setup_of([0.01 * residual])
-    assert noise_left(still, SimpleNamespace(outputs=[np.zeros((4000, 2))]), ["alpha_rad"])[0] == 0.002
 
 
 @pytest.mark.parametrize(("left", "taken"), [(0.7, 0.7), (0.3, 0.5), (1.4, 1.0)])

@@ -41,7 +41,9 @@ from .sensed import as_sensed as as_sensed
 from .sensed import moved_later as moved_later
 from .setup import Bench as Bench
 from .setup import estimated_channels as estimated_channels
+from .setup import known_noise as known_noise
 from .setup import make_setup as make_setup
+from .setup import noise_left as noise_left
 from .setup import setup_in_gusts as setup_in_gusts
 from .setup import turbulent as turbulent
 from .setup import with_sensors_of as with_sensors_of

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.estimation import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
@@ -18,6 +19,8 @@ from uqharness.replay.flights import segments
 from uqharness.simulator import Actuator, Aircraft
 from uqharness.simulator.actuators import actuators
 
+Array = NDArray[np.float64]
+
 
 def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()) -> Setup:
     """Segments, measured outputs and noise of some flights."""
@@ -25,14 +28,19 @@ def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence
     cut = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
     data = [b for f in flights for b in measured_outputs(f, outputs)]
-    known = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
     late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
     return Setup(
         tuple(flights), tuple(cut), tuple(states(f, p) for f in flights for p in f.pieces), outputs, tuple(data),
-        np.array([known[c] for c in outputs]),
+        known_noise(aircraft, data, outputs),
         tuple(b for b in BIASES if b in outputs), late, tuple(measured), tuple(ideal), servos=servos_of(aircraft, measured, ideal),
         timed=tuple(f.name for f in flights if f.name not in late),
     )  # fmt: skip
+
+
+def known_noise(aircraft: Aircraft, measured: Sequence[Array], outputs: Sequence[str]) -> Array:
+    """(m,) noise of outputs [(n, m)] by their own samples and the aircraft's card."""
+    known = channel_noise(measured, outputs, aircraft.card.sensors.noise_std)
+    return np.array([known[c] for c in outputs])
 
 
 def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
@@ -75,6 +83,14 @@ def estimated_channels(setup: Setup) -> tuple[str, ...]:
     """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
     told = {c for flight in setup.flights for c in flight.record.metadata.estimates}
     return tuple(c for c in setup.outputs if c in told)
+
+
+def noise_left(setup: Setup, left: Mapping[str, float]) -> Array:
+    """(m,) noise of the setup, but for channels that an estimator computed: there, the rms of what a fit has ``left`` of them where
+    it is larger, for no card knows an estimator's error."""
+    guessed = estimated_channels(setup)
+    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    return np.array([max(n, left.get(c, n)) if c in guessed else n for c, n in given])
 
 
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:

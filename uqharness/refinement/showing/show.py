@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import COLOURED_P, Gusts
-from sysid.estimation import NOISE_FLOOR, channel_noise, ljung_box, rms, theil
+from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
 from sysid.model_form import floor_of
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
@@ -23,6 +23,7 @@ from uqharness.identification.linearised import (
     estimated_channels,
     fly,
     gust_refit,
+    known_noise,
     moved,
     observed,
     point_of,
@@ -140,7 +141,7 @@ def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, 
     """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
     setup = side.setup
     with Bench(aircraft, setup) as bench:
-        noise = _known_noise(aircraft, setup)
+        noise = known_noise(aircraft, setup.measured, setup.outputs)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), jumping=(), timed=timed, noise=noise)
         start = replace(at, nuisance={}, starts=tuple(s.start for s in setup.segments))
@@ -155,13 +156,7 @@ def _residual(setup: Setup, flown: Flown) -> list[Array]:
 def _told_noise(aircraft: Aircraft, setup: Setup) -> Array:
     """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an estimator computed."""
     computed = np.isin(setup.outputs, estimated_channels(setup))
-    return np.where(computed, setup.noise, _known_noise(aircraft, setup))
-
-
-def _known_noise(aircraft: Aircraft, setup: Setup) -> Array:
-    """(m,) noise of the outputs by their own samples and the aircraft's card."""
-    known = channel_noise(list(setup.measured), setup.outputs, aircraft.card.sensors.noise_std)
-    return np.array([known[c] for c in setup.outputs])
+    return np.where(computed, setup.noise, known_noise(aircraft, setup.measured, setup.outputs))
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
