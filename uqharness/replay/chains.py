@@ -126,7 +126,8 @@ def _in_lanes(program: _Program, asked: Asked, cut: Sequence[Segment]) -> list[A
     lanes = []
     for segment in cut:
         shape = shape_of(asked.model, segment)
-        lanes.append(batch.ReplayLane(own, still, 0.0, run_controls(asked.model, segment, shape)[:, program.places], shape.dt_s))
+        controls = run_controls(asked.model, segment, shape, asked.servos)[:, program.places]
+        lanes.append(batch.ReplayLane(own, still, 0.0, controls, shape.dt_s))
     out = dict(batch.fly_replays(program.made, lanes))
     return [np.ascontiguousarray(out[k][:, program.columns]) for k in range(len(cut))]
 
@@ -154,7 +155,7 @@ def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> Array:
     names, places = model.fed()
     fed = [(engine.handle(fdm, name).set_double_value, place) for name, place in zip(names, places, strict=True) if exists(name)]
     read = [engine.handle(fdm, name).get_double_value for name in asked.known.values()]
-    values = run_controls(model, segment, shape)[:, [place for _, place in fed]].tolist()
+    values = run_controls(model, segment, shape, asked.servos)[:, [place for _, place in fed]].tolist()
     setters, run = [put for put, _ in fed], fdm.run
     last = values[0]
     for put, value in zip(setters, last, strict=True):

@@ -30,6 +30,8 @@ MAX_RATE_HZ = 60.0
 LEAST_COMMAND_S = 0.005
 """Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records are averaged over it."""
 _NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+RUN_UP_S = 4.0
+"""Time before a segment whose commands say where its actuators stand: a hundred time constants of a servo, four of a slow one."""
 _COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
@@ -268,10 +270,23 @@ def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float,
             Segment(
                 piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
                 start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
-                height_known(record), commands,
+                height_known(record), commands, _commands_before(flight, rows.start, control_columns(measured)),
             )
         )  # fmt: skip
     return out
+
+
+def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Array | None:
+    """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where there are none."""
+    record = flight.record
+    begin = max(0, first - round(RUN_UP_S / record.dt_s))
+    gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
+    begin += int(gaps[-1]) + 1 if len(gaps) else 0
+    between = flight.commands_in(slice(begin, first + 1), columns)
+    known = np.column_stack([record[c][begin : first + 1] for c in columns]) if between is None else between
+    lost = np.flatnonzero(~np.isfinite(known[:-1]).all(axis=1))
+    known = known[lost[-1] + 1 if len(lost) else 0 : -1]
+    return known if len(known) else None
 
 
 def _command(record: FlightRecord, control: str, rows: slice) -> Array:

@@ -181,7 +181,8 @@ def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
 def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
     segment = job.segment
     content = (segment.at_commands().controlled, segment.dt_s, segment.per_row, shape)
-    return (job.model.identity, frozenset(job.model.measured), content, job.late_s, job.unseen)
+    servos = tuple(job.properties.get(name) for name in job.model.servos)
+    return (job.model.identity, frozenset(job.model.measured), content, servos, job.late_s, job.unseen)
 
 
 @cached(LRUCache(_TIMINGS), key=_content)
@@ -189,7 +190,7 @@ def _controls_of(job: ReplayJob, shape: Shape) -> Array:
     """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
     estimate, by segments cut anew."""
     _, places = job.model.fed()
-    return run_controls(job.model, job.segment, shape, job.late_s, job.unseen)[:, places]
+    return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[:, places]
 
 
 def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:

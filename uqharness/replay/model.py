@@ -44,7 +44,7 @@ class ReplayModel:
     """What a process needs to open the copy; picklable, valid while its `ReplayFolder` is open.
 
     ``measured`` controls whose values are positions, continuous between samples; the others are commands, held.
-    ``lagging`` controls whose commands go through an actuator with a lag.
+    ``lagging`` controls whose commands go through an actuator with a lag; ``lags`` its lag and rate limit, as the XML has them.
     ``factor`` record unit -> property unit of each control, in the order of ``controls``.
     ``throws`` positions and the commands at which the aircraft's own linkage puts them, of normalised controls whose values are
     positions: both ends of a travel seldom have one factor.
@@ -60,6 +60,7 @@ class ReplayModel:
     measured: tuple[str, ...]
     factor: tuple[float, ...]
     lagging: tuple[str, ...] = ()
+    lags: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     settings: Mapping[str, float] = field(default_factory=dict)
     throws: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...] = ()
     near_ground: bool = False
@@ -138,6 +139,7 @@ class ReplayFolder:
         self.model = ReplayModel(
             staging, card, tuple(controls), tuple(measured),
             tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
+            {c: lagging[p] for c in controls if (p := card.inputs[c].position) in lagging},
             dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
             identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
             varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")), servos=servos,
@@ -208,13 +210,15 @@ def _throws(
     return tuple(found)
 
 
-def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
+def _edit(
+    folder: Path, main: str, card: Card, direct: Sequence[str]
+) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:  # fmt: skip
     """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
 
     An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
-    actuators keep a lag, and the properties that actuators' numbers are.
+    actuators keep a lag, with that lag and rate limit, and the properties that actuators' numbers are.
     """
-    lagging: set[str] = set()
+    lagging: dict[str | None, tuple[str, str]] = {}
     read: set[str] = set()
     surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
     positions = {card.inputs[name].position for name in direct} - {None}
@@ -236,7 +240,9 @@ def _edit(folder: Path, main: str, card: Card, direct: Sequence[str]) -> tuple[s
                         actuator.remove(element)
                         changed = True
             if actuator.find("lag") is not None:
-                lagging |= known
+                # A rate limit counts in the unit of the actuator's own output.
+                texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
+                lagging |= {position: (texts[0], texts[1] if position in moved else "") for position in known}
             numbers = ((e.text or "").strip() for kind in _ACTUATOR_DYNAMICS for e in actuator.findall(kind))
             read |= {text for text in numbers if "/" in text}
         if changed:

@@ -22,6 +22,7 @@ from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
+from uqharness.replay.begun import begun
 from uqharness.replay.ground import terrain_m
 from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
@@ -93,8 +94,11 @@ def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Sha
     return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
 
 
-def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: float = 0.0, unseen: float = 0.0) -> Array:
-    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising."""
+def run_controls(
+    model: ReplayModel, segment: Segment, shape: Shape, properties: Mapping[str, float], late_s: float = 0.0, unseen: float = 0.0
+) -> Array:  # fmt: skip
+    """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising. properties: values in
+    force, of which the actuators' own count."""
     measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
     seen = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
@@ -102,8 +106,9 @@ def run_controls(model: ReplayModel, segment: Segment, shape: Shape, late_s: flo
         tuple(limit / factor for limit in model.card.inputs[c].limits)
         for c, factor in zip(model.controls, model.factor, strict=True)
     ]
-    runs = shape.runs // segment.per_row
-    return model.to_property(by_run(segment.at_commands(), runs, measured, lagging, late, seen, np.sort(limits)))
+    runs, ends = shape.runs // segment.per_row, np.sort(limits)
+    stood = begun(model, segment, properties, ends)
+    return model.to_property(by_run(segment.at_commands(), runs, measured, lagging, late, seen, ends, stood))
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
@@ -136,7 +141,7 @@ def fly_segment(
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
-    controls = run_controls(model, segment, shape, late_s, unseen)
+    controls = run_controls(model, segment, shape, properties, late_s, unseen)
     _initialise(fdm, segment, segment.start if start is None else start, setters, model, controls[0].tolist())
     read = _reader(fdm, extra)
     rows = _advance(fdm, controls, setters, read, shape.stride)
@@ -190,7 +195,7 @@ def _reader(fdm: Any, extra: Sequence[str]) -> Any:
 
 def by_run(
     segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0,
-    seen: float | None = 1.0, limits: Array | None = None,
+    seen: float | None = 1.0, limits: Array | None = None, stood: Array | None = None,
 ) -> Array:  # fmt: skip
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
@@ -199,12 +204,13 @@ def by_run(
     runs after it have besides, so that a rate limit behind the lag begins in time. A surface that jumps with its command has jumped
     at its row by the share ``seen``, whenever the others began to move; None, for outputs between rows: as it comes. The runs after
     take back what this moves too early. With fewer than four runs a row only area and mean time are kept: more would reach into
-    the next row; limits (c, 2): where a command goes no further.
+    the next row; limits (c, 2): where a command goes no further; stood (c,): where actuators with a lag stand at the first row, NaN
+    for at its command, as without any.
     A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
     the two, else in a straight line.
     """
     held, lags = ~np.asarray(measured), np.asarray(lagging)
-    on_time = _on_time(segment, runs, held, lags, limits)
+    on_time = _on_time(segment, runs, held, lags, limits, stood)
     out = on_time.copy() if late == 0.0 else _later(on_time, late)
     if seen is not None:
         now, jumps = segment.controls[:-1], held & ~lags
@@ -235,18 +241,22 @@ def _later(values: Array, late: float) -> Array:
 
 
 def _content(
-    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None
+    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None, stood: Array | None
 ) -> tuple[object, ...]:
-    asked = (segment.controls, segment.targets, limits, held, lags)
+    asked = (segment.controls, segment.targets, limits, held, lags, stood)
     return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
 
 
 @cached(LRUCache(_REMEMBERED), key=_content)
-def _on_time(segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None) -> Array:
+def _on_time(
+    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None, stood: Array | None
+) -> Array:
     """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
     remembered: a segment's are wanted with every lateness that an estimator tries."""
     now, then = segment.controls[:-1], segment.controls[1:]
     before = np.vstack([now[:1], now[:-1]])
+    if stood is not None:
+        before[0] = np.where(lags & np.isfinite(stood), stood, now[0])
     fits = runs >= len(_RETURN)
     values = np.repeat(now[:, None, :], runs, axis=1)
     values[:, 0, lags] = before[:, lags]

@@ -33,6 +33,7 @@ class Segment:
     altitude_m above sea level at the start; h_m what the record calls its height there; arm_m place of the accelerometers
     from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
     commands: the same controls between the rows as well, where the record had more rows; None: it had no more.
+    before (k, c): the controls at the commands before the first row, the last of them behind; None where none is known.
     """
 
     label: str
@@ -46,6 +47,7 @@ class Segment:
     targets: Array | None = None
     above_ground: bool = False
     commands: Commands | None = None
+    before: Array | None = None
 
     @property
     def kind(self) -> str:
@@ -69,9 +71,9 @@ class Segment:
 
     @cached_property
     def controlled(self) -> str:
-        """Digest of controls and targets, by which whatever is made of them is remembered."""
-        known = self.controls if self.targets is None else np.hstack([self.controls, self.targets])
-        return sha256_hex(known.tobytes())
+        """Digest of controls, those before and targets, by which whatever is made of them is remembered."""
+        known = (part for part in (self.controls, self.targets, self.before) if part is not None)
+        return sha256_hex(b"".join(part.tobytes() for part in known))
 
     def at_commands(self) -> Segment:
         """The same piece with a row for each command."""

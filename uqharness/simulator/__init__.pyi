@@ -1,3 +1,4 @@
+from .actuators import SHORTEST_S as SHORTEST_S
 from .actuators import Actuator as Actuator
 from .actuators import servo_number as servo_number
 from .aircraft import PROJECT_ROOT as PROJECT_ROOT
