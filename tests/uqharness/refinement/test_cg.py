@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from sysid.effects.subsystem_effects import subsystem_effects
 from sysid.parallel import ALONE
 from sysid.units import IN_M
 from tests.helpers.flown import fly
+from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
     Bench,
     Flown,
@@ -101,3 +104,16 @@ def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> Non
         assert fdm["inertia/empty-weight-lbs"] < 0.85 * fdm["inertia/weight-lbs"]
         aft_m.append(IN_M * fdm["inertia/cg-x-in"])
     assert aft_m[0] - aft_m[1] == pytest.approx(FORWARD_M, rel=1e-6)
+
+
+def test_without_an_empty_weight_nothing_is_written(tmp_path: Path) -> None:
+    weightless = tmp_path / "espaaro"
+    shutil.copytree(find_aircraft("espaaro").folder, weightless)
+    xml = weightless / "espaaro.xml"
+    text, count = re.subn(r"(<emptywt[^>]*>)[^<]*", r"\g<1>0", xml.read_text(encoding="utf-8"))
+    assert count == 1
+    load = '<pointmass name="all"><weight unit="LBS">46</weight><location unit="M"><x>0</x><y>0</y><z>0</z></location></pointmass>'
+    xml.write_text(text.replace("</mass_balance>", f"{load}</mass_balance>"), encoding="utf-8")
+    effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
+    with pytest.raises(BadInputError, match="<emptywt> is 0"):
+        write_effects(find_aircraft(weightless), [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "out" / "espaaro")

@@ -73,10 +73,13 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
 
 
 def _over_empty(aircraft: Aircraft) -> float:
-    """Weight of the aircraft, fuel and loads on board included, over that of it empty."""
+    """Weight of the aircraft, fuel and loads on board included, over that of it empty. Raises BadInputError where that is none."""
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)
-    return float(fdm["inertia/weight-lbs"] / fdm["inertia/empty-weight-lbs"])
+    whole, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
+    if not empty > 0.0:
+        raise BadInputError(f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the empty weight")
+    return whole / empty
 
 
 def write_servo(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
