@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.segments import Segment
-from uqharness.simulator import SHORTEST_S, Actuator, position_factor
+from uqharness.simulator import SHORTEST_S, Actuator
 
 Array = NDArray[np.float64]
 _KEPT, _MODELS = 512, 16
@@ -32,8 +32,8 @@ def begun(model: ReplayModel, segment: Segment, properties: Mapping[str, float],
         k = model.controls.index(control)
         lag, rate = (_number(text, given) for text in numbers)
         if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
-            unit = 1.0 / model.factor[k] if control == "throttle" else position_factor(model.card.inputs[control])
-            servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, math.inf if math.isnan(rate) else abs(rate * unit))
+            fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
+            servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
             out[k] = _last(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
     return out
 

@@ -103,6 +103,13 @@ class ReplayModel:
             fdm[name] = _THIRD_ORDER
         return fdm
 
+    def position_unit(self, control: str) -> float:
+        """Unit of a control's position in the record's: a surface's may be in another unit than its command, a throttle's is in the
+        command's."""
+        if control == "throttle":
+            return 1.0 / self.factor[self.controls.index(control)]
+        return position_factor(self.card.inputs[control])
+
     def positions(self) -> dict[str, str]:
         """Control -> property of its position, of those controls whose card names one."""
         return {c: p for c in self.controls if (p := self.card.inputs[c].position) is not None}

@@ -22,7 +22,6 @@ from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all, sources_of
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import CHANNELS, shape_of
 from uqharness.replay.segments import Segment
-from uqharness.simulator import position_factor
 from uqharness.xml import ControlChain, ControlFiles, control_chain
 
 Array = NDArray[np.float64]
@@ -98,9 +97,7 @@ def _put_in(asked: Asked, segment: Segment, rows: Array) -> Array:
     for k, control in enumerate(asked.known):
         column = model.controls.index(control)
         good = np.isfinite(rows[:, k])
-        # A surface's position may be in another unit than its command; a throttle's is in the command's.
-        unit = 1.0 / model.factor[column] if control == "throttle" else position_factor(model.card.inputs[control])
-        stood[good, column] = rows[good, k] * unit
+        stood[good, column] = rows[good, k] * model.position_unit(control)
     return stood
 
 
