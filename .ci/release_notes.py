@@ -15,7 +15,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def section(changelog: str, version: str) -> str:
     """Text of the version's section, without its heading; empty where there is none."""
-    found = re.search(rf"^## {re.escape(version)} \(\d{{4}}-\d\d-\d\d\)\n(.*?)(?=^## |\Z)", changelog, re.M | re.S)
+    found = re.search(
+        rf"^## {re.escape(version)} \(\d{{4}}-\d\d-\d\d\)\n(.*?)(?=^## |\Z)", changelog, re.M | re.S
+    )
     return "" if found is None else found[1].strip()
 
 
@@ -24,10 +26,15 @@ def main(words: list[str]) -> int:
     if len(words) != 1:
         print("usage: release_notes.py VERSION", file=sys.stderr)
         return 2
-    known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     text = section((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), words[0])
     if words[0] != known:
-        print(f"release_notes: version {words[0]} was asked for, pyproject.toml has {known}", file=sys.stderr)
+        print(
+            f"release_notes: version {words[0]} was asked for, pyproject.toml has {known}",
+            file=sys.stderr,
+        )
     elif not text:
         print(f"release_notes: CHANGELOG.md has no dated section {words[0]}", file=sys.stderr)
     else:

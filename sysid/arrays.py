@@ -38,9 +38,13 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[Array]:
     for number, part in enumerate(parts):
         where = f"{what}, segment {number}" if len(parts) > 1 else what
         if part.ndim != 2 or part.shape[0] == 0 or part.shape[1] == 0:
-            raise ValueError(f"{where} has shape {part.shape}; give (n samples, m channels) with n, m >= 1")
+            raise ValueError(
+                f"{where} has shape {part.shape}; give (n samples, m channels) with n, m >= 1"
+            )
         if part.shape[1] != parts[0].shape[1]:
-            raise ValueError(f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same")
+            raise ValueError(
+                f"{where} has {part.shape[1]} columns, segment 0 has {parts[0].shape[1]}; give all the same"
+            )
         bad = np.isinf(part) if dropouts else ~np.isfinite(part)
         if bad.any():
             row, column = np.argwhere(bad)[0]
@@ -57,11 +61,15 @@ def as_parameters(theta0: ArrayLike, what: str = "theta0") -> Array:
     if theta.ndim != 1 or theta.size == 0:
         raise ValueError(f"{what} has shape {theta.shape}; give a vector of at least one parameter")
     if not np.isfinite(theta).all():
-        raise ValueError(f"{what} holds values that are not finite at {np.flatnonzero(~np.isfinite(theta)).tolist()}")
+        raise ValueError(
+            f"{what} holds values that are not finite at {np.flatnonzero(~np.isfinite(theta)).tolist()}"
+        )
     return theta
 
 
-def as_names(names: Sequence[str] | None, count: int, prefix: str, what: str = "names") -> tuple[str, ...]:
+def as_names(
+    names: Sequence[str] | None, count: int, prefix: str, what: str = "names"
+) -> tuple[str, ...]:
     """`count` unique names, `prefix`0.. when none are given. Raises ValueError: wrong length, repeated."""
     if names is None:
         return tuple(f"{prefix}{index}" for index in range(count))
@@ -69,7 +77,9 @@ def as_names(names: Sequence[str] | None, count: int, prefix: str, what: str = "
         raise ValueError(f"{what} is the single string {names!r}; give a list of {count} name(s)")
     given = tuple(str(name) for name in names)
     if len(given) != count:
-        raise ValueError(f"{what} has {len(given)} entries for {count} parameters; give one name for each")
+        raise ValueError(
+            f"{what} has {len(given)} entries for {count} parameters; give one name for each"
+        )
     repeated = sorted({name for name in given if given.count(name) > 1})
     if repeated:
         raise ValueError(f"{what} repeats {', '.join(repeated)}; names must be unique")
@@ -88,14 +98,24 @@ def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array
         if isinstance(bounds, dict):
             unknown = sorted(str(key) for key in set(bounds) - set(names))
             if unknown:
-                raise ValueError(f"bounds names {', '.join(unknown)}; the parameters are {', '.join(names)}")
+                raise ValueError(
+                    f"bounds names {', '.join(unknown)}; the parameters are {', '.join(names)}"
+                )
             pairs = [bounds.get(name, (None, None)) for name in names]
         else:
             pairs = list(bounds)
             if len(pairs) == 2 and count != 2:
-                pairs = list(zip(np.broadcast_to(pairs[0], count), np.broadcast_to(pairs[1], count), strict=True))
+                pairs = list(
+                    zip(
+                        np.broadcast_to(pairs[0], count),
+                        np.broadcast_to(pairs[1], count),
+                        strict=True,
+                    )
+                )
         if len(pairs) != count or any(pair is not None and len(pair) != 2 for pair in pairs):
-            raise ValueError(f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each")
+            raise ValueError(
+                f"bounds has {len(pairs)} entries for {count} parameters; give one (lower, upper) for each"
+            )
         for index, pair in enumerate(pairs):
             low, high = pair if pair is not None else (None, None)
             lower[index] = -np.inf if low is None else float(low)
@@ -103,9 +123,13 @@ def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array
     for index, name in enumerate(names):
         low, high, start = lower[index], upper[index], theta0[index]
         if not low < high:
-            raise ValueError(f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)")
+            raise ValueError(
+                f"bounds of {name} are ({low}, {high}); the lower must be below the upper (use free= to fix)"
+            )
         if not low <= start <= high:
-            raise ValueError(f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds")
+            raise ValueError(
+                f"theta0 of {name} is {start}, outside its bounds ({low}, {high}); move the start or the bounds"
+            )
     return lower, upper
 
 
@@ -119,11 +143,15 @@ def as_free(free: Any, names: tuple[str, ...]) -> NDArray[np.bool_]:
     if items and all(isinstance(item, str) for item in items):
         unknown = sorted(set(items) - set(names))
         if unknown:
-            raise ValueError(f"free names {', '.join(unknown)}; the parameters are {', '.join(names)}")
+            raise ValueError(
+                f"free names {', '.join(unknown)}; the parameters are {', '.join(names)}"
+            )
         mask[[names.index(item) for item in items]] = True
     elif items and all(isinstance(item, bool | np.bool_) for item in items):
         if len(items) != count:
-            raise ValueError(f"free has {len(items)} entries for {count} parameters; give one for each")
+            raise ValueError(
+                f"free has {len(items)} entries for {count} parameters; give one for each"
+            )
         mask[:] = items
     else:
         index = as_array(items, "free").astype(int)

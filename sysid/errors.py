@@ -24,7 +24,9 @@ def shortened(text: str) -> str:
     lines = text.split("\n")
     if len(lines) > MOST_LINES:
         lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more"]
-    return "\n".join(x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines)
+    return "\n".join(
+        x if len(x) <= MOST_CHARACTERS else f"{x[:head]} [...] {x[-tail:]}" for x in lines
+    )
 
 
 def in_a_line(error: BaseException) -> str:
@@ -35,7 +37,9 @@ def in_a_line(error: BaseException) -> str:
 class LogError(ValueError):
     """A log, map or card that cannot be used. Says what was received, what is allowed, what to do next."""
 
-    def __init__(self, message: str, path: Path | str | None = None, where: str | None = None) -> None:
+    def __init__(
+        self, message: str, path: Path | str | None = None, where: str | None = None
+    ) -> None:
         """Join `path` (file) and `where` ("line 12", "offset 4711") in front of `message`."""
         prefix = "" if path is None else f"{path}: "
         place = "" if where is None else f"{where}: "
@@ -80,6 +84,19 @@ class Finding:
 
 def finding_from_dict(data: Mapping[str, Any]) -> Finding:
     """Inverse of `Finding.as_dict` (None becomes NaN)."""
-    numbers = {str(k): (math.nan if v is None else float(v)) for k, v in dict(data.get("numbers", {})).items()}
-    code, channel, severity, message = (str(data[key]) for key in ("code", "channel", "severity", "message"))
-    return Finding(code, channel, severity, message, numbers, str(data.get("spoils", "")), str(data.get("mend", "")))
+    numbers = {
+        str(k): (math.nan if v is None else float(v))
+        for k, v in dict(data.get("numbers", {})).items()
+    }
+    code, channel, severity, message = (
+        str(data[key]) for key in ("code", "channel", "severity", "message")
+    )
+    return Finding(
+        code,
+        channel,
+        severity,
+        message,
+        numbers,
+        str(data.get("spoils", "")),
+        str(data.get("mend", "")),
+    )

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 MOST_ROWS = 20
 
 
-def view(title: str, *parts: str, facts: Mapping[str, object] | None = None, warnings: Iterable[str] = ()) -> str:
+def view(
+    title: str, *parts: str, facts: Mapping[str, object] | None = None, warnings: Iterable[str] = ()
+) -> str:
     """The whole view.
 
     Parameters
@@ -30,7 +32,10 @@ def view(title: str, *parts: str, facts: Mapping[str, object] | None = None, war
     warnings
         Sentences, listed last.
     """
-    line = "; ".join(f"{html.escape(name)}: {html.escape(written(value))}" for name, value in (facts or {}).items())
+    line = "; ".join(
+        f"{html.escape(name)}: {html.escape(written(value))}"
+        for name, value in (facts or {}).items()
+    )
     said = "".join(f"<li>{html.escape(text)}</li>" for text in warnings)
     pieces = [f"<p><b>{html.escape(title)}</b></p>", f"<p>{line}</p>" if line else "", *parts]
     pieces.append(f"<p>Warnings</p><ul>{said}</ul>" if said else "")
@@ -42,7 +47,12 @@ def rows_table(rows: Sequence[Mapping[str, object]]) -> str:
     if not rows:
         return ""
     head = "".join(f"<th>{html.escape(str(key))}</th>" for key in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(written(value))}</td>" for value in row.values()) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td>{html.escape(written(value))}</td>" for value in row.values())
+        + "</tr>"
+        for row in rows
+    )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 

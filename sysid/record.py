@@ -119,7 +119,9 @@ class Metadata:
 
 
 def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:
-    start_s, end_s, north_m, east_m, radius_m = (float(d[n]) for n in ("start_s", "end_s", "north_m", "east_m", "radius_m"))
+    start_s, end_s, north_m, east_m, radius_m = (
+        float(d[n]) for n in ("start_s", "end_s", "north_m", "east_m", "radius_m")
+    )
     return Loiter(start_s, end_s, north_m, east_m, radius_m, bool(d["clockwise"]), str(d["source"]))
 
 
@@ -140,7 +142,9 @@ class FlightRecord:
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:
-            raise LogError(f"a flight record needs the column time_s; received {sorted(self.columns)}")
+            raise LogError(
+                f"a flight record needs the column time_s; received {sorted(self.columns)}"
+            )
         unknown = sorted(set(self.columns) - set(SIGNALS))
         if unknown:
             raise LogError(f"unknown columns {unknown}; allowed are {sorted(SIGNALS)}")
@@ -163,7 +167,9 @@ class FlightRecord:
         steps = np.diff(time)
         if np.any(steps <= 0):
             k = int(np.argmax(steps <= 0))
-            raise LogError(f"time_s does not increase at row {k + 1}: {time[k]:.6f} then {time[k + 1]:.6f} s")
+            raise LogError(
+                f"time_s does not increase at row {k + 1}: {time[k]:.6f} then {time[k + 1]:.6f} s"
+            )
         object.__setattr__(self, "columns", frozen)
 
     def __repr__(self) -> str:
@@ -193,9 +199,13 @@ class FlightRecord:
     def between(self, start_s: float, end_s: float) -> FlightRecord:
         """Rows with start_s <= time_s <= end_s (sharing this record's memory)."""
         t = self["time_s"]
-        return self.rows(slice(int(np.searchsorted(t, start_s, "left")), int(np.searchsorted(t, end_s, "right"))))
+        return self.rows(
+            slice(int(np.searchsorted(t, start_s, "left")), int(np.searchsorted(t, end_s, "right")))
+        )
 
-    def with_columns(self, columns: Mapping[str, NDArray[Any]], metadata: Metadata | None = None) -> FlightRecord:
+    def with_columns(
+        self, columns: Mapping[str, NDArray[Any]], metadata: Metadata | None = None
+    ) -> FlightRecord:
         """A copy in which `columns` are added or replaced."""
         return FlightRecord({**self.columns, **columns}, metadata or self.metadata)
 
@@ -223,8 +233,16 @@ class FlightRecord:
             import pyarrow.parquet as pq
 
             # From the arrays as they are: a DataFrame would be a second copy of a big log.
-            table = pa.table({n: pa.array(v) if n not in LABELS else pa.array(v, pa.string()) for n, v in self.columns.items()})
-            pq.write_table(table.replace_schema_metadata({_METADATA_KEY: self.metadata.to_json().encode()}), path)
+            table = pa.table(
+                {
+                    n: pa.array(v) if n not in LABELS else pa.array(v, pa.string())
+                    for n, v in self.columns.items()
+                }
+            )
+            pq.write_table(
+                table.replace_schema_metadata({_METADATA_KEY: self.metadata.to_json().encode()}),
+                path,
+            )
         elif path.suffix.lower() == ".csv":
             import pandas as pd
 
@@ -232,7 +250,9 @@ class FlightRecord:
                 handle.write(f"# flight_record {self.metadata.to_json()}\n")
                 for start in range(0, max(1, len(self)), _CSV_ROWS):
                     part = {n: v[start : start + _CSV_ROWS] for n, v in self.columns.items()}
-                    pd.DataFrame(part).to_csv(handle, index=False, header=start == 0, lineterminator="\n")
+                    pd.DataFrame(part).to_csv(
+                        handle, index=False, header=start == 0, lineterminator="\n"
+                    )
         else:
             raise LogError(f"cannot write suffix '{path.suffix}'; use .parquet or .csv", path)
 
@@ -244,9 +264,20 @@ class FlightRecord:
         """
         columns, meta = read_record(path)
         try:
-            metadata = Metadata.from_json(meta) if meta else Metadata(source=path.name, dialect="record")
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as e:
-            raise LogError(f"its metadata is damaged ({in_a_line(e)}); write the record again", path) from None
+            metadata = (
+                Metadata.from_json(meta) if meta else Metadata(source=path.name, dialect="record")
+            )
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+        ) as e:
+            raise LogError(
+                f"its metadata is damaged ({in_a_line(e)}); write the record again", path
+            ) from None
         try:
             return cls(columns, metadata)
         except LogError as e:

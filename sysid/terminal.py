@@ -13,7 +13,9 @@ from collections.abc import Iterator
 from typing import Any, TextIO, cast
 
 # Control characters but tab and line feed, lone surrogates, line and paragraph separators, marks that turn the order of text.
-_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_UNSEEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
 
 
 def visible(text: str) -> str:

@@ -21,7 +21,9 @@ def load_mission() -> Callable[..., Any]:
     """A function that loads scripts/<name>.xml at 100 Hz and sets properties; nothing has been run yet."""
 
     def load(properties: Mapping[str, float] | None = None, script: str = "loiter") -> Any:
-        fdm = engine.open_script(staged(find_aircraft("espaaro")), PROJECT_ROOT / "scripts" / f"{script}.xml", 0.01)
+        fdm = engine.open_script(
+            staged(find_aircraft("espaaro")), PROJECT_ROOT / "scripts" / f"{script}.xml", 0.01
+        )
         for name, value in (properties or {}).items():
             fdm[name] = value
         return fdm
@@ -39,7 +41,9 @@ def flight_data() -> Path:
     """Folder with genuine logs, named by the environment."""
     folder = os.environ.get("UQ_FLIGHT_DATA")
     if not folder or not Path(folder).is_dir():
-        pytest.skip("set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine logs")
+        pytest.skip(
+            "set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine logs"
+        )
     return Path(folder)
 
 

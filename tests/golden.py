@@ -58,7 +58,11 @@ method = "corners"
 coefficients = ["CX", "CY", "Cn"]
 bounds = {{ CX = 0.008, CY = 0.010, Cn = 0.0015 }}
 """
-FLIGHTS = {"ident": ("flight-ident", 1), "bounds": ("flight-bounds", 2), "validation": ("flight-validation", 3)}
+FLIGHTS = {
+    "ident": ("flight-ident", 1),
+    "bounds": ("flight-bounds", 2),
+    "validation": ("flight-validation", 3),
+}
 
 
 def commands(out: Path) -> list[list[str]]:
@@ -80,8 +84,12 @@ def commands(out: Path) -> list[list[str]]:
         ]
         for name, (script, seed) in FLIGHTS.items()
     ]
-    calm = [[*words[:4], *words[6:-1], words[-1].replace(".parquet", "-calm.parquet")] for words in fly]
-    ident, bounds, validation = (path.replace(".parquet", "-calm.parquet") for path in flown.values())
+    calm = [
+        [*words[:4], *words[6:-1], words[-1].replace(".parquet", "-calm.parquet")] for words in fly
+    ]
+    ident, bounds, validation = (
+        path.replace(".parquet", "-calm.parquet") for path in flown.values()
+    )
     study = str(ROOT / "tests" / "golden_study.toml")
     return [
         *fly,
@@ -89,7 +97,15 @@ def commands(out: Path) -> list[list[str]]:
         ["campaign", "run", str(out / "campaign.toml"), "--out", str(out / "campaign")],
         ["sensitivity", str(out / "campaign")],
         ["identify", "espaaro", "--flight", ident, "--no-figures", "--out", str(out / "identify")],
-        ["bounds", "espaaro", "--flight", flown["bounds"], "--no-figures", "--out", str(out / "bounds")],
+        [
+            "bounds",
+            "espaaro",
+            "--flight",
+            flown["bounds"],
+            "--no-figures",
+            "--out",
+            str(out / "bounds"),
+        ],
         [
             "refine",
             "espaaro",
@@ -113,7 +129,12 @@ def make(out: Path) -> int:
     (out / "campaign.toml").write_text(CAMPAIGN.format(root=ROOT))
     for words in commands(out):
         print("uqharness", *words, flush=True)
-        done = subprocess.run([sys.executable, "-m", "uqharness", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "uqharness", *words],
+            cwd=ROOT,
+            stdout=subprocess.DEVNULL,
+            check=False,
+        )
         if done.returncode not in (0, 1):
             print(f"ended with {done.returncode}")
             return 1
@@ -127,11 +148,19 @@ def content(path: Path, root: Path) -> Any:
         import pyarrow.parquet as pq
 
         return pq.read_table(path).replace_schema_metadata(None).to_pydict()
-    text = raw.decode("utf-8", errors="surrogateescape").replace(str(root.resolve()), "DIR").replace(str(root), "DIR")
+    text = (
+        raw.decode("utf-8", errors="surrogateescape")
+        .replace(str(root.resolve()), "DIR")
+        .replace(str(root), "DIR")
+    )
     if path.suffix == ".json":
         return without(json.loads(text))
     # Remarks in an XML name the command and the flights.
-    return re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL) if path.suffix in (".xml", ".diff") else text
+    return (
+        re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+        if path.suffix in (".xml", ".diff")
+        else text
+    )
 
 
 def without(value: Any) -> Any:
@@ -143,7 +172,9 @@ def without(value: Any) -> Any:
 
 def compared(folder: Path) -> list[str]:
     """Names of the files below a folder that are looked at."""
-    found = (path for path in folder.rglob("*") if path.suffix in KINDS and path.name not in LEFT_OUT)
+    found = (
+        path for path in folder.rglob("*") if path.suffix in KINDS and path.name not in LEFT_OUT
+    )
     return [path.relative_to(folder).as_posix() for path in found]
 
 
@@ -159,7 +190,9 @@ def compare(first: Path, second: Path) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("make").add_argument("out", type=Path)
     both = verbs.add_parser("compare")

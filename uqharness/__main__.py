@@ -14,7 +14,12 @@ def _leave_working_folder() -> None:
     It stays if this package lives there.
     """
     here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    if sys.path and not sys.flags.safe_path and sys.path[0] in ("", os.getcwd()) and os.getcwd() != here:
+    if (
+        sys.path
+        and not sys.flags.safe_path
+        and sys.path[0] in ("", os.getcwd())
+        and os.getcwd() != here
+    ):
         del sys.path[0]
 
 

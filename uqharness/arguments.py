@@ -43,7 +43,12 @@ def workers(value: object) -> int | None:
     return None if value is None else whole("workers", value, 1)
 
 
-def number(name: str, value: Any, needed: str = "a finite number", fits: Callable[[float], bool] = math.isfinite) -> float:
+def number(
+    name: str,
+    value: Any,
+    needed: str = "a finite number",
+    fits: Callable[[float], bool] = math.isfinite,
+) -> float:
     """A number, numpy's too; True and False are none. NaN and infinity must fit what is asked for."""
     real = isinstance(value, Real) and not isinstance(value, bool)
     require(name, value, real and fits(float(value)), needed)
@@ -52,7 +57,9 @@ def number(name: str, value: Any, needed: str = "a finite number", fits: Callabl
 
 def share(name: str, value: object) -> float:
     """A confidence: between 0 and 1, neither of them."""
-    return number(name, value, "a number between 0 and 1, such as 0.95,", lambda given: 0.0 < given < 1.0)
+    return number(
+        name, value, "a number between 0 and 1, such as 0.95,", lambda given: 0.0 < given < 1.0
+    )
 
 
 def flag(name: str, value: object) -> bool:
@@ -63,18 +70,29 @@ def flag(name: str, value: object) -> bool:
 
 def path(name: str, value: Any) -> Path:
     """A path, given as a text that is not empty or as any path."""
-    require(name, value, isinstance(value, str | os.PathLike) and bool(os.fspath(value)), "a path, as a str or a Path,")
+    require(
+        name,
+        value,
+        isinstance(value, str | os.PathLike) and bool(os.fspath(value)),
+        "a path, as a str or a Path,",
+    )
     return Path(value)
 
 
 def one_of(name: str, value: Any, allowed: Collection[Any]) -> Any:
     """The value, which is one of those."""
     if not (isinstance(value, str | int) and value in allowed):
-        raise BadInputError(f"{name} = {_SHORT.repr(value)}: allowed are {', '.join(map(str, allowed))}")
+        raise BadInputError(
+            f"{name} = {_SHORT.repr(value)}: allowed are {', '.join(map(str, allowed))}"
+        )
     return value
 
 
 def properties(value: object) -> dict[str, float]:
     """JSBSim properties and what they are set to; None for none."""
-    given = {} if value is None else instance("properties", value, Mapping, 'a mapping such as {"aero/Cm_q": -10.0}')
+    given = (
+        {}
+        if value is None
+        else instance("properties", value, Mapping, 'a mapping such as {"aero/Cm_q": -10.0}')
+    )
     return {str(name): number(f"properties: {name}", setting) for name, setting in given.items()}

@@ -53,7 +53,9 @@ def main_not_imported() -> Iterator[None]:
     """
     script = vars(sys.modules["__main__"])
     with _one_at_a_time:
-        before: dict[str, Any] = {name: script[name] for name in ("__file__", "__spec__") if name in script}
+        before: dict[str, Any] = {
+            name: script[name] for name in ("__file__", "__spec__") if name in script
+        }
         script.pop("__file__", None)
         script["__spec__"] = None
         try:
@@ -78,7 +80,9 @@ class Ended:
     errors: str
 
 
-def run_module(module: str, *arguments: object, timeout_s: float, python: Path | None = None) -> Ended:
+def run_module(
+    module: str, *arguments: object, timeout_s: float, python: Path | None = None
+) -> Ended:
     """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds.
 
     python: interpreter of another environment, whose own libraries count; None: this one. Raises BadInputError where it cannot be
@@ -88,12 +92,20 @@ def run_module(module: str, *arguments: object, timeout_s: float, python: Path |
     environment = child_environment() if python is None else other_environment()
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=timeout_s, env=environment, check=False
-        )  # fmt: skip
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=timeout_s,
+            env=environment,
+            check=False,
+        )
     except subprocess.TimeoutExpired:
         return Ended(None, {}, "", "")
     except OSError as error:
-        raise BadInputError(f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is needed") from None
+        raise BadInputError(
+            f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is needed"
+        ) from None
     lines = done.stdout.splitlines()
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
     said = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())

@@ -106,7 +106,9 @@ def check_out(path: Path, option: str = "--out") -> None:
     if there != path.absolute() and not there.is_dir():
         raise BadInputError(f"{option} {path}: {there} is no folder; choose another path")
     if not os.access(there, os.W_OK):
-        raise BadInputError(f"{option} {path}: {there} may not be written to; choose another path or change its rights")
+        raise BadInputError(
+            f"{option} {path}: {there} may not be written to; choose another path or change its rights"
+        )
 
 
 def check_page(path: Path, option: str = "--out") -> None:

@@ -44,9 +44,13 @@ def read_table(path: Path) -> pa.Table:
     try:
         content = read_regular(path, _MOST_BYTES)
     except FileNotFoundError:
-        raise BadInputError(f"{path}: not there; run the campaign first: uqharness campaign run") from None
+        raise BadInputError(
+            f"{path}: not there; run the campaign first: uqharness campaign run"
+        ) from None
     except OSError as error:
-        raise BadInputError(f"{path}: not a readable parquet file: {error.strerror or error}") from None
+        raise BadInputError(
+            f"{path}: not a readable parquet file: {error.strerror or error}"
+        ) from None
     return parse_table(content, path)
 
 
@@ -59,15 +63,23 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
         with pq.ParquetFile(pa.BufferReader(content)) as file:
             found = file.metadata
             if rows is not None and found.num_rows != rows:
-                raise BadInputError(f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the campaign again")
-            groups = [found.row_group(number).total_byte_size for number in range(found.num_row_groups)]
+                raise BadInputError(
+                    f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the campaign again"
+                )
+            groups = [
+                found.row_group(number).total_byte_size for number in range(found.num_row_groups)
+            ]
             wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
             if wanted > _MOST_MEMORY_BYTES:
-                raise BadInputError(f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB")
+                raise BadInputError(
+                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB"
+                )
             table = file.read()
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
             table.validate(full=True)
             # What others have noted for their own readers may be anything, and would steer ours.
             return table.replace_schema_metadata(None)
     except (OSError, pa.ArrowException, ValueError, OverflowError, MemoryError) as error:
-        raise BadInputError(f"{path}: not a readable parquet file: {' '.join(str(error).split())}") from None
+        raise BadInputError(
+            f"{path}: not a readable parquet file: {' '.join(str(error).split())}"
+        ) from None

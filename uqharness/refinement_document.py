@@ -108,7 +108,9 @@ class Left(Part):
     def _told(self) -> Left:
         told = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
         if not any(self.model_fields_set >= keys for keys in told):
-            raise ValueError("needs words, or term and t, or coefficient, rms_over_noise and depends_on")
+            raise ValueError(
+                "needs words, or term and t, or coefficient, rms_over_noise and depends_on"
+            )
         return self
 
 
@@ -156,9 +158,18 @@ class Place(Part):
     def _told(self) -> Place:
         timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
         if self.reason is None and (self.channel is None or None in timed):
-            raise ValueError("a place without flight, manoeuvre, channel, stretch and band needs a reason")
-        if self.channel is not None and None in (self.flights, self.rms_over_noise, self.channel_on_train, self.would_tell):
-            raise ValueError("a channel needs flights, rms_over_noise, channel_on_train and would_tell")
+            raise ValueError(
+                "a place without flight, manoeuvre, channel, stretch and band needs a reason"
+            )
+        if self.channel is not None and None in (
+            self.flights,
+            self.rms_over_noise,
+            self.channel_on_train,
+            self.would_tell,
+        ):
+            raise ValueError(
+                "a channel needs flights, rms_over_noise, channel_on_train and would_tell"
+            )
         return self
 
 
@@ -248,8 +259,13 @@ class Curve(Part):
 
     @model_validator(mode="after")
     def _whole(self) -> Curve:
-        if len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1 or len(self.at) < 2:
-            raise ValueError("a curve needs at, value, low, high and samples of one length, two at the least")
+        if (
+            len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1
+            or len(self.at) < 2
+        ):
+            raise ValueError(
+                "a curve needs at, value, low, high and samples of one length, two at the least"
+            )
         return self
 
 

@@ -58,7 +58,9 @@ class Parameter(Part):
 
     @model_validator(mode="after")
     def _known(self) -> Parameter:
-        if self.status == _IDENTIFIED and (self.value is None or not {"std", "std_crb"} <= self.model_fields_set):
+        if self.status == _IDENTIFIED and (
+            self.value is None or not {"std", "std_crb"} <= self.model_fields_set
+        ):
             raise ValueError("an identified parameter needs value, std and std_crb")
         return self
 
@@ -299,6 +301,10 @@ def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         where = dotted(first["loc"]) or "the document"
-        what = "is missing" if first["type"] == "missing" else first["msg"].removeprefix("Value error, ")
+        what = (
+            "is missing"
+            if first["type"] == "missing"
+            else first["msg"].removeprefix("Value error, ")
+        )
         raise BadInputError(f"{path}: {where}: {what}; run its command again") from None
     return document

@@ -47,7 +47,12 @@ class Scratch:
     def __enter__(self) -> Scratch:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
 
@@ -123,7 +128,9 @@ def _new_home() -> _Home:
                 if os.path.samestat(os.stat(path / LOCK), os.fstat(handle)):
                     return _Home(path, handle)
         os.close(handle)
-    raise BadInputError(f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder")
+    raise BadInputError(
+        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder"
+    )
 
 
 def _leave(number: int) -> None:
@@ -156,19 +163,27 @@ def sweep() -> None:
 def _candidates() -> Iterator[Path]:
     """Folders, and no links to any, of the right name and owner."""
     try:
-        found = [entry.path for entry in os.scandir(tempfile.gettempdir()) if _NAME.fullmatch(entry.name)]
+        found = [
+            entry.path for entry in os.scandir(tempfile.gettempdir()) if _NAME.fullmatch(entry.name)
+        ]
     except OSError:
         return
     for path in found:
         with contextlib.suppress(OSError):
             seen = os.lstat(path)
-            if stat.S_ISDIR(seen.st_mode) and (not hasattr(os, "getuid") or seen.st_uid == os.getuid()):
+            if stat.S_ISDIR(seen.st_mode) and (
+                not hasattr(os, "getuid") or seen.st_uid == os.getuid()
+            ):
                 yield Path(path)
 
 
 def _open_lock(folder: Path, flags: int) -> int | None:
     with contextlib.suppress(OSError):
-        handle = os.open(folder / LOCK, os.O_RDWR | flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o600)
+        handle = os.open(
+            folder / LOCK,
+            os.O_RDWR | flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0),
+            0o600,
+        )
         if stat.S_ISREG(os.fstat(handle).st_mode):
             return handle
         os.close(handle)

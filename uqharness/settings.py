@@ -30,4 +30,8 @@ def tupled(value: Any) -> Any:
 def is_number(value: Any) -> bool:
     """Whether a TOML value is a finite number, true and false excluded."""
     # Compared, not converted: an integer may be larger than any float.
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -_LARGEST <= value <= _LARGEST
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and -_LARGEST <= value <= _LARGEST
+    )

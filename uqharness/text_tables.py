@@ -29,21 +29,34 @@ class Tabled:
 
     def _repr_html_(self) -> str:
         warnings = getattr(self, "warnings", ())
-        return view(repr(self), frame_table(self.to_dataframe()), facts=self._facts(), warnings=warnings)
+        return view(
+            repr(self), frame_table(self.to_dataframe()), facts=self._facts(), warnings=warnings
+        )
 
 
 def text_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
     """Rows of equal keys as lines for a terminal."""
     keys = list(rows[0])
     width = {k: max(len(k), *(len(r[k]) for r in rows)) for k in keys}
-    return ["  ".join(k.rjust(width[k]) for k in keys), *("  ".join(r[k].rjust(width[k]) for k in keys) for r in rows)]
+    return [
+        "  ".join(k.rjust(width[k]) for k in keys),
+        *("  ".join(r[k].rjust(width[k]) for k in keys) for r in rows),
+    ]
 
 
 def markdown_table(rows: Sequence[Mapping[str, str]]) -> str:
     """Rows of equal keys as a markdown table."""
     keys = list(rows[0])
     lines = ["| " + " | ".join(keys) + " |", "|" + "---|" * len(keys)]
-    return "\n".join([*lines, *("| " + " | ".join(r[k].replace("|", "/") for k in keys) + " |" for r in rows)]) + "\n"
+    return (
+        "\n".join(
+            [
+                *lines,
+                *("| " + " | ".join(r[k].replace("|", "/") for k in keys) + " |" for r in rows),
+            ]
+        )
+        + "\n"
+    )
 
 
 def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
@@ -56,7 +69,11 @@ def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def csv_rows(
-    content: bytes, path: Path, numbers: Collection[str], texts: Collection[str], maybe: Collection[str] = ()
+    content: bytes,
+    path: Path,
+    numbers: Collection[str],
+    texts: Collection[str],
+    maybe: Collection[str] = (),
 ) -> list[dict[str, str]]:
     """Rows of a CSV table as text.
 
@@ -76,7 +93,9 @@ def csv_rows(
         wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
         if wrong or any(row[name] is None for name in texts):
             name = wrong[0] if wrong else next(name for name in texts if row[name] is None)
-            raise BadInputError(f"{path}:{line}: {name} is {row[name]!r}, which it cannot be; make the table again")
+            raise BadInputError(
+                f"{path}:{line}: {name} is {row[name]!r}, which it cannot be; make the table again"
+            )
     return rows
 
 

@@ -28,7 +28,9 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise BadInputError(f"{path}:{error.line or 1}: {error}") from None
 
 
-def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]) -> tuple[int, str]:
+def explain(
+    document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]
+) -> tuple[int, str]:
     """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and validated as ``document``."""
     location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
     line = line_of(text, location)
@@ -37,7 +39,10 @@ def explain(document: type[BaseModel], text: str, data: dict[str, Any], error: d
         known = _known_keys(document, location[:-1])
         near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}? " if near else ""
-        return line, f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}"
+        return (
+            line,
+            f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}",
+        )
     if error["type"] == "missing":
         return line, f"{name}: required and not there"
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
@@ -52,7 +57,9 @@ def _name(location: tuple[Any, ...]) -> str:
     if not location:
         return "the file"
     if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
-        return " ".join([f"[[{location[0]}]] number {location[1] + 1}", dotted(location[2:])]).strip()
+        return " ".join(
+            [f"[[{location[0]}]] number {location[1] + 1}", dotted(location[2:])]
+        ).strip()
     if len(location) >= 2 and (location[0], location[1]) in _SUBSECTIONS:
         depth = _SUBSECTIONS[location[0], location[1]]
         return " ".join([f"[{dotted(location[:depth])}]", dotted(location[depth:])]).strip()
@@ -130,7 +137,10 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             section, inside = _parts(header.group(1)), []
             depth = _common(section, wanted)
         else:
-            key = re.match(r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=", line)
+            key = re.match(
+                r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=",
+                line,
+            )
             if key:
                 inside = section + _parts(key.group(1))
             depth = _common(inside, wanted) if key else 0
@@ -160,4 +170,8 @@ def as_toml(value: Any) -> str:
 
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(as_toml, value)) + "]"
-    return tomlkit.item(value).as_string() if isinstance(value, (str, bool, int, float)) else str(value)
+    return (
+        tomlkit.item(value).as_string()
+        if isinstance(value, (str, bool, int, float))
+        else str(value)
+    )

@@ -224,7 +224,9 @@ def _start_plain(fdm: Any, source: Source, condition: Condition) -> None:
     wind_n, wind_e = steady_wind_mps(condition)
     fdm["atmosphere/wind-north-fps"] = wind_n / FT_M
     fdm["atmosphere/wind-east-fps"] = wind_e / FT_M
-    fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = condition.W20_kt * KT_MPS / FT_M
+    fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = (
+        condition.W20_kt * KT_MPS / FT_M
+    )
     fdm["atmosphere/turbulence/milspec/severity"] = 3.0
     fdm["atmosphere/turb-type"] = 4.0 if source == "plain-tustin" else 3.0
 
@@ -232,12 +234,24 @@ def _start_plain(fdm: Any, source: Source, condition: Condition) -> None:
 def _record(fdm: Any, source: Source, condition: Condition) -> Seen:
     skip = round(BURN_IN_S / condition.dt_s)
     n = skip + round(condition.duration_s / condition.dt_s)
-    rates = [f"atmosphere/{axis}-turb-rad_sec" for axis in "pqr"] if source.startswith("plain") else _RATES
+    rates = (
+        [f"atmosphere/{axis}-turb-rad_sec" for axis in "pqr"]
+        if source.startswith("plain")
+        else _RATES
+    )
     getters = [engine.handle(fdm, name).get_double_value for name in (*_WIND, *rates, *_ATTITUDE)]
     rows = np.empty((n, len(getters)))
     run = fdm.run
     if source == "host":
-        gusts = dryden_gusts(n, condition.dt_s, condition.V_mps, condition.h_m, condition.W20_kt, condition.b_m, condition.seed)
+        gusts = dryden_gusts(
+            n,
+            condition.dt_s,
+            condition.V_mps,
+            condition.h_m,
+            condition.W20_kt,
+            condition.b_m,
+            condition.seed,
+        )
         setters = [engine.handle(fdm, f"air/host/{name}").set_double_value for name in _HOST]
         values = np.column_stack([gusts.component(name) for name in COMPONENTS]).tolist()
         for k in range(n):

@@ -14,7 +14,11 @@ from campaigns.air.reproduce import specified_density, spectrum
 from uqharness.flight.dryden import COMPONENTS
 
 _COLOURS = {"jsbsim": "#1b6ca8", "host": "#d1701e", "plain-tustin": "#b0b0b0"}
-_LABELS = {"jsbsim": "source 0 (JSBSim, corrected)", "host": "source 1 (host)", "plain-tustin": "plain JSBSim, Tustin"}
+_LABELS = {
+    "jsbsim": "source 0 (JSBSim, corrected)",
+    "host": "source 1 (host)",
+    "plain-tustin": "plain JSBSim, Tustin",
+}
 
 
 def plot_air(flights: Sequence[Seen], path: Path) -> None:
@@ -29,7 +33,12 @@ def plot_air(flights: Sequence[Seen], path: Path) -> None:
                 axes.loglog(frequency, density, color=_COLOURS[source], linewidth=0.8, label=label)
                 label = "_nolegend_"
         frequency = np.geomspace(0.01, 30.0, 300)
-        axes.loglog(frequency, specified_density(name, frequency, flights[0].condition), "k--", label="MIL-F-8785C")
+        axes.loglog(
+            frequency,
+            specified_density(name, frequency, flights[0].condition),
+            "k--",
+            label="MIL-F-8785C",
+        )
         axes.set_title(f"{name}, " + ("(m/s)²/Hz" if name in "uvw" else "(rad/s)²/Hz"))
         axes.grid(True, which="major", alpha=0.3)
         axes.set_xlim(0.01, 30.0)
@@ -37,7 +46,9 @@ def plot_air(flights: Sequence[Seen], path: Path) -> None:
             axes.set_xlabel("frequency, Hz")
         if name == "u":
             axes.legend(fontsize=8)
-    figure.savefig(path, metadata={"Date": None, "Creator": None} if path.suffix == ".svg" else None)
+    figure.savefig(
+        path, metadata={"Date": None, "Creator": None} if path.suffix == ".svg" else None
+    )
 
 
 def _smoothed(frequency: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -63,7 +63,9 @@ def enough(frame: pd.DataFrame, metric: str) -> list[Enough]:
     """Parts of 10, 20, 50, ... flights, one after the other, against all. Raises BadInputError where a flight has no value."""
     values = frame.sort_values("aleatory_id")[metric].to_numpy(dtype=float)
     if not np.isfinite(values).all():
-        raise BadInputError(f"{metric}: a flight has no value; parts of flights that failed cannot be compared")
+        raise BadInputError(
+            f"{metric}: a flight has no value; parts of flights that failed cannot be compared"
+        )
     whole, found = np.sort(values), []
     for size in (10, 20, 50, 100, 200, 500):
         parts = values[: values.size // size * size].reshape(-1, size)
@@ -72,13 +74,22 @@ def enough(frame: pd.DataFrame, metric: str) -> list[Enough]:
         off = [_distance(np.sort(part), whole) for part in parts]
         medians = np.abs(np.median(parts, axis=1) - np.median(whole))
         found.append(
-            Enough(metric, size, len(parts), max(off), band_half_width(size, len(parts), CONFIDENCE), float(medians.max()))
+            Enough(
+                metric,
+                size,
+                len(parts),
+                max(off),
+                band_half_width(size, len(parts), CONFIDENCE),
+                float(medians.max()),
+            )
         )
     return found
 
 
 def _distance(part: np.ndarray, whole: np.ndarray) -> float:
-    shares = [np.searchsorted(values, whole, side="right") / values.size for values in (part, whole)]
+    shares = [
+        np.searchsorted(values, whole, side="right") / values.size for values in (part, whole)
+    ]
     return float(np.abs(shares[0] - shares[1]).max())
 
 
@@ -88,14 +99,19 @@ def tables(plan: Plan, shards: Path, out: Path) -> Sequence[str]:
     (condition,) = plan.conditions
     frame, used = cell_table(plan, shards, condition)
     if len(used) < 2:
-        raise BadInputError(f"{shards}: {len(used)} repeat was flown and two are needed to compare; run the command fly")
+        raise BadInputError(
+            f"{shards}: {len(used)} repeat was flown and two are needed to compare; run the command fly"
+        )
     found: list[Converged] = []
     for metric in MEDIANS:
         found += converged(frame, metric, len(used), False, plan.spec.campaign.seed)
     write_bytes(out / CONVERGENCE, table(found))
     rows = [row for metric in MEDIANS for row in enough(frame, metric)]
     names = ("metric", "flights", "parts", "distance", "bound", "median_off")
-    write_bytes(out / ENOUGH, csv_text([{n: _shown(getattr(row, n)) for n in names} for row in rows]).encode())
+    write_bytes(
+        out / ENOUGH,
+        csv_text([{n: _shown(getattr(row, n)) for n in names} for row in rows]).encode(),
+    )
     write_text(out / CURVES, drawing(found))
     write_bytes(out / COST, cost_table(plan, shards))
     return sentences(found)
@@ -103,15 +119,27 @@ def tables(plan: Plan, shards: Path, out: Path) -> Sequence[str]:
 
 def drawing(found: Sequence[Converged]) -> str:
     """The repeats' distribution functions, metric by metric, as the text of an SVG file."""
-    figures = [f for item in found for block in convergence_section(item).blocks if isinstance(block, Figures) for f in block.items]
-    return standalone([(figure.svg, figure.caption) for figure in figures], "Repeats of the nominal model's flights", columns=3)
+    figures = [
+        f
+        for item in found
+        for block in convergence_section(item).blocks
+        if isinstance(block, Figures)
+        for f in block.items
+    ]
+    return standalone(
+        [(figure.svg, figure.caption) for figure in figures],
+        "Repeats of the nominal model's flights",
+        columns=3,
+    )
 
 
 def _shown(value: str | float) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-STUDY = Study("campaigns.convergence.full_size", "Fig 3.5 at the published size", plan, HOME, tables)
+STUDY = Study(
+    "campaigns.convergence.full_size", "Fig 3.5 at the published size", plan, HOME, tables
+)
 
 if __name__ == "__main__":
     sys.exit(main(STUDY, sys.argv[1:]))

@@ -11,8 +11,17 @@ from typing import Any
 from lxml import etree
 
 Edit = Callable[[Any], None]
-CHANNEL = {"DRAG": ("CX", "CZ"), "LIFT": ("CZ", "CX"), "SIDE": ("CY",), "X": ("CX",), "Y": ("CY",), "Z": ("CZ",),
-           "ROLL": ("Cl",), "PITCH": ("Cm",), "YAW": ("Cn",)}  # fmt: skip
+CHANNEL = {
+    "DRAG": ("CX", "CZ"),
+    "LIFT": ("CZ", "CX"),
+    "SIDE": ("CY",),
+    "X": ("CX",),
+    "Y": ("CY",),
+    "Z": ("CZ",),
+    "ROLL": ("Cl",),
+    "PITCH": ("Cm",),
+    "YAW": ("Cn",),
+}
 """Wind axes turn with incidence, so that what is put into drag or lift shows in both."""
 
 
@@ -40,11 +49,16 @@ def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
         kind, factor = kinds[number % 3]
         yield Fault(kind, f"{term} times {factor:g}", CHANNEL[axis], _times(term, factor))
     roll, pitch = (next(t for a, t in terms.items() if a == name) for name in ("ROLL", "PITCH"))
-    if root.find(".//axis//function") is not None and root.find(f".//axis/function[@name='{pitch}']") is not None:
+    if (
+        root.find(".//axis//function") is not None
+        and root.find(f".//axis/function[@name='{pitch}']") is not None
+    ):
         yield Fault("frame", f"{pitch} about the roll axis", ("Cl", "Cm"), _to_axis(pitch, "ROLL"))
         yield Fault("frame", f"{roll} about the yaw axis", ("Cn", "Cl"), _to_axis(roll, "YAW"))
     else:
-        yield Fault("frame", "pitching moment about the yaw axis", ("Cm", "Cn"), _swap_axes("PITCH", "YAW"))
+        yield Fault(
+            "frame", "pitching moment about the yaw axis", ("Cm", "Cn"), _swap_axes("PITCH", "YAW")
+        )
     yield Fault("inertia product", "Ixz 2 % of Ixx more", ("Ixz",), _inertia("ixz", 0.02))
     yield Fault("inertia", "Iyy 3 % more", ("Iyy",), _inertia("iyy", 0.03))
     yield Fault("mass", "1 % more", ("mass",), _mass)
@@ -113,7 +127,9 @@ def _cg(root: Any) -> None:
     chord = root.find("metrics/chord")
     place = root.find("mass_balance/location[@name='CG']")
     inches = {"FT": 12.0, "M": 39.37007874, "IN": 1.0}
-    moved = 0.01 * float(chord.text) * inches[chord.get("unit", "FT")] / inches[place.get("unit", "IN")]
+    moved = (
+        0.01 * float(chord.text) * inches[chord.get("unit", "FT")] / inches[place.get("unit", "IN")]
+    )
     place.find("x").text = repr(float(place.find("x").text) + moved)
 
 
@@ -134,7 +150,11 @@ def _late(surface: str) -> Edit:
         component = output.getparent()
         output.text = "late/elevator-before"
         late = etree.Element("actuator", name="late/elevator")
-        rows = (("input", "late/elevator-before", {}), ("delay", _ONE_LATE, {"type": "frames"}), ("output", surface, {}))
+        rows = (
+            ("input", "late/elevator-before", {}),
+            ("delay", _ONE_LATE, {"type": "frames"}),
+            ("output", surface, {}),
+        )
         for tag, text, more in rows:
             etree.SubElement(late, tag, more).text = text
         component.addnext(late)
@@ -145,7 +165,17 @@ def _late(surface: str) -> Edit:
 def benign(root: Any, seed: int) -> str:
     """Rewrite an aircraft so that nothing it computes changes but the last digits; what was done."""
     rng = random.Random(seed)
-    done = rng.sample(("comments", "spaces", "numbers", "order of products", "order of sums", "names of functions"), 3)
+    done = rng.sample(
+        (
+            "comments",
+            "spaces",
+            "numbers",
+            "order of products",
+            "order of sums",
+            "names of functions",
+        ),
+        3,
+    )
     for what in done:
         _REWRITE[what](root, rng)
     return ", ".join(sorted(done))
@@ -185,11 +215,20 @@ def _names(root: Any, rng: random.Random) -> None:
     text = etree.tostring(root, encoding="unicode")
     for node in root.iter("function"):
         name = node.get("name", "")
-        if node.getparent().tag == "axis" and name and text.count(f">{name}<") == 0 and rng.random() < 0.5:
+        if (
+            node.getparent().tag == "axis"
+            and name
+            and text.count(f">{name}<") == 0
+            and rng.random() < 0.5
+        ):
             node.set("name", f"{name}-renamed")
 
 
 _REWRITE: dict[str, Callable[[Any, random.Random], None]] = {
-    "comments": _comments, "spaces": _spaces, "numbers": _numbers, "order of products": _order("product"),
-    "order of sums": _order("sum"), "names of functions": _names,
-}  # fmt: skip
+    "comments": _comments,
+    "spaces": _spaces,
+    "numbers": _numbers,
+    "order of products": _order("product"),
+    "order of sums": _order("sum"),
+    "names of functions": _names,
+}

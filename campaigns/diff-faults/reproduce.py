@@ -37,36 +37,53 @@ class Flown:
 
 AIRCRAFT = (
     Flown(
-        "c172p", 50.0,
+        "c172p",
+        50.0,
         {
-            "DRAG": "aero/coefficient/CDo", "SIDE": "aero/coefficient/CYb", "LIFT": "aero/coefficient/CLq",
-            "ROLL": "aero/coefficient/Clp", "PITCH": "aero/coefficient/Cmq", "YAW": "aero/coefficient/Cnb",
+            "DRAG": "aero/coefficient/CDo",
+            "SIDE": "aero/coefficient/CYb",
+            "LIFT": "aero/coefficient/CLq",
+            "ROLL": "aero/coefficient/Clp",
+            "PITCH": "aero/coefficient/Cmq",
+            "YAW": "aero/coefficient/Cnb",
         },
         "fcs/elevator-pos-rad",
     ),
     Flown(
-        "c310", 65.0,
+        "c310",
+        65.0,
         {
-            "DRAG": "aero/coefficient/CDbeta", "SIDE": "aero/coefficient/CYr", "LIFT": "aero/coefficient/CLadot",
-            "ROLL": "aero/coefficient/Clbeta", "PITCH": "aero/coefficient/Cmadot", "YAW": "aero/coefficient/Cnr",
+            "DRAG": "aero/coefficient/CDbeta",
+            "SIDE": "aero/coefficient/CYr",
+            "LIFT": "aero/coefficient/CLadot",
+            "ROLL": "aero/coefficient/Clbeta",
+            "PITCH": "aero/coefficient/Cmadot",
+            "YAW": "aero/coefficient/Cnr",
         },
         "fcs/elevator-pos-rad",
     ),
     Flown(
-        "espaaro", 22.0,
+        "espaaro",
+        22.0,
         {
-            "X": "aero/CX_alpha2", "Y": "aero/CY_r", "Z": "aero/CZ_de", "ROLL": "aero/Cl_beta", "PITCH": "aero/Cm_q",
+            "X": "aero/CX_alpha2",
+            "Y": "aero/CY_r",
+            "Z": "aero/CZ_de",
+            "ROLL": "aero/Cl_beta",
+            "PITCH": "aero/Cm_q",
             "YAW": "aero/Cn_da",
         },
         "fcs/elevator-pos-deg",
     ),
-)  # fmt: skip
+)
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Fly everything and write faults.csv and benign.csv. Exit code 1 where a fault is missed or a benign pair is told."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--benign", type=int, default=100, metavar="N", help="benign pairs in all (%(default)s)")
+    parser.add_argument(
+        "--benign", type=int, default=100, metavar="N", help="benign pairs in all (%(default)s)"
+    )
     parser.add_argument("--out", type=Path, default=HOME, metavar="DIR")
     args = parser.parse_args(words)
     sown = [row for flown in AIRCRAFT for row in _sown(flown)]
@@ -79,7 +96,9 @@ def main(words: Sequence[str] | None = None) -> int:
     found, right = sum(r["found"] for r in sown), sum(r["right_first"] for r in sown)
     told = sum(r["found"] for r in rewritten)
     first = f"{right} with the right channel first"
-    print(f"{found} of {len(sown)} faults found, {first}; {told} of {len(rewritten)} benign pairs told")
+    print(
+        f"{found} of {len(sown)} faults found, {first}; {told} of {len(rewritten)} benign pairs told"
+    )
     return 0 if found == len(sown) and not told else 1
 
 
@@ -89,7 +108,12 @@ def _sown(flown: Flown) -> list[dict[str, Any]]:
     for fault in FAULTS.faults(root, flown.terms, flown.elevator):
         changed = copy.deepcopy(root)
         fault.edit(changed)
-        row = {"aircraft": flown.name, "kind": fault.kind, "fault": fault.words, "expected": " or ".join(fault.first)}
+        row = {
+            "aircraft": flown.name,
+            "kind": fault.kind,
+            "fault": fault.words,
+            "expected": " or ".join(fault.first),
+        }
         out.append(row | _asked(flown, changed, fault.first))
         print(*out[-1].values(), sep=", ", flush=True)
     return out
@@ -118,9 +142,12 @@ def _asked(flown: Flown, changed: Any, first: Sequence[str]) -> dict[str, Any]:
         refused = next((f.reason for f in flights if f.reason), "")
     name = ranked[0].channel if ranked else ""
     return {
-        "found": int(bool(ranked or refused)), "first": name or refused, "right_first": int(name in first),
-        "channels": len(ranked), "terms": len(terms),
-    }  # fmt: skip
+        "found": int(bool(ranked or refused)),
+        "first": name or refused,
+        "right_first": int(name in first),
+        "channels": len(ranked),
+        "terms": len(terms),
+    }
 
 
 if __name__ == "__main__":

@@ -27,14 +27,32 @@ DEG = np.pi / 180.0
 
 # E-SPAARO flight estimates (dissertation Table 2.6); CX_V, CZ_V and CZ_q, which it does not print, of usual size.
 LON_TRUTH = {
-    "CX_alpha": 0.30, "CX_V": -0.12, "CZ_alpha": -3.34, "CZ_V": -0.60, "CZ_q": -4.0, "CZ_de": 0.036,
-    "Cm_alpha": -0.487, "Cm_q": -13.8, "Cm_de": -0.014,
-}  # fmt: skip
+    "CX_alpha": 0.30,
+    "CX_V": -0.12,
+    "CZ_alpha": -3.34,
+    "CZ_V": -0.60,
+    "CZ_q": -4.0,
+    "CZ_de": 0.036,
+    "Cm_alpha": -0.487,
+    "Cm_q": -13.8,
+    "Cm_de": -0.014,
+}
 LAT_TRUTH = {
-    "CY_beta": -0.298, "CY_p": -0.075, "CY_r": 0.135, "CY_dr": 0.0023, "Cl_beta": -0.01, "Cl_p": -0.296, "Cl_r": 0.0094,
-    "Cl_da": 0.0024, "Cl_dr": -0.0003, "Cn_beta": 0.0473, "Cn_p": -0.0225, "Cn_r": -0.075,
-    "Cn_da": -7e-6, "Cn_dr": -0.0011,
-}  # fmt: skip
+    "CY_beta": -0.298,
+    "CY_p": -0.075,
+    "CY_r": 0.135,
+    "CY_dr": 0.0023,
+    "Cl_beta": -0.01,
+    "Cl_p": -0.296,
+    "Cl_r": 0.0094,
+    "Cl_da": 0.0024,
+    "Cl_dr": -0.0003,
+    "Cn_beta": 0.0473,
+    "Cn_p": -0.0225,
+    "Cn_r": -0.075,
+    "Cn_da": -7e-6,
+    "Cn_dr": -0.0011,
+}
 LON_BIASES = {"bias_ax": 0.0, "bias_az": 0.0, "bias_qdot": 0.0}
 LAT_BIASES = {"bias_ay": 0.0, "bias_pdot": 0.0, "bias_rdot": 0.0}
 # Table 2.1: V m/s; alpha, beta rad; theta, phi rad; p, q, r rad/s; ax, ay, az m/s2
@@ -66,7 +84,10 @@ def longitudinal_output(x: Any, u: Any, theta: Any) -> Array:
 
 def _lateral_acceleration(x: Any, u: Any, theta: Any) -> Any:
     h = B / (2.0 * V0)
-    return QS / MASS * (theta[0] * x[0] + theta[1] * h * x[1] + theta[2] * h * x[2] + theta[3] * u[1]) + theta[14]
+    return (
+        QS / MASS * (theta[0] * x[0] + theta[1] * h * x[1] + theta[2] * h * x[2] + theta[3] * u[1])
+        + theta[14]
+    )
 
 
 def lateral_rate(x: Any, u: Any, theta: Any) -> Array:
@@ -127,7 +148,9 @@ class Plane:
         return np.concatenate([true, biases]), np.concatenate([start, np.zeros(len(self.biases))])
 
 
-LONGITUDINAL = Plane("longitudinal", LON_TRUTH, LON_BIASES, LON_NOISE, 1, longitudinal_rate, longitudinal_output)
+LONGITUDINAL = Plane(
+    "longitudinal", LON_TRUTH, LON_BIASES, LON_NOISE, 1, longitudinal_rate, longitudinal_output
+)
 LATERAL = Plane("lateral", LAT_TRUTH, LAT_BIASES, LAT_NOISE, 2, lateral_rate, lateral_output)
 
 
@@ -143,12 +166,17 @@ def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
             begin = 0.6 + (surface + number) % plane.inputs * 3.2
             size = (4.0, 3.0)[number % 2] * (1.0, -1.0)[number // 2 % 2] * (1.0, 1.5)[surface]
             for position, sign in enumerate(steps):
-                u[(time >= begin + position * unit) & (time < begin + (position + 1) * unit), surface] = size * sign
+                u[
+                    (time >= begin + position * unit) & (time < begin + (position + 1) * unit),
+                    surface,
+                ] = size * sign
         out.append(u)
     return out
 
 
-def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array] | None = None) -> list[Array]:
+def simulate(
+    plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array] | None = None
+) -> list[Array]:
     """Outputs (n, m) a segment from zero perturbation; gusts (FINE n, 4): increments of the states by moving air, FINE a sample."""
     fine = 1 if gusts is None else FINE
     A, Bm, xb, Cm, D, yb = matrices(plane, theta)
@@ -174,7 +202,13 @@ def simulate(plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array]
     return out
 
 
-def dryden(plane: Plane, lengths: list[int], wind_kt: float, rng: np.random.Generator, height_m: float = 100.0) -> list[Array]:
+def dryden(
+    plane: Plane,
+    lengths: list[int],
+    wind_kt: float,
+    rng: np.random.Generator,
+    height_m: float = 100.0,
+) -> list[Array]:
     """Increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
 
     wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second

@@ -43,7 +43,11 @@ class Case:
 
 CASES = tuple(
     Case(plane, wind, method)
-    for wind, method in ((0.0, "output_error"), (LIGHT_KT, "output_error"), (LIGHT_KT, "filter_error"))
+    for wind, method in (
+        (0.0, "output_error"),
+        (LIGHT_KT, "output_error"),
+        (LIGHT_KT, "filter_error"),
+    )
     for plane in (aircraft.LONGITUDINAL, aircraft.LATERAL)
 )
 
@@ -64,17 +68,31 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> Draw:
     inputs, measured = aircraft.fly(case.plane, truth, lengths, case.wind_kt, rng)
     began = time.perf_counter()
     if case.method == "output_error":
-        fit = output_error(lambda theta: aircraft.simulate(case.plane, theta, inputs), start, measured, names=case.plane.names)
+        fit = output_error(
+            lambda theta: aircraft.simulate(case.plane, theta, inputs),
+            start,
+            measured,
+            names=case.plane.names,
+        )
     else:
         times = [np.arange(n) * aircraft.DT for n in lengths]
         fit = filter_error(
-            case.plane.rate, case.plane.output, np.zeros(4), start, inputs, measured, times,
-            names=case.plane.names, hold="zoh",
-        )  # fmt: skip
+            case.plane.rate,
+            case.plane.output,
+            np.zeros(4),
+            start,
+            inputs,
+            measured,
+            times,
+            names=case.plane.names,
+            hold="zoh",
+        )
     return Draw(truth, fit, time.perf_counter() - began)
 
 
-def run_case(case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None) -> pd.DataFrame:
+def run_case(
+    case: Case, seeds: int, lengths: list[int], tick: Callable[[str], None] = lambda text: None
+) -> pd.DataFrame:
     """The case's table: a row a parameter and a pooled one. Columns: see `tabulate`."""
     draws = []
     for seed in range(seeds):
@@ -91,13 +109,18 @@ def tabulate(case: Case, draws: list[Draw]) -> pd.DataFrame:
     residuals), not_converged, seconds (mean).
     """
     error = np.array([draw.fit.theta - draw.truth for draw in draws])
-    std, crb = np.array([draw.fit.std for draw in draws]), np.array([draw.fit.std_crb for draw in draws])
+    std, crb = (
+        np.array([draw.fit.std for draw in draws]),
+        np.array([draw.fit.std_crb for draw in draws]),
+    )
     truth = np.array([draw.truth for draw in draws])
     counted = np.isfinite(std)
     hit, hit_crb = np.abs(error) <= Z95 * std, np.abs(error) <= Z95 * crb
     per_name = FAMILY_LEVEL / len(case.plane.names)
     fits = {
-        "warned": sum(any("coloured residuals" in text for text in draw.fit.warnings) for draw in draws),
+        "warned": sum(
+            any("coloured residuals" in text for text in draw.fit.warnings) for draw in draws
+        ),
         "not_converged": sum(not draw.fit.converged for draw in draws),
         "seconds": float(np.mean([draw.seconds for draw in draws])),
     }
@@ -119,8 +142,11 @@ def tabulate(case: Case, draws: list[Draw]) -> pd.DataFrame:
                 "crb_coverage_pct": 100.0 * float(hit_crb[:, column].sum()) / max(n, 1),
                 "low": low,
                 "high": high,
-                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0) if name == "pooled" else low <= covered <= high,
-                "median_error_over_true_pct": 100.0 * float(np.median(np.abs(error[:, column] / truth[:, column]))),
+                "inside": bool(93.0 <= 100.0 * covered / max(n, 1) <= 97.0)
+                if name == "pooled"
+                else low <= covered <= high,
+                "median_error_over_true_pct": 100.0
+                * float(np.median(np.abs(error[:, column] / truth[:, column]))),
                 "std_over_crb": float(np.nanmedian((std / crb)[:, column])) if n else float("nan"),
                 **fits,
             }

@@ -27,9 +27,17 @@ def parser() -> argparse.ArgumentParser:
     )
     out.add_argument("--seeds", type=int, default=100, help="flights per case (default 100)")
     out.add_argument("--segments", type=int, default=4, help="manoeuvres a flight (default 4)")
-    out.add_argument("--samples", type=int, default=500, help="samples a manoeuvre at 50 Hz (default 500, 10 s)")
-    out.add_argument("--only", default="", help=f"cases whose name contains this, of: {'; '.join(c.name for c in CASES)}")
-    out.add_argument("--out", type=Path, required=True, help="CSV to write, one row a parameter and case")
+    out.add_argument(
+        "--samples", type=int, default=500, help="samples a manoeuvre at 50 Hz (default 500, 10 s)"
+    )
+    out.add_argument(
+        "--only",
+        default="",
+        help=f"cases whose name contains this, of: {'; '.join(c.name for c in CASES)}",
+    )
+    out.add_argument(
+        "--out", type=Path, required=True, help="CSV to write, one row a parameter and case"
+    )
     out.add_argument("--json", action="store_true", help="print the pooled rows as JSON")
     return out
 
@@ -41,7 +49,10 @@ def main(arguments: list[str] | None = None) -> int:
         print("seeds and segments must be at least 1, samples at least 100", file=sys.stderr)
         return 2
     if not any(given.only in case.name for case in CASES):
-        print(f"no case contains {given.only!r}; cases: {'; '.join(case.name for case in CASES)}", file=sys.stderr)
+        print(
+            f"no case contains {given.only!r}; cases: {'; '.join(case.name for case in CASES)}",
+            file=sys.stderr,
+        )
         return 2
     live = sys.stderr.isatty()
 
@@ -55,14 +66,25 @@ def main(arguments: list[str] | None = None) -> int:
             tables.append(table)
             pd.concat(tables).to_csv(given.out, index=False, float_format="%.4g")
             if not given.json:
-                print(table.drop(columns=["case", "warned", "not_converged", "seconds"]).to_string(index=False))
-                print(table.iloc[-1][["case", "warned", "not_converged", "seconds"]].to_string(), end="\n\n")
+                print(
+                    table.drop(columns=["case", "warned", "not_converged", "seconds"]).to_string(
+                        index=False
+                    )
+                )
+                print(
+                    table.iloc[-1][["case", "warned", "not_converged", "seconds"]].to_string(),
+                    end="\n\n",
+                )
     except KeyboardInterrupt:
         return 130
     pooled = pd.concat([table.iloc[[-1]] for table in tables])
     if given.json:
         print(json.dumps(json.loads(pooled.to_json(orient="records")), indent=1))
-    meant = [table for table in tables if "calm" in table["case"].iloc[0] or "filter_error" in table["case"].iloc[0]]
+    meant = [
+        table
+        for table in tables
+        if "calm" in table["case"].iloc[0] or "filter_error" in table["case"].iloc[0]
+    ]
     return 0 if all(passes(table) for table in meant) else 1
 
 

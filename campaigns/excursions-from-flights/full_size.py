@@ -39,7 +39,10 @@ def study(model: str) -> Study:
 def run(words: Sequence[str]) -> int:
     """The model's name, then a command of campaigns/full_size/command.py; its exit code, 2 for another name."""
     if not words or words[0] not in MODELS:
-        print(f"which model? received {words[0] if words else 'none'}; there are {', '.join(MODELS)}", file=sys.stderr)
+        print(
+            f"which model? received {words[0] if words else 'none'}; there are {', '.join(MODELS)}",
+            file=sys.stderr,
+        )
         return 2
     return main(study(words[0]), words[1:])
 

@@ -56,7 +56,9 @@ def beside_published(found: Sequence[Statement], acceptable_per_h: float) -> lis
     return list(cells_of(rows[rows["distance"] == "horizontal"], acceptable_per_h))
 
 
-STUDY = Study("campaigns.excursions.full_size", "Tables 3.1 and 3.2 at the published size", plan, HOME, tables)
+STUDY = Study(
+    "campaigns.excursions.full_size", "Tables 3.1 and 3.2 at the published size", plan, HOME, tables
+)
 
 if __name__ == "__main__":
     sys.exit(main(STUDY, sys.argv[1:]))

@@ -37,11 +37,28 @@ PUBLISHED = {25.0: "table_3_1.csv", 15.0: "table_3_2.csv"}
 HOURS, CORNERS = 500.0, 64
 """Flight hours behind a published rate, and corners among which best and worst were picked (section 3.8)."""
 _COLUMNS = (
-    "radius_m", "turbulence", "wind_mps", "hours", "best_per_h", "best_lower_per_h", "best_upper_per_h", "worst_per_h",
-    "worst_lower_per_h", "worst_upper_per_h", "worst_poisson_lower_per_h", "worst_poisson_upper_per_h", "published_best_per_h",
-    "published_worst_per_h", "published_worst_lower_per_h", "published_worst_upper_per_h", "best", "worst", "worst_if_poisson",
-    "answer", "published_answer",
-)  # fmt: skip
+    "radius_m",
+    "turbulence",
+    "wind_mps",
+    "hours",
+    "best_per_h",
+    "best_lower_per_h",
+    "best_upper_per_h",
+    "worst_per_h",
+    "worst_lower_per_h",
+    "worst_upper_per_h",
+    "worst_poisson_lower_per_h",
+    "worst_poisson_upper_per_h",
+    "published_best_per_h",
+    "published_worst_per_h",
+    "published_worst_lower_per_h",
+    "published_worst_upper_per_h",
+    "best",
+    "worst",
+    "worst_if_poisson",
+    "answer",
+    "published_answer",
+)
 
 
 @dataclass(frozen=True)
@@ -83,7 +100,11 @@ class Cell:
     def verdicts(self) -> tuple[str, str, str]:
         """Beside the print: the best corner, the worst, the worst if excursions do not cluster."""
         worst = self.published_worst
-        return self.best.beside(self.published_best), self.worst.beside(worst), self.worst_poisson.beside(worst)
+        return (
+            self.best.beside(self.published_best),
+            self.worst.beside(worst),
+            self.worst_poisson.beside(worst),
+        )
 
     @property
     def words(self) -> str:
@@ -99,7 +120,9 @@ def published(radius_m: float) -> pd.DataFrame:
     """The print's table for a radius. Raises BadInputError where there is none."""
     if radius_m not in PUBLISHED:
         allowed = " and ".join(f"{r:g}" for r in sorted(PUBLISHED))
-        raise BadInputError(f"no table was published for a radius of {radius_m:g} m; those for {allowed} m were")
+        raise BadInputError(
+            f"no table was published for a radius of {radius_m:g} m; those for {allowed} m were"
+        )
     path = PROJECT_ROOT / "tests" / "reference" / PUBLISHED[radius_m]
     return pd.read_csv(path, comment="#").set_index("wind_mps")
 
@@ -109,11 +132,22 @@ def compare(folder: Path) -> list[Cell]:
     manifest = read_complete(folder)
     counted = pd.read_csv(io.BytesIO(read_checked(folder, manifest, EXCURSIONS)))
     keys = ["condition", "radius_m", "distance"]
-    poisson = counted.loc[counted["worst"] == 1, [*keys, "simultaneous_lower_per_h", "simultaneous_upper_per_h"]]
-    rows = pd.read_csv(io.BytesIO(read_checked(folder, manifest, STATEMENTS))).merge(poisson, on=keys)
-    found = list(cells_of(rows[rows["distance"] == "horizontal"], manifest["campaign"]["metrics"]["acceptable_per_h"]))
+    poisson = counted.loc[
+        counted["worst"] == 1, [*keys, "simultaneous_lower_per_h", "simultaneous_upper_per_h"]
+    ]
+    rows = pd.read_csv(io.BytesIO(read_checked(folder, manifest, STATEMENTS))).merge(
+        poisson, on=keys
+    )
+    found = list(
+        cells_of(
+            rows[rows["distance"] == "horizontal"],
+            manifest["campaign"]["metrics"]["acceptable_per_h"],
+        )
+    )
     if not found:
-        raise BadInputError(f"{folder}: no wind (0 to 7 m/s), turbulence and radius (15 or 25 m) of Tables 3.1 and 3.2")
+        raise BadInputError(
+            f"{folder}: no wind (0 to 7 m/s), turbulence and radius (15 or 25 m) of Tables 3.1 and 3.2"
+        )
     return found
 
 
@@ -125,7 +159,10 @@ def cells_of(rows: pd.DataFrame, acceptable: float) -> Iterator[Cell]:
         table = tables[radius]
         if wind not in table.index or f"{turbulence}_best" not in table.columns:
             continue
-        ours = [Range(*(row[f"{end}{which}_per_h"] for which in ("", "_lower", "_upper"))) for end in ("best", "worst")]
+        ours = [
+            Range(*(row[f"{end}{which}_per_h"] for which in ("", "_lower", "_upper")))
+            for end in ("best", "worst")
+        ]
         theirs = [float(table[f"{turbulence}_{end}"][wind]) for end in ("best", "worst")]
         answer = "yes" if theirs[1] <= acceptable else "no"
         yield Cell(
@@ -144,7 +181,9 @@ def cells_of(rows: pd.DataFrame, acceptable: float) -> Iterator[Cell]:
 
 
 def _counted(rate: float) -> Range:
-    return Range(rate, *poisson_limits(round(rate * HOURS), HOURS, 1.0 - (1.0 - CONFIDENCE) / CORNERS))
+    return Range(
+        rate, *poisson_limits(round(rate * HOURS), HOURS, 1.0 - (1.0 - CONFIDENCE) / CORNERS)
+    )
 
 
 def table(cells: Sequence[Cell]) -> bytes:
@@ -154,9 +193,19 @@ def table(cells: Sequence[Cell]) -> bytes:
     writer.writerow(_COLUMNS)
     for c in cells:
         rates = [
-            c.best.rate, c.best.lower, c.best.upper, c.worst.rate, c.worst.lower, c.worst.upper, c.worst_poisson.lower,
-            c.worst_poisson.upper, c.published_best.rate, c.published_worst.rate, c.published_worst.lower, c.published_worst.upper,
-        ]  # fmt: skip
+            c.best.rate,
+            c.best.lower,
+            c.best.upper,
+            c.worst.rate,
+            c.worst.lower,
+            c.worst.upper,
+            c.worst_poisson.lower,
+            c.worst_poisson.upper,
+            c.published_best.rate,
+            c.published_worst.rate,
+            c.published_worst.lower,
+            c.published_worst.upper,
+        ]
         writer.writerow(
             [f"{c.radius_m:g}", c.turbulence, f"{c.wind_mps:g}", f"{c.hours:g}"]
             + ["" if math.isnan(rate) else f"{rate:.6g}" for rate in rates]
@@ -168,7 +217,8 @@ def table(cells: Sequence[Cell]) -> bytes:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m campaigns.excursions.reproduce", description="Excursions per hour beside the published tables"
+        prog="python -m campaigns.excursions.reproduce",
+        description="Excursions per hour beside the published tables",
     )
     parser.add_argument("results", type=Path, metavar="RESULTS")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
@@ -184,13 +234,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     bests, worsts, singly = zip(*(c.verdicts for c in cells), strict=True)
     counted = {word: worsts.count(word) for word in ("as published", "more", "fewer")}
     if args.json:
-        print(json.dumps({"cells": len(cells), "worst": counted, "best": {w: bests.count(w) for w in counted}}))
+        print(
+            json.dumps(
+                {
+                    "cells": len(cells),
+                    "worst": counted,
+                    "best": {w: bests.count(w) for w in counted},
+                }
+            )
+        )
     else:
         for c in cells:
             print(c.words)
         print(f"worst corner: {', '.join(f'{n} cells {word}' for word, n in counted.items())}")
         if singly != worsts:
-            print(f"if excursions do not cluster: {', '.join(f'{singly.count(w)} cells {w}' for w in counted)}")
+            print(
+                f"if excursions do not cluster: {', '.join(f'{singly.count(w)} cells {w}' for w in counted)}"
+            )
     return 0 if all(v == "as published" for v in (*worsts, *bests)) else 1
 
 

@@ -27,7 +27,9 @@ def common_airs(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame
     """
     airs = np.intersect1d(_whole(first), _whole(second))
     if not airs.size:
-        raise BadInputError("the two campaigns have no air in common; fly shards of the same numbers, with the same seed")
+        raise BadInputError(
+            "the two campaigns have no air in common; fly shards of the same numbers, with the same seed"
+        )
     return first[first["aleatory_id"].isin(airs)], second[second["aleatory_id"].isin(airs)]
 
 

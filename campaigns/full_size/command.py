@@ -37,13 +37,28 @@ def main(study: Study, argv: Sequence[str] | None = None) -> int:
     """Run a command; exit code 0 done, 1 a re-flown shard differs or the engines do, 2 bad input, 130 interrupted."""
     parser = argparse.ArgumentParser(prog=f"python -m {study.module}", description=study.question)
     commands = parser.add_subparsers(dest="command", required=True)
-    flying = commands.add_parser("fly", help="fly the shards that are missing; the same command goes on after any interruption")
-    flying.add_argument("--cell", action="append", default=[], metavar="AIR-WIND", help="severe-3, say; may be given again")
-    flying.add_argument("--minutes", type=float, default=float("inf"), help="begin no shard after so many minutes")
-    flying.add_argument("--most", type=int, default=sys.maxsize, metavar="N", help="fly so many shards at most")
+    flying = commands.add_parser(
+        "fly",
+        help="fly the shards that are missing; the same command goes on after any interruption",
+    )
+    flying.add_argument(
+        "--cell",
+        action="append",
+        default=[],
+        metavar="AIR-WIND",
+        help="severe-3, say; may be given again",
+    )
+    flying.add_argument(
+        "--minutes", type=float, default=float("inf"), help="begin no shard after so many minutes"
+    )
+    flying.add_argument(
+        "--most", type=int, default=sys.maxsize, metavar="N", help="fly so many shards at most"
+    )
     flying.add_argument("--workers", type=int, default=1, help="processes (1)")
     state = commands.add_parser("status", help="hours flown, by condition")
-    again = commands.add_parser("rerun", help="fly a cell's shards again and hold them against the digests")
+    again = commands.add_parser(
+        "rerun", help="fly a cell's shards again and hold them against the digests"
+    )
     again.add_argument("--cell", required=True, metavar="AIR-WIND")
     again.add_argument("--shard", type=int, help="this one alone")
     made = commands.add_parser("tables", help="make the tables of the shards that are there")
@@ -60,21 +75,31 @@ def _run(study: Study, args: argparse.Namespace) -> int:
         return _fly(plan, args)
     if args.command == "rerun":
         return _rerun(plan, args)
-    told = _status(plan, args.shards) if args.command == "status" else study.tables(plan, args.shards, args.out)
+    told = (
+        _status(plan, args.shards)
+        if args.command == "status"
+        else study.tables(plan, args.shards, args.out)
+    )
     print("\n".join(told))
     return 0
 
 
 def _fly(plan: Plan, args: argparse.Namespace) -> int:
     if args.most < 1:
-        raise BadInputError(f"--most {args.most}: must be at least 1; leave it out to fly all that are missing")
+        raise BadInputError(
+            f"--most {args.most}: must be at least 1; leave it out to fly all that are missing"
+        )
     started, flown = time.monotonic(), 0
 
     def told(found: Told) -> bool:
         nonlocal flown
         line, flown = found.line, flown + 1
         cost = f"{line.hours:g} h in {line.core_s:.0f} s of a core, {line.failed} failed"
-        print(f"{found.shard.file}: {cost}; {found.done} of {found.of} shards", file=sys.stderr, flush=True)
+        print(
+            f"{found.shard.file}: {cost}; {found.done} of {found.of} shards",
+            file=sys.stderr,
+            flush=True,
+        )
         return flown < args.most and time.monotonic() - started < 60.0 * args.minutes
 
     executor = ProcessExecutor(args.workers, keep=True)
@@ -89,8 +114,14 @@ def _status(plan: Plan, folder: Path) -> list[str]:
     rows = []
     for condition in plan.conditions:
         found = lines(folder, condition).values()
-        hours, core_h = sum(line.hours for line in found), sum(line.core_s for line in found) / 3600.0
-        failed, judged = sum(line.failed for line in found), sum(line.jsbsim_flights for line in found)
+        hours, core_h = (
+            sum(line.hours for line in found),
+            sum(line.core_s for line in found) / 3600.0,
+        )
+        failed, judged = (
+            sum(line.failed for line in found),
+            sum(line.jsbsim_flights for line in found),
+        )
         rows.append(
             f"{cell_name(condition)}: {len(found)} shards, {hours:g} h in {core_h:.2f} h of a core, {failed} failed, "
             f"{judged} in JSBSim too"
@@ -129,6 +160,9 @@ def _differences(folder: Path, shard: object, line: object, content: bytes) -> s
     if not is_whole(folder, shard, line):  # type: ignore[arg-type]
         return "other digest, and the stored file is missing or damaged"
     old, new = (parse_table(data, path).to_pandas() for data in (path.read_bytes(), content))
-    other = {name: int((~((old[name] == new[name]) | (old[name].isna() & new[name].isna()))).sum()) for name in old}
+    other = {
+        name: int((~((old[name] == new[name]) | (old[name].isna() & new[name].isna()))).sum())
+        for name in old
+    }
     told = ", ".join(f"{name} in {number}" for name, number in other.items() if number)
     return f"other digest; of {len(old)} flights there differ: {told or 'none, as far as the shard keeps them'}"

@@ -57,14 +57,22 @@ class Flown:
     @property
     def digest(self) -> str:
         """Of every status, flown time and metric, bit for bit."""
-        rows = (row_digest([o.case_id, o.status, o.flown_s, dict(sorted(o.metrics.items()))]) for o in self.outcomes)
+        rows = (
+            row_digest([o.case_id, o.status, o.flown_s, dict(sorted(o.metrics.items()))])
+            for o in self.outcomes
+        )
         return digest_of_rows(rows)
 
 
-def fly_cases(executor: Executor, fly: GroupFunction, engine: str, cases: Sequence[Case], lanes: int) -> Flown:
+def fly_cases(
+    executor: Executor, fly: GroupFunction, engine: str, cases: Sequence[Case], lanes: int
+) -> Flown:
     """Fly cases in one engine, ``lanes`` side by side; one that was refused as input raises BadInputError."""
     flights = [(case.case_id, case.flight) for case in cases]
-    groups = [Group(engine, tuple(flights[first : first + lanes])) for first in range(0, len(flights), lanes)]
+    groups = [
+        Group(engine, tuple(flights[first : first + lanes]))
+        for first in range(0, len(flights), lanes)
+    ]
     found: dict[str, CaseOutcome] = {}
     core_s = 0.0
     for batch in executor.run_groups(Timed(fly), groups):
@@ -72,7 +80,9 @@ def fly_cases(executor: Executor, fly: GroupFunction, engine: str, cases: Sequen
             if outcome.bad_input:
                 raise BadInputError(outcome.reason)
             if engine == BATCH and outcome.status == "timeout":
-                raise BadInputError(f"{outcome.reason}: the machine is too busy for flights that are kept; fly when it is not")
+                raise BadInputError(
+                    f"{outcome.reason}: the machine is too busy for flights that are kept; fly when it is not"
+                )
             metrics = dict(outcome.metrics)
             core_s += metrics.pop(CORE_S, 0.0)
             found[outcome.case_id] = dataclasses.replace(outcome, metrics=metrics)
@@ -83,7 +93,8 @@ def engine_digest(plan: Plan, executor: Executor, fly: GroupFunction) -> str:
     """Digest of a short flight of a few lanes: engines of the same bits have the same."""
     shard = next(plan.shards())
     few = [
-        replace(case, flight=replace(case.flight, duration_s=CANARY_S, burn_in_s=0.0)) for case in plan.cases(shard)[:CANARY_LANES]
+        replace(case, flight=replace(case.flight, duration_s=CANARY_S, burn_in_s=0.0))
+        for case in plan.cases(shard)[:CANARY_LANES]
     ]
     return fly_cases(executor, fly, BATCH, few, CANARY_LANES).digest[:12]
 
@@ -91,7 +102,11 @@ def engine_digest(plan: Plan, executor: Executor, fly: GroupFunction) -> str:
 def judged(plan: Plan, shard: Shard, cases: Sequence[Case]) -> list[Case]:
     """Those that JSBSim flies as well."""
     first = shard.number == 0
-    return [case for number, case in enumerate(cases) if (first and number == 0) or int(case.case_id, 16) % ONE_IN == 0]
+    return [
+        case
+        for number, case in enumerate(cases)
+        if (first and number == 0) or int(case.case_id, 16) % ONE_IN == 0
+    ]
 
 
 @dataclass(frozen=True)
@@ -106,7 +121,13 @@ class Checked:
 
 
 def check(
-    folder: Path, plan: Plan, shard: Shard, cases: Sequence[Case], flown: Flown, executor: Executor, fly: GroupFunction
+    folder: Path,
+    plan: Plan,
+    shard: Shard,
+    cases: Sequence[Case],
+    flown: Flown,
+    executor: Executor,
+    fly: GroupFunction,
 ) -> Checked:
     """Fly the judged cases in JSBSim and compare. Raises EnginesDifferError."""
     wanted = judged(plan, shard, cases)
@@ -123,11 +144,18 @@ def check(
     def refly(case: Case) -> CaseOutcome:
         return fly_cases(executor, fly, ONE_ULP_OFF, [case], 1).outcomes[0]
 
-    pairs = [(case, (ours[case.case_id], other)) for case, other in zip(wanted, theirs.outcomes, strict=True)]
+    pairs = [
+        (case, (ours[case.case_id], other))
+        for case, other in zip(wanted, theirs.outcomes, strict=True)
+    ]
     rows = [row for case, pair in pairs for row in compared(WHOLE, case, pair, spreads, refly)]
     refuse_difference(folder / shard.cell, rows)
     excused = {row.case_id for row in rows if row.verdict == "excused"}
-    told = [(float(row.difference), row.metric) for row in rows if row.verdict == "alike" and row.difference not in ("", "nan")]
+    told = [
+        (float(row.difference), row.metric)
+        for row in rows
+        if row.verdict == "alike" and row.difference not in ("", "nan")
+    ]
     difference, worst = max(told, default=(0.0, ""))
     return Checked(len(wanted), theirs.core_s, len(excused), difference, worst)
 
@@ -182,7 +210,12 @@ def fly(
 
 
 def flown_shard(
-    plan: Plan, folder: Path, shard: Shard, cases: tuple[Case, ...], executor: Executor, fly_flights: GroupFunction
+    plan: Plan,
+    folder: Path,
+    shard: Shard,
+    cases: tuple[Case, ...],
+    executor: Executor,
+    fly_flights: GroupFunction,
 ) -> tuple[Line, bytes]:
     """Fly one shard: its line, but for the engine's digest, and its file."""
     corners = len({case.epistemic_id for case in cases})
@@ -197,7 +230,11 @@ def flown_shard(
         airs=len(shard.part.aleatory_ids),
         flights=len(cases),
         failed=failed,
-        hours=round(math.fsum(_scored_s(case, o) for case, o in zip(cases, flown.outcomes, strict=True)) / 3600.0, 6),
+        hours=round(
+            math.fsum(_scored_s(case, o) for case, o in zip(cases, flown.outcomes, strict=True))
+            / 3600.0,
+            6,
+        ),
         core_s=round(flown.core_s, 1),
         jsbsim_flights=found.flights,
         jsbsim_core_s=round(found.core_s, 1),

@@ -65,7 +65,10 @@ def lines(folder: Path, condition: Condition) -> dict[int, Line]:
     names = [field.name for field in fields(Line)]
     rows = csv_rows(path.read_bytes(), path, [name for name in names if name not in _TEXTS], _TEXTS)
     kinds: dict[str, Any] = {"int": int, "float": float, "str": str}
-    found = [Line(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(Line)}) for row in rows]
+    found = [
+        Line(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(Line)})
+        for row in rows
+    ]
     return {line.shard: line for line in found}
 
 
@@ -74,7 +77,10 @@ def add(folder: Path, shard: Shard, line: Line, content: bytes) -> None:
     (folder / shard.cell).mkdir(parents=True, exist_ok=True)
     write_bytes(folder / shard.file, content)
     kept = lines(folder, shard.condition) | {shard.number: line}
-    rows = [{name: str(value) for name, value in asdict(kept[number]).items()} for number in sorted(kept)]
+    rows = [
+        {name: str(value) for name, value in asdict(kept[number]).items()}
+        for number in sorted(kept)
+    ]
     write_bytes(folder / shard.cell / SHARDS, csv_text(rows).encode())
 
 
@@ -105,13 +111,19 @@ def cell_table(plan: Plan, folder: Path, condition: Condition) -> tuple[pd.DataF
             continue
         path = folder / shard.file
         if not is_whole(folder, shard, line):
-            raise BadInputError(f"{path}: missing, or not as {SHARDS} says; fly it again (the command fly does)")
+            raise BadInputError(
+                f"{path}: missing, or not as {SHARDS} says; fly it again (the command fly does)"
+            )
         cases = plan.cases(shard)
         refuse_other_flights(line, cases, shard)
-        frames.append(unpacked(parse_table(path.read_bytes(), path, rows=len(cases)), cases, plan.resolution))
+        frames.append(
+            unpacked(parse_table(path.read_bytes(), path, rows=len(cases)), cases, plan.resolution)
+        )
         used.append(line)
     if not frames:
-        raise BadInputError(f"{folder / cell_name(condition)}: nothing flown yet; run the command fly")
+        raise BadInputError(
+            f"{folder / cell_name(condition)}: nothing flown yet; run the command fly"
+        )
     return pd.concat(frames, ignore_index=True), used
 
 

@@ -54,9 +54,13 @@ def made_up(cases: Sequence[Case], rng: np.random.Generator, resolution: float) 
         "duration_s": pa.array(np.where(ended, 1800.0, np.nan), pa.float32(), from_pandas=True),
     }
     for name in (*excursion_columns(cases[0].flight.excursion_radius_m), "loss_of_control"):
-        columns[name] = pa.array(rng.poisson(0.0 if name == "loss_of_control" else 2.0, len(cases)), pa.int32())
+        columns[name] = pa.array(
+            rng.poisson(0.0 if name == "loss_of_control" else 2.0, len(cases)), pa.int32()
+        )
     for name in SKETCHED:
-        numbers = coded(2.0 * np.exp(of_sample + of_air + rng.normal(0.0, 0.02, len(cases))), resolution)
+        numbers = coded(
+            2.0 * np.exp(of_sample + of_air + rng.normal(0.0, 0.02, len(cases))), resolution
+        )
         columns[name] = pa.array(numbers.data, pa.int16(), mask=np.ma.getmaskarray(numbers) | ended)
     return pa.table(columns)
 
@@ -123,14 +127,20 @@ def peak_mb() -> float:
         import resource
     except ImportError as error:
         raise BadInputError("the peak of the memory can be read on Linux and macOS only") from error
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+        1e6 if sys.platform == "darwin" else 1e3
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Make the tables of one kind, and print the peak."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.full_size.memory", description="Memory of tables at full size")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.full_size.memory", description="Memory of tables at full size"
+    )
     parser.add_argument("kind", choices=["corners", "walks"])
-    parser.add_argument("--flights", type=int, default=1_000_000, metavar="N", help="made-up flights (1000000)")
+    parser.add_argument(
+        "--flights", type=int, default=1_000_000, metavar="N", help="made-up flights (1000000)"
+    )
     args = parser.parse_args(argv)
     return ending(lambda: _run(args.kind, args.flights))
 
@@ -143,7 +153,9 @@ def _run(kind: str, flights: int) -> int:
         count = {"corners": corners, "walks": walks}[kind](Path(folder), flights)
     peak = peak_mb()
     cost = time.process_time() - begun
-    print(f"{kind}: tables of {count} flights, {peak:.0f} MB at most ({started:.0f} MB before the first); {cost:.0f} s of a core")
+    print(
+        f"{kind}: tables of {count} flights, {peak:.0f} MB at most ({started:.0f} MB before the first); {cost:.0f} s of a core"
+    )
     return 0 if peak <= ALLOWED_MB else 1
 
 

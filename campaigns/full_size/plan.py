@@ -58,7 +58,9 @@ class Plan:
     resolution: float = RESOLUTION
 
     @classmethod
-    def read(cls, campaign: Path, airs: int, samples: int = 0, resolution: float = RESOLUTION) -> Plan:
+    def read(
+        cls, campaign: Path, airs: int, samples: int = 0, resolution: float = RESOLUTION
+    ) -> Plan:
         """The plan of a campaign file, in the batch engine; an aircraft with bounds from a model form is copied to COPY beside the
         file. Raises BadInputError."""
         spec, folder = read_campaign(campaign).with_engine("batch"), campaign.parent / COPY
@@ -72,7 +74,11 @@ class Plan:
     def conditions(self) -> list[Condition]:
         """Every condition; the hardest air first, so that what decides has its hours first."""
         air = self.spec.aleatory
-        return [Condition(float(wind), kind) for kind in reversed(air.turbulence) for wind in reversed(air.wind_mps)]
+        return [
+            Condition(float(wind), kind)
+            for kind in reversed(air.turbulence)
+            for wind in reversed(air.wind_mps)
+        ]
 
     @property
     def epistemic_ids(self) -> list[str]:
@@ -88,7 +94,11 @@ class Plan:
             ids = range(air, min(air + self.airs, flights))
             some = range(sample, min(sample + each, count))
             for condition in self.conditions:
-                yield Shard(condition, number, Part(ids, ((condition.wind_mps, condition.turbulence),), some))
+                yield Shard(
+                    condition,
+                    number,
+                    Part(ids, ((condition.wind_mps, condition.turbulence),), some),
+                )
 
     def cases(self, shard: Shard) -> tuple[Case, ...]:
         """The shard's flights, in case order."""

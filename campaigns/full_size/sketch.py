@@ -24,7 +24,11 @@ from uqharness.errors import BadInputError
 RESOLUTION = 0.005
 FINE = 0.0005
 """For curves that lie close together; 16 bits then reach from 6e-15 to 1.7e14."""
-METRICS = tuple(name for name in ERROR_METRICS if "_median_" in name or ("_max_" in name and not name.endswith("_measured")))
+METRICS = tuple(
+    name
+    for name in ERROR_METRICS
+    if "_median_" in name or ("_max_" in name and not name.endswith("_measured"))
+)
 """Kept of a flight: medians of the errors, true and measured, and their largest true values."""
 SKETCHED = (*METRICS, "extrapolated_share")
 _ZERO = -(2**15)
@@ -35,7 +39,9 @@ def _log_step(resolution: float) -> float:
     return math.log((1.0 + resolution) / (1.0 - resolution))
 
 
-def coded(values: Sequence[float] | np.ndarray, resolution: float = RESOLUTION) -> np.ma.MaskedArray:
+def coded(
+    values: Sequence[float] | np.ndarray, resolution: float = RESOLUTION
+) -> np.ma.MaskedArray:
     """Numbers of the grid (n,), masked where a value is not finite."""
     values = np.asarray(values, dtype=float)
     known = np.isfinite(values)
@@ -54,13 +60,17 @@ def decoded(numbers: np.ndarray, resolution: float = RESOLUTION) -> np.ndarray:
     return np.where(numbers == _ZERO, 0.0, middle * np.exp(numbers * step))
 
 
-def packed(cases: Sequence[Case], outcomes: Sequence[CaseOutcome], resolution: float = RESOLUTION) -> pa.Table:
+def packed(
+    cases: Sequence[Case], outcomes: Sequence[CaseOutcome], resolution: float = RESOLUTION
+) -> pa.Table:
     """One row per flight, in case order; which flight it is follows from the order. Raises BadInputError."""
     frame = build_table(cases, outcomes).to_pandas()
     if len(frame) != len(cases):
         raise BadInputError(f"{len(frame)} of {len(cases)} flights of the shard have an outcome")
     columns = {"status": pa.array(frame["status"], pa.string())}
-    columns["duration_s"] = pa.array(frame["duration_s"].where(frame["status"] != "ok"), pa.float32(), from_pandas=True)
+    columns["duration_s"] = pa.array(
+        frame["duration_s"].where(frame["status"] != "ok"), pa.float32(), from_pandas=True
+    )
     for name in (*excursion_columns(cases[0].flight.excursion_radius_m), "loss_of_control"):
         columns[name] = pa.array(frame[name].astype("Int32"), pa.int32(), from_pandas=True)
     for name in SKETCHED:
@@ -69,13 +79,17 @@ def packed(cases: Sequence[Case], outcomes: Sequence[CaseOutcome], resolution: f
     return pa.table(columns)
 
 
-def unpacked(table: pa.Table, cases: Sequence[Case], resolution: float = RESOLUTION) -> pd.DataFrame:
+def unpacked(
+    table: pa.Table, cases: Sequence[Case], resolution: float = RESOLUTION
+) -> pd.DataFrame:
     """The rows as a campaign's case table has them: undefined metrics NaN, a flight that ended well as long as it was to be.
 
     Levels that stand still and drawn variables have their columns, as there. Raises BadInputError.
     """
     if table.num_rows != len(cases):
-        raise BadInputError(f"a shard of {len(cases)} flights has {table.num_rows} rows; fly it again")
+        raise BadInputError(
+            f"a shard of {len(cases)} flights has {table.num_rows} rows; fly it again"
+        )
     frame = table.to_pandas()
     planned = np.array([case.flight.duration_s for case in cases])
     frame["duration_s"] = frame["duration_s"].to_numpy(dtype=float)

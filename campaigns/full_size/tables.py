@@ -22,8 +22,12 @@ RADII_M = (15.0, 25.0)
 def cost_table(plan: Plan, shards: Path) -> bytes:
     """cost.csv: a row per condition, and one for all."""
     rows = []
-    everything = [line for condition in plan.conditions for line in lines(shards, condition).values()]
-    parts = [(condition.label, list(lines(shards, condition).values())) for condition in plan.conditions]
+    everything = [
+        line for condition in plan.conditions for line in lines(shards, condition).values()
+    ]
+    parts = [
+        (condition.label, list(lines(shards, condition).values())) for condition in plan.conditions
+    ]
     for name, found in [*parts, ("all", everything)]:
         rows.append(
             {

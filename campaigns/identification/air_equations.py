@@ -23,9 +23,18 @@ import numpy as np
 from sysid.aerodynamics import GustStates, sines
 
 OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 Terms = Mapping[str, Any]
 """alpha, beta [rad], p, q, r made dimensionless, de, da, dr [deg], dt [0..1], V [m/s], rho [kg/m3]."""
 
@@ -72,8 +81,14 @@ def wind_axis_build(k: Mapping[str, Any], t: Terms, body: Body) -> tuple[Any, ..
     s, c = np.sin(t["alpha"]), np.cos(t["alpha"])
     pitch = k["Cm_0"] + k["Cm_alpha"] * t["alpha"] + k["Cm_q"] * t["q"] + k["Cm_de"] * t["de"]
     return (
-        lift * s - drag * c, _side(k, t), -lift * c - drag * s, _roll(k, t), pitch, _yaw(k, t), k["CT_dt"] * t["dt"],
-    )  # fmt: skip
+        lift * s - drag * c,
+        _side(k, t),
+        -lift * c - drag * s,
+        _roll(k, t),
+        pitch,
+        _yaw(k, t),
+        k["CT_dt"] * t["dt"],
+    )
 
 
 def body_axis_build(k: Mapping[str, Any], t: Terms, body: Body) -> tuple[Any, ...]:
@@ -89,17 +104,27 @@ def body_axis_build(k: Mapping[str, Any], t: Terms, body: Body) -> tuple[Any, ..
 
 
 def _side(k: Mapping[str, Any], t: Terms) -> Any:
-    return k["CY_0"] + k["CY_beta"] * t["beta"] + k["CY_p"] * t["p"] + k["CY_r"] * t["r"] + k["CY_dr"] * t["dr"]
+    return (
+        k["CY_0"]
+        + k["CY_beta"] * t["beta"]
+        + k["CY_p"] * t["p"]
+        + k["CY_r"] * t["r"]
+        + k["CY_dr"] * t["dr"]
+    )
 
 
 def _roll(k: Mapping[str, Any], t: Terms) -> Any:
     rates = k["Cl_p"] * t["p"] + k["Cl_r"] * t["r"]
-    return k["Cl_0"] + k["Cl_beta"] * t["beta"] + rates + k["Cl_dr"] * t["dr"] + k["Cl_da"] * t["da"]
+    return (
+        k["Cl_0"] + k["Cl_beta"] * t["beta"] + rates + k["Cl_dr"] * t["dr"] + k["Cl_da"] * t["da"]
+    )
 
 
 def _yaw(k: Mapping[str, Any], t: Terms) -> Any:
     rates = k["Cn_p"] * t["p"] + k["Cn_r"] * t["r"]
-    return k["Cn_0"] + k["Cn_beta"] * t["beta"] + rates + k["Cn_dr"] * t["dr"] + k["Cn_da"] * t["da"]
+    return (
+        k["Cn_0"] + k["Cn_beta"] * t["beta"] + rates + k["Cn_dr"] * t["dr"] + k["Cn_da"] * t["da"]
+    )
 
 
 @dataclass(frozen=True)
@@ -127,15 +152,29 @@ class AirEquations:
         b2V, c2V = body.b / (2.0 * V), body.c / (2.0 * V)
         p_g, q_g, r_g = self.gusts.rotation(x, trig)
         terms = {
-            "alpha": x[1], "beta": x[2], "p": (x[3] - p_g) * b2V, "q": (x[4] - q_g) * c2V, "r": (x[5] - r_g) * b2V,
-            "de": u[0], "da": u[1], "dr": u[2], "dt": 0.01 * u[3], "V": V, "rho": u[4],
-        }  # fmt: skip
+            "alpha": x[1],
+            "beta": x[2],
+            "p": (x[3] - p_g) * b2V,
+            "q": (x[4] - q_g) * c2V,
+            "r": (x[5] - r_g) * b2V,
+            "de": u[0],
+            "da": u[1],
+            "dr": u[2],
+            "dt": 0.01 * u[3],
+            "V": V,
+            "rho": u[4],
+        }
         CX, CY, CZ, Cl, Cm, Cn, thrust = self.build(k, terms, body)
         qS = 0.5 * u[4] * V * V * body.S
         force = qS / body.m
         return (
-            force * CX + thrust / body.m, force * CY, force * CZ, qS * body.b * Cl, qS * body.c * Cm, qS * body.b * Cn,
-        )  # fmt: skip
+            force * CX + thrust / body.m,
+            force * CY,
+            force * CZ,
+            qS * body.b * Cl,
+            qS * body.c * Cm,
+            qS * body.b * Cn,
+        )
 
     def f(self, x: Any, u: Any, theta: Any) -> Any:
         """dx/dt."""
@@ -161,16 +200,24 @@ class AirEquations:
         dphi, dtheta = p + st / ct * turning, q * cf - r * sf
         return np.array(
             np.broadcast_arrays(
-                dV, dalpha, dbeta,
-                (body.Izz * roll + body.Ixz * yaw) / det, pitch / body.Iyy, (body.Ixz * roll + body.Ixx * yaw) / det,
-                dphi, dtheta, *self.gusts.rates(x, (dV, dalpha, dbeta, dphi, dtheta), trig),
+                dV,
+                dalpha,
+                dbeta,
+                (body.Izz * roll + body.Ixz * yaw) / det,
+                pitch / body.Iyy,
+                (body.Ixz * roll + body.Ixx * yaw) / det,
+                dphi,
+                dtheta,
+                *self.gusts.rates(x, (dV, dalpha, dbeta, dphi, dtheta), trig),
             )
-        )  # fmt: skip
+        )
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
         """y, in the order of OUTPUTS."""
         ax, ay, az = self._loads(x, u, theta)[:3]
-        return np.array(np.broadcast_arrays(x[0], x[1], x[2], x[6], x[7], x[3], x[4], x[5], ax, ay, az))
+        return np.array(
+            np.broadcast_arrays(x[0], x[1], x[2], x[6], x[7], x[3], x[4], x[5], ax, ay, az)
+        )
 
 
 def parameters(names: Sequence[str]) -> tuple[str, ...]:

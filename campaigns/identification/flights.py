@@ -39,13 +39,25 @@ def fly_flights(
     for k, name in enumerate(FLIGHTS):
         path = folder / f"{aircraft}-{name}{suffix}"
         plan = str(folder / "fine" / f"{name}.xml") if fine else name
-        arguments = ["fly", flown, "--script", plan, "--noise", "--seed", str(seed + k), "--out", str(path)]
+        arguments = [
+            "fly",
+            flown,
+            "--script",
+            plan,
+            "--noise",
+            "--seed",
+            str(seed + k),
+            "--out",
+            str(path),
+        ]
         arguments += [] if duration_s is None else ["--duration-s", str(duration_s)]
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
             code = command([*arguments, "--turbulence", turbulence])
         if code:
-            raise BadInputError(f"{aircraft}, {name}, seed {seed + k}: the flight did not end well: {said.getvalue().strip()}")
+            raise BadInputError(
+                f"{aircraft}, {name}, seed {seed + k}: the flight did not end well: {said.getvalue().strip()}"
+            )
         paths.append(path)
     return paths
 
@@ -55,9 +67,13 @@ def _finer(aircraft: str, folder: Path) -> str:
     copy = folder / aircraft
     copy_folder(find_aircraft(aircraft).folder, copy)
     card = copy / "airframe.toml"
-    text, count = re.subn(r"(?m)^dt_s *=.*$", f"dt_s = {FINE_STEP_S}", card.read_text(encoding="utf-8"))
+    text, count = re.subn(
+        r"(?m)^dt_s *=.*$", f"dt_s = {FINE_STEP_S}", card.read_text(encoding="utf-8")
+    )
     if count != 1:
-        raise BadInputError(f"{card}: {count} lines begin with dt_s; a flight at another step needs one")
+        raise BadInputError(
+            f"{card}: {count} lines begin with dt_s; a flight at another step needs one"
+        )
     card.write_text(text, encoding="utf-8")
     for plan in PLANS:
         (folder / f"{plan.name}.xml").write_text(script(plan, FINE_STEP_S), encoding="utf-8")

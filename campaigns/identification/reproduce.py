@@ -39,7 +39,13 @@ from campaigns.identification.flights import FINE_STEP_S, PASSING_MPS, fly_fligh
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.result import FilterErrorFit
 from uqharness.errors import BadInputError
-from uqharness.replay.flights import control_columns, measured_outputs, prepare, read_flight, segments
+from uqharness.replay.flights import (
+    control_columns,
+    measured_outputs,
+    prepare,
+    read_flight,
+    segments,
+)
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import actuators
@@ -48,9 +54,19 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 Array = NDArray[np.float64]
 MAX_ITERATIONS = 30  # a model of the right form needs some 20
 PUBLISHED = PROJECT_ROOT / "tests" / "reference"
-_STATE_ORDER = tuple(STATES.index(n) for n in (
-    "V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad",
-))  # fmt: skip
+_STATE_ORDER = tuple(
+    STATES.index(n)
+    for n in (
+        "V_mps",
+        "alpha_rad",
+        "beta_rad",
+        "p_radps",
+        "q_radps",
+        "r_radps",
+        "phi_rad",
+        "theta_rad",
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -68,14 +84,40 @@ class Case:
 
 
 CASES = (
-    Case("SL", "2.4", "synthetic_stall", "synthetic_stall", wind_axis_build, about="lift without separation"),
     Case(
-        "SLM", "2.5", "synthetic_stall", "synthetic_stall", wind_axis_build, ("Cm_q",),
+        "SL",
+        "2.4",
+        "synthetic_stall",
+        "synthetic_stall",
+        wind_axis_build,
+        about="lift without separation",
+    ),
+    Case(
+        "SLM",
+        "2.5",
+        "synthetic_stall",
+        "synthetic_stall",
+        wind_axis_build,
+        ("Cm_q",),
         about="lift without separation, no pitch damping",
     ),
-    Case("E-SPAARO", "2.6", "espaaro_truth", "espaaro", body_axis_build, about="Table 2.6's terms, four effects missing"),
-    Case("right form", "2.6", "espaaro", "espaaro", body_axis_build, about="Table 2.6's terms, which are all there is"),
-)  # fmt: skip
+    Case(
+        "E-SPAARO",
+        "2.6",
+        "espaaro_truth",
+        "espaaro",
+        body_axis_build,
+        about="Table 2.6's terms, four effects missing",
+    ),
+    Case(
+        "right form",
+        "2.6",
+        "espaaro",
+        "espaaro",
+        body_axis_build,
+        about="Table 2.6's terms, which are all there is",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -98,12 +140,17 @@ def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Da
     record = flight.record
     columns = control_columns(())
     # Over the whole flight, not manoeuvre by manoeuvre: where an actuator stands at a start follows from what went before.
-    positions = [servos[c].follow_finely(record[column], record.dt_s, step_s) for c, column in zip(CONTROLS, columns, strict=True)]
+    positions = [
+        servos[c].follow_finely(record[column], record.dt_s, step_s)
+        for c, column in zip(CONTROLS, columns, strict=True)
+    ]
     rho = record["rho_kgpm3"]
     u = np.column_stack([*(rows for rows, _ in positions), rho])
     u_middle = np.column_stack([*(between for _, between in positions), 0.5 * (rho[:-1] + rho[1:])])
     out = Data([], [], [], [], [])
-    for segment, piece, z in zip(segments(flight, ()), flight.pieces, measured_outputs(flight, OUTPUTS), strict=True):
+    for segment, piece, z in zip(
+        segments(flight, ()), flight.pieces, measured_outputs(flight, OUTPUTS), strict=True
+    ):
         out.x0.append(start_state(*segment.start[list(_STATE_ORDER)]))
         out.u.append(u[piece.rows])
         out.u_middle.append(u_middle[piece.rows.start : piece.rows.stop - 1])
@@ -112,26 +159,48 @@ def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Da
     return out
 
 
-def identify(case: Case, data: Data, start: Mapping[str, float] | None = None, free: Sequence[str] | None = None) -> FilterErrorFit:
+def identify(
+    case: Case,
+    data: Data,
+    start: Mapping[str, float] | None = None,
+    free: Sequence[str] | None = None,
+) -> FilterErrorFit:
     """Filter error from the card's first guesses (or ``start``), over all of the model's parameters or those of ``free``."""
     card = find_aircraft(case.model).card
     known = dict(zip(parameters(tuple(card.parameters)), card.parameters.values(), strict=True))
     names = tuple(n for n in known if n not in case.held)
-    equations = AirEquations(case.build, names, dict.fromkeys(case.held, case.held_value), passing_mps=PASSING_MPS)
+    equations = AirEquations(
+        case.build, names, dict.fromkeys(case.held, case.held_value), passing_mps=PASSING_MPS
+    )
     guesses = {n: known[n].initial or 0.0 for n in names} | dict(start or {})
     theta = np.array([guesses[n] for n in names])
     bounds = [known[n].bounds or (-np.inf, np.inf) for n in names]
     noise = np.array([card.sensors.noise_std[n] for n in OUTPUTS])
     return filter_error(
-        equations.f, equations.g, data.x0, theta, data.u, data.z, data.t,
-        names=names, bounds=bounds, free=free, process_noise=NOISY, process_noise_start=NOISE_START,
-        noise_start=noise, x0_std=STATE_STD, u_middle=data.u_middle, max_iterations=MAX_ITERATIONS,
-    )  # fmt: skip
+        equations.f,
+        equations.g,
+        data.x0,
+        theta,
+        data.u,
+        data.z,
+        data.t,
+        names=names,
+        bounds=bounds,
+        free=free,
+        process_noise=NOISY,
+        process_noise_start=NOISE_START,
+        noise_start=noise,
+        x0_std=STATE_STD,
+        u_middle=data.u_middle,
+        max_iterations=MAX_ITERATIONS,
+    )
 
 
 def published(table: str) -> pd.DataFrame:
     """The dissertation's table, by parameter."""
-    return pd.read_csv(PUBLISHED / f"table_{table.replace('.', '_')}.csv", comment="#", index_col="parameter")
+    return pd.read_csv(
+        PUBLISHED / f"table_{table.replace('.', '_')}.csv", comment="#", index_col="parameter"
+    )
 
 
 def true_values(case: Case, names: Sequence[str]) -> Array:
@@ -154,7 +223,9 @@ def side_by_side(case: Case, fit: FilterErrorFit) -> pd.DataFrame:
     scale = out["true"].abs().replace(0.0, np.nan)
     if case.table != "2.6":  # Table 2.6's estimates are themselves the truth flown here
         out["published_error_pct"] = 100.0 * (out["published"] - out["true"]).abs() / scale
-        out["published_error_bounds"] = (out["published"] - out["true"]).abs() / out["published_bound"]
+        out["published_error_bounds"] = (out["published"] - out["true"]).abs() / out[
+            "published_bound"
+        ]
     out["error_pct"] = 100.0 * (out["ours"] - out["true"]).abs() / scale
     out["error_stds"] = (out["ours"] - out["true"]).abs() / out["std"]
     return out
@@ -168,7 +239,9 @@ def summary(table: pd.DataFrame) -> dict[str, float]:
         "identified": float(len(counted)),
         "median_error_pct": float(counted["error_pct"].median()),
         "covered_95": float((counted["error_stds"] <= 1.96).mean()),
-        "covered_95_crb": float((counted["error_stds"] * counted["std"] <= 1.96 * counted["std_crb"]).mean()),
+        "covered_95_crb": float(
+            (counted["error_stds"] * counted["std"] <= 1.96 * counted["std_crb"]).mean()
+        ),
         "median_error_stds": float(counted["error_stds"].median()),
     }
     if "published_error_pct" in table:
@@ -187,9 +260,15 @@ def markdown(case: Case, table: pd.DataFrame, numbers: Mapping[str, float]) -> s
     ]
     for name, row in table.iterrows():
         cells = [f"{row[c]:.4g}" for c in ("true", "published", "published_bound", "ours", "std")]
-        cells += [f"{row[c]:.1f} %" if c in row else "" for c in ("published_error_pct", "error_pct")]
+        cells += [
+            f"{row[c]:.1f} %" if c in row else "" for c in ("published_error_pct", "error_pct")
+        ]
         cells.append(f"{row['error_stds']:.1f}")
-        lines.append(f"| `{name}` | " + " | ".join(c.replace("nan %", "–").replace("nan", "–") for c in cells) + " |")
+        lines.append(
+            f"| `{name}` | "
+            + " | ".join(c.replace("nan %", "–").replace("nan", "–") for c in cells)
+            + " |"
+        )
     said = (
         f"Ours: median error {numbers['median_error_pct']:.2f} % of the true value; "
         f"{100 * numbers['covered_95']:.0f} % of {numbers['identified']:.0f} parameters within 1.96 standard errors "
@@ -209,14 +288,20 @@ def run_seed(
     seed: int, folder: Path, cases: Sequence[Case] = CASES, turbulence: str = "light"
 ) -> dict[str, tuple[pd.DataFrame, FilterErrorFit]]:
     """Fly, read back and identify every case with one seed."""
-    logs = {name: fly_flights(name, folder, seed, turbulence, fine=True) for name in dict.fromkeys(c.flown for c in cases)}
+    logs = {
+        name: fly_flights(name, folder, seed, turbulence, fine=True)
+        for name in dict.fromkeys(c.flown for c in cases)
+    }
     out = {}
     for case in cases:
         begun = time.perf_counter()
         fit = identify(case, read_data(logs[case.flown][0], case.model))
         out[case.name] = side_by_side(case, fit), fit
         state = "converged" if fit.converged else "NOT converged"
-        print(f"{case.name}: {state}, {fit.iterations} iterations, {time.perf_counter() - begun:.0f} s", file=sys.stderr)
+        print(
+            f"{case.name}: {state}, {fit.iterations} iterations, {time.perf_counter() - begun:.0f} s",
+            file=sys.stderr,
+        )
         for warning in fit.warnings:
             print(f"  {warning}", file=sys.stderr)
     return out
@@ -229,13 +314,28 @@ def pooled(tables: Sequence[pd.DataFrame]) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for logs, tables.md, tables.csv and summary.json")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="folder for logs, tables.md, tables.csv and summary.json",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the first flight (default 1)")
-    parser.add_argument("--seeds", type=int, default=1, help="repeat with seeds 10 apart and pool (default 1)")
-    parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])
-    parser.add_argument("--turbulence", default="light", choices=("none", "light", "moderate"), help="default light")
-    parser.add_argument("--no-round-trip", action="store_true", help="leave out the round trip (round_trip.py)")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="repeat with seeds 10 apart and pool (default 1)"
+    )
+    parser.add_argument(
+        "--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES]
+    )
+    parser.add_argument(
+        "--turbulence", default="light", choices=("none", "light", "moderate"), help="default light"
+    )
+    parser.add_argument(
+        "--no-round-trip", action="store_true", help="leave out the round trip (round_trip.py)"
+    )
     chosen = parser.parse_args(arguments)
     try:
         return _study(chosen)
@@ -267,7 +367,9 @@ def _study(chosen: argparse.Namespace) -> int:
     return 0 if converged and told else 1
 
 
-def _write(folder: Path, cases: Sequence[Case], found: Mapping[str, Sequence[pd.DataFrame]]) -> None:
+def _write(
+    folder: Path, cases: Sequence[Case], found: Mapping[str, Sequence[pd.DataFrame]]
+) -> None:
     """Tables of the first seed as text, all of them as CSV, the figures pooled over seeds."""
     numbers = {case.name: pooled(found[case.name]) for case in cases}
     texts = [markdown(case, found[case.name][0], summary(found[case.name][0])) for case in cases]
@@ -278,7 +380,9 @@ def _write(folder: Path, cases: Sequence[Case], found: Mapping[str, Sequence[pd.
             f"(Cramer-Rao: {100 * row['covered_95_crb']:.0f} %).\n"
         )
     (folder / "tables.md").write_text("\n".join(texts), encoding="utf-8")
-    pd.concat([table for tables in found.values() for table in tables]).to_csv(folder / "tables.csv")
+    pd.concat([table for tables in found.values() for table in tables]).to_csv(
+        folder / "tables.csv"
+    )
     (folder / "summary.json").write_text(json.dumps(numbers, indent=1), encoding="utf-8")
 
 

@@ -71,14 +71,20 @@ def aircraft_of(form: Form, folder: Path) -> Aircraft:
         folder,
     )
     if left:
-        raise BadInputError(f"aircraft '{FLOWN}' declares no property {left[0]}, which form {form.name} switches off")
+        raise BadInputError(
+            f"aircraft '{FLOWN}' declares no property {left[0]}, which form {form.name} switches off"
+        )
     return find_aircraft(folder)
 
 
 def round_trip(
-    form: Form, identified: Path, validation: Path, folder: Path, free: Sequence[str] | None = None,
+    form: Form,
+    identified: Path,
+    validation: Path,
+    folder: Path,
+    free: Sequence[str] | None = None,
     workers: int | None = None,
-) -> RoundTrip:  # fmt: skip
+) -> RoundTrip:
     """Identify ``form`` from the log ``identified``, write it to ``folder``/FORM and compare that with the log ``validation``.
 
     free: the properties estimated; default all of the card's that the form has.
@@ -86,7 +92,9 @@ def round_trip(
     before = aircraft_of(form, folder / f"{form.name}-before")
     names = [n for n in (free or before.card.parameters) if n not in form.off]
     flights, measured = read_flights([identified], before, None, None)
-    fit = identify(before, flights, measured, names, start="initial", method="output-error", workers=workers)
+    fit = identify(
+        before, flights, measured, names, start="initial", method="output-error", workers=workers
+    )
     estimates = {
         n: Estimate(float(v), f"identified from {identified.name}")
         for n, v in zip(fit.names, fit.theta, strict=True)
@@ -100,7 +108,9 @@ def round_trip(
 
 def says_which(trips: Sequence[RoundTrip]) -> bool:
     """Whether the right form reaches the floor and SLM, if it was tried, does not."""
-    return all(trip.gap.reached == (trip.form.name == "right") for trip in trips if trip.form.name != "SL")
+    return all(
+        trip.gap.reached == (trip.form.name == "right") for trip in trips if trip.form.name != "SL"
+    )
 
 
 def document(trips: Sequence[RoundTrip]) -> Mapping[str, object]:
@@ -134,15 +144,22 @@ def markdown(trips: Sequence[RoundTrip]) -> str:
     ]
     for t in trips:
         ratios = " | ".join(f"{t.gap.channels[c].ratio:.2f}" for c in channels)
-        lines.append(f"| {t.form.name} | {ratios} | {'reached' if t.gap.reached else 'NOT reached'} |")
+        lines.append(
+            f"| {t.form.name} | {ratios} | {'reached' if t.gap.reached else 'NOT reached'} |"
+        )
     lines += ["", *(f"{t.form.name} ({t.form.about}): {verdict(t.gap)}" for t in trips), ""]
     return "\n".join(lines)
 
 
 def run(
-    folder: Path, seed: int = 1, forms: Sequence[Form] = FORMS, free: Sequence[str] | None = None,
-    workers: int | None = None, duration_s: float | None = None, suffix: str = ".bin",
-) -> list[RoundTrip]:  # fmt: skip
+    folder: Path,
+    seed: int = 1,
+    forms: Sequence[Form] = FORMS,
+    free: Sequence[str] | None = None,
+    workers: int | None = None,
+    duration_s: float | None = None,
+    suffix: str = ".bin",
+) -> list[RoundTrip]:
     """Fly (the first ``duration_s``), identify and compare; round-trip.json and round-trip.md in ``folder``.
 
     suffix: of the logs, .bin (DataFlash, with the commands as they were) or .parquet (a flight record).
@@ -165,14 +182,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--out", type=Path, required=True, help="folder for logs, aircraft, round-trip.md and round-trip.json")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise in the first flight (default 1)")
-    parser.add_argument("--forms", nargs="+", default=[f.name for f in FORMS], choices=[f.name for f in FORMS])
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="folder for logs, aircraft, round-trip.md and round-trip.json",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="of the noise in the first flight (default 1)"
+    )
+    parser.add_argument(
+        "--forms", nargs="+", default=[f.name for f in FORMS], choices=[f.name for f in FORMS]
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes (default: one a core, 8 at most)"
+    )
     parser.add_argument("--json", action="store_true", help="print round-trip.json")
     chosen = parser.parse_args(arguments)
     try:
-        trips = run(chosen.out, chosen.seed, [f for f in FORMS if f.name in chosen.forms], workers=chosen.workers)
+        trips = run(
+            chosen.out,
+            chosen.seed,
+            [f for f in FORMS if f.name in chosen.forms],
+            workers=chosen.workers,
+        )
     except BadInputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

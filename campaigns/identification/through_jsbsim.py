@@ -32,17 +32,31 @@ def one_seed(seed: int, folder: Path, turbulence: str) -> pd.DataFrame:
     log = fly_flights(AIRCRAFT, folder, seed, turbulence, fine=True)[0]
     found = identify(AIRCRAFT, log, start="initial")
     fdm = open_aircraft(find_aircraft(AIRCRAFT))
-    table = pd.DataFrame({"true": [fdm[n] for n in found.names], "ours": found.theta, "std": found.std}, index=found.names)
-    return table.assign(z=(table["ours"] - table["true"]) / table["std"], seed=seed, method=found.method, converged=found.converged)
+    table = pd.DataFrame(
+        {"true": [fdm[n] for n in found.names], "ours": found.theta, "std": found.std},
+        index=found.names,
+    )
+    return table.assign(
+        z=(table["ours"] - table["true"]) / table["std"],
+        seed=seed,
+        method=found.method,
+        converged=found.converged,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder for logs and jsbsim.csv")
     parser.add_argument("--seed", type=int, default=51, help="of the first flight (default 51)")
-    parser.add_argument("--seeds", type=int, default=1, help="repeat with seeds 10 apart (default 1)")
-    parser.add_argument("--turbulence", default="light", choices=("none", "light", "moderate"), help="default light")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="repeat with seeds 10 apart (default 1)"
+    )
+    parser.add_argument(
+        "--turbulence", default="light", choices=("none", "light", "moderate"), help="default light"
+    )
     chosen = parser.parse_args(arguments)
     tables = []
     try:

@@ -50,7 +50,12 @@ def study(folder: Path, out: Path, duration_s: float = DURATION_S) -> Row:
     except BadInputError as error:
         alone = check_in_child(folder, folder, duration_s)
         status = "fails" if alone.status == "fails" else "refused"
-        return Row(folder.name, "", 0, Verdict(status, alone.reason if status == "fails" else _short(error, folder)))
+        return Row(
+            folder.name,
+            "",
+            0,
+            Verdict(status, alone.reason if status == "fails" else _short(error, folder)),
+        )
     verdict = check_in_child(folder, out, duration_s)
     return Row(folder.name, planned.section.force, len(planned.scaled), verdict)
 
@@ -61,9 +66,19 @@ def _short(error: Exception, folder: Path) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.instrument.reproduce", description=__doc__.splitlines()[0])
-    parser.add_argument("--aircraft", action="append", metavar="NAME", help="only this one; repeatable")
-    parser.add_argument("--duration-s", type=float, default=DURATION_S, metavar="T", help="flight time (default %(default)s)")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.instrument.reproduce", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--aircraft", action="append", metavar="NAME", help="only this one; repeatable"
+    )
+    parser.add_argument(
+        "--duration-s",
+        type=float,
+        default=DURATION_S,
+        metavar="T",
+        help="flight time (default %(default)s)",
+    )
     arguments = parser.parse_args(argv)
     root = engine.default_root() / "aircraft"
     names = arguments.aircraft or sorted(path.name for path in root.iterdir() if path.is_dir())

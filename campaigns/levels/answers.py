@@ -106,47 +106,84 @@ def flown(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
     near = generator.poisson(truth.near_per_h / truth.cluster * hours)
     further = truth.rate / truth.near_per_h if truth.near_per_h else 0.0
     # A cluster that a corner has, every harder corner has.
-    asked = generator.multinomial(near, [*np.diff([0.0, *REACH]) * further, 1.0 - further])[:, :-1].cumsum(axis=1).T
-    return pd.DataFrame({
-        "wind_mps": 3.0, "turbulence": "severe", "epistemic_id": np.repeat([f"{k}" for k in range(corners)], n),
-        "status": np.tile(np.where(lost, "diverged", "ok"), corners), "duration_s": np.tile(3600.0 * hours, corners),
-        f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * near, corners),
-        f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * asked.ravel(), f"excursions_{ASKED_M:g}m_3d": np.nan,
-        "extrapolated_share": 0.0, "loss_of_control": 0.0,
-    })  # fmt: skip
+    asked = (
+        generator.multinomial(near, [*np.diff([0.0, *REACH]) * further, 1.0 - further])[:, :-1]
+        .cumsum(axis=1)
+        .T
+    )
+    return pd.DataFrame(
+        {
+            "wind_mps": 3.0,
+            "turbulence": "severe",
+            "epistemic_id": np.repeat([f"{k}" for k in range(corners)], n),
+            "status": np.tile(np.where(lost, "diverged", "ok"), corners),
+            "duration_s": np.tile(3600.0 * hours, corners),
+            f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * near, corners),
+            f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * asked.ravel(),
+            f"excursions_{ASKED_M:g}m_3d": np.nan,
+            "extrapolated_share": 0.0,
+            "loss_of_control": 0.0,
+        }
+    )
 
 
-def settings(truth: Truth, acceptable_per_h: float, acceptable_loss_per_h: float) -> Mapping[str, Any]:
+def settings(
+    truth: Truth, acceptable_per_h: float, acceptable_loss_per_h: float
+) -> Mapping[str, Any]:
     """A campaign's settings, as its file has them."""
     further = {"dispersion_radius_m": [NEAR_M]} if truth.near else {}
     return {
         "stop": {"rule": "flights"},
-        "aleatory": {"duration_s": 3600.0, "flights": truth.flights, "wind_mps": [3.0], "turbulence": ["severe"]},
-        "metrics": {
-            "excursion_radius_m": [ASKED_M], "dispersion": ASSUMED, "acceptable_per_h": acceptable_per_h,
-            "acceptable_loss_per_h": acceptable_loss_per_h, **further,
+        "aleatory": {
+            "duration_s": 3600.0,
+            "flights": truth.flights,
+            "wind_mps": [3.0],
+            "turbulence": ["severe"],
         },
-    }  # fmt: skip
+        "metrics": {
+            "excursion_radius_m": [ASKED_M],
+            "dispersion": ASSUMED,
+            "acceptable_per_h": acceptable_per_h,
+            "acceptable_loss_per_h": acceptable_loss_per_h,
+            **further,
+        },
+    }
 
 
 def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
     """Fly and ask ``repeats`` campaigns."""
-    generator = np.random.default_rng([seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)])
+    generator = np.random.default_rng(
+        [seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
+    )
     worst, loss = truth.worst_per_h, truth.loss_per_h
     # What is not tested is asked with room: a yes needs both.
     room = 100.0
     less, more = (1.0 - LITTLE) * worst, (1.0 + LITTLE) * worst
-    questions = ((less, room), (room, (1.0 - LITTLE) * loss), (more, room), (AMPLE * worst, AMPLE * worst))
+    questions = (
+        (less, room),
+        (room, (1.0 - LITTLE) * loss),
+        (more, room),
+        (AMPLE * worst, AMPLE * worst),
+    )
     rows = []
     for _ in range(repeats):
         frame = flown(truth, generator)
-        below, losses, above, ample = (statements(frame, settings(truth, *question))[0] for question in questions)
+        below, losses, above, ample = (
+            statements(frame, settings(truth, *question))[0] for question in questions
+        )
         upper = above.worst.upper
-        rows.append((
-            below.answer == YES, truth.abort > 0.0 and losses.answer == YES, above.answer == NO,
-            above.flight_share_upper < truth.flight_share, ample.answer == YES, above.worst.rate == 0.0, np.isinf(upper),
-            upper / worst,
-        ))  # fmt: skip
+        rows.append(
+            (
+                below.answer == YES,
+                truth.abort > 0.0 and losses.answer == YES,
+                above.answer == NO,
+                above.flight_share_upper < truth.flight_share,
+                ample.answer == YES,
+                above.worst.rate == 0.0,
+                np.isinf(upper),
+                upper / worst,
+            )
+        )
     table = np.array(rows, dtype=float)
     return Level(*table[:, :-1].mean(axis=0).tolist(), float(np.median(table[:, -1])))
 
@@ -160,7 +197,9 @@ def kept(level: Level, repeats: int) -> bool:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.levels.answers", description="Do answers keep their level?")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.levels.answers", description="Do answers keep their level?"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--repeats", type=int, default=400)
     args = parser.parse_args(argv)

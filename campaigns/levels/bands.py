@@ -37,7 +37,13 @@ class Truth:
     correlation: float
 
 
-TRUTHS = (Truth(16, 40, 0.9), Truth(64, 40, 0.9), Truth(16, 40, 0.0), Truth(4, 40, 0.99), Truth(8, 100, 0.8))
+TRUTHS = (
+    Truth(16, 40, 0.9),
+    Truth(64, 40, 0.9),
+    Truth(16, 40, 0.0),
+    Truth(4, 40, 0.99),
+    Truth(8, 100, 0.8),
+)
 
 
 @dataclass(frozen=True)
@@ -65,9 +71,13 @@ def measured(truth: Truth, repeats: int) -> Level:
     rng = np.random.default_rng([SEED, truth.corners, truth.airs, round(100 * truth.correlation)])
     common = rng.normal(size=(repeats, 1, truth.airs))
     own = rng.normal(size=(repeats, truth.corners, truth.airs))
-    values = stats.norm.cdf(np.sqrt(truth.correlation) * common + np.sqrt(1.0 - truth.correlation) * own)
+    values = stats.norm.cdf(
+        np.sqrt(truth.correlation) * common + np.sqrt(1.0 - truth.correlation) * own
+    )
     worst = distances(values).max(axis=1)
-    bonferroni, single = (band_half_width(truth.airs, corners, CONFIDENCE) for corners in (truth.corners, 1))
+    bonferroni, single = (
+        band_half_width(truth.airs, corners, CONFIDENCE) for corners in (truth.corners, 1)
+    )
     drawn = np.array([common_air_half_width(campaign, CONFIDENCE) for campaign in values])
     band = np.minimum(drawn, bonferroni)
     alone = np.array([common_air_half_width(campaign[:1], CONFIDENCE) for campaign in values])
@@ -89,7 +99,9 @@ def kept(share: float, repeats: int) -> bool:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.levels.bands", description="Do bands keep their level?")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.levels.bands", description="Do bands keep their level?"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--repeats", type=int, default=1500)
     args = parser.parse_args(argv)
@@ -115,7 +127,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     write_bytes(args.out / "bands.csv", csv_text(rows).encode())
     print("\n".join(text_table(rows)))
-    controls = (max(level.one_corner for _, level in found), max(level.first_drawn for _, level in found))
+    controls = (
+        max(level.one_corner for _, level in found),
+        max(level.first_drawn for _, level in found),
+    )
     held = all(kept(level.band, args.repeats) for _, level in found)
     return 0 if held and not any(kept(share, args.repeats) for share in controls) else 1
 

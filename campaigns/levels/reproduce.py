@@ -90,7 +90,9 @@ class Level:
 
 def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
     """Simulate ``repeats`` campaigns."""
-    generator = np.random.default_rng([seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)])
+    generator = np.random.default_rng(
+        [seed, truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
+    )
     shape = (repeats, truth.flights)
     lost = (generator.random(shape) < truth.abort).astype(float)
     missing = lost * generator.random(shape)
@@ -126,12 +128,17 @@ def allowed(error: float, repeats: int) -> float:
 def kept(level: Level, repeats: int) -> bool:
     """Whether no limit was missed more often than allowed, chance in so many repeats (three standard deviations) granted, and
     limits are mostly finite: an infinite one is never wrong."""
-    return max(level.excursions, level.losses, level.share) <= allowed(ERROR, repeats) and level.infinite <= 0.5
+    return (
+        max(level.excursions, level.losses, level.share) <= allowed(ERROR, repeats)
+        and level.infinite <= 0.5
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.levels.reproduce", description="Do statements keep their level?")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.levels.reproduce", description="Do statements keep their level?"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--repeats", type=int, default=20_000)
     args = parser.parse_args(argv)
@@ -160,7 +167,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     write_bytes(args.out / "levels.csv", csv_text(rows).encode())
     print("\n".join(text_table(rows)))
     seen = (
-        max(level.as_scheduled for _, level in found) > 2.0 * ERROR and max(level.unclustered for _, level in found) > 2.0 * ERROR
+        max(level.as_scheduled for _, level in found) > 2.0 * ERROR
+        and max(level.unclustered for _, level in found) > 2.0 * ERROR
     )
     return 0 if seen and all(kept(level, args.repeats) for _, level in found) else 1
 

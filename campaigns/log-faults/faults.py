@@ -65,7 +65,9 @@ FAULTS = (
     Fault("beta reversed", "scale", -1.0, ("beta_rad",), UNIT),
     Fault("attitude 150 ms late", "late", 0.15, ("phi_rad",), ("delay",), ("attitude",)),
     Fault("airspeed 300 ms late", "late", 0.30, ("V_mps",), ("delay",)),
-    Fault("ground velocity 250 ms late", "late", 0.25, ("vn_mps",), ("delay",), ("ground velocity",)),
+    Fault(
+        "ground velocity 250 ms late", "late", 0.25, ("vn_mps",), ("delay",), ("ground velocity",)
+    ),
     Fault("pitch rate stuck for 5 s", "stuck", 5.0, ("q_radps",), ("stuck",)),
     Fault("airspeed stuck for 5 s", "stuck", 5.0, ("V_mps",), ("stuck",)),
     Fault("pitch rate interpolated, 1 of 5", "interpolated", 5.0, ("q_radps",), ("interpolated",)),
@@ -76,11 +78,15 @@ FAULTS = (
     Fault("airspeed in 8 bits of 0.1 m/s", "wrapped", 256.0, ("V_mps",), ("wraps",)),
     Fault("rates by an estimator", "estimate", 1.0, RATES, ("estimate",)),
     Fault("airspeed by an estimator", "estimate", 1.0, ("V_mps",), ("estimate",)),
-    Fault("alpha and beta by an estimator", "estimate", 1.0, ("alpha_rad", "beta_rad"), ("estimate",)),
+    Fault(
+        "alpha and beta by an estimator", "estimate", 1.0, ("alpha_rad", "beta_rad"), ("estimate",)
+    ),
 )
 
 
-def seeded(raw: RawLog, signals: SignalMap, card: AirframeCard | None, fault: Fault) -> tuple[RawLog, AirframeCard | None] | None:
+def seeded(
+    raw: RawLog, signals: SignalMap, card: AirframeCard | None, fault: Fault
+) -> tuple[RawLog, AirframeCard | None] | None:
     """The log and the card with a fault; None where the log has no such channel of its own.
 
     Of a surface that comes from servo outputs the PWM is turned over about its neutral, as if the table were reversed.
@@ -126,18 +132,34 @@ def _estimated(raw: RawLog, signals: SignalMap, channels: tuple[str, ...]) -> Ra
     messages = dict(raw.messages)
     for name, entry in entries.items():
         table = messages[(entry.message, entry.instance)]
-        at = {n: np.interp(table.time_s, c.time_s, np.unwrap(c.values) if n == "psi_rad" else c.values) for n, c in found.items()}
+        at = {
+            n: np.interp(
+                table.time_s, c.time_s, np.unwrap(c.values) if n == "psi_rad" else c.values
+            )
+            for n, c in found.items()
+        }
         if name in RATES:
             phi, theta, psi = (at[n] for n in names[:3])
-            made = body_rates_of_attitude(phi, theta, psi, float(np.median(np.diff(table.time_s))))[RATES.index(name)]
+            made = body_rates_of_attitude(phi, theta, psi, float(np.median(np.diff(table.time_s))))[
+                RATES.index(name)
+            ]
         else:
             ground = np.stack([at[n] for n in names[3:6]])
             # The filter smooths what a receiver gives.
             kernel = np.ones(max(1, round(0.5 / float(np.median(np.diff(table.time_s))))))
-            ground = np.stack([np.convolve(g, kernel, "same") / np.convolve(np.ones(g.size), kernel, "same") for g in ground])
+            ground = np.stack(
+                [
+                    np.convolve(g, kernel, "same") / np.convolve(np.ones(g.size), kernel, "same")
+                    for g in ground
+                ]
+            )
             u, v, w = to_body(at, ground - _steady_wind(at)[:, None])
             speed = np.sqrt(u**2 + v**2 + w**2)
-            made = {"V_mps": speed, "alpha_rad": np.arctan2(w, u), "beta_rad": np.arcsin(v / speed)}[name]
+            made = {
+                "V_mps": speed,
+                "alpha_rad": np.arctan2(w, u),
+                "beta_rad": np.arcsin(v / speed),
+            }[name]
         fields = {**table.fields, entry.fields[0]: made / entry.scale}
         messages[(entry.message, entry.instance)] = MessageTable(table.time_s, fields)
     return replace(raw, messages=messages)
@@ -146,11 +168,15 @@ def _estimated(raw: RawLog, signals: SignalMap, channels: tuple[str, ...]) -> Ra
 def _steady_wind(at: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     """(3,) wind that makes the airspeed fit best: of the motion with the nose into the relative wind."""
     nose = to_earth(at, np.stack([at["V_mps"], 0.0 * at["V_mps"], 0.0 * at["V_mps"]]))
-    wind = np.array([np.mean(at[n] - a) for n, a in zip(("vn_mps", "ve_mps", "vd_mps"), nose, strict=True)])
+    wind = np.array(
+        [np.mean(at[n] - a) for n, a in zip(("vn_mps", "ve_mps", "vd_mps"), nose, strict=True)]
+    )
     return np.array([wind[0], wind[1], 0.0])
 
 
-def _turned(raw: RawLog, signals: SignalMap, card: AirframeCard | None, channel: str) -> RawLog | None:
+def _turned(
+    raw: RawLog, signals: SignalMap, card: AirframeCard | None, channel: str
+) -> RawLog | None:
     control = controls(card, raw.parameters)[0].get(channel)
     outputs = signals.servos
     if control is None or outputs is None:
@@ -164,7 +190,9 @@ def _turned(raw: RawLog, signals: SignalMap, card: AirframeCard | None, channel:
         rows = sorted(servo.table, key=lambda row: row[1])
         neutral = np.interp(0.0, [angle for _, angle in rows], [pwm for pwm, _ in rows])
         fields[name] = 2.0 * neutral - np.asarray(fields[name], dtype=np.float64)
-    return replace(raw, messages={**raw.messages, key: MessageTable(raw.messages[key].time_s, fields)})
+    return replace(
+        raw, messages={**raw.messages, key: MessageTable(raw.messages[key].time_s, fields)}
+    )
 
 
 def _changed(raw: RawLog, key: tuple[str, int], field: str, fault: Fault, unit: float) -> RawLog:
@@ -177,7 +205,9 @@ def _changed(raw: RawLog, key: tuple[str, int], field: str, fault: Fault, unit: 
     return replace(raw, messages={**raw.messages, key: MessageTable(time, fields)})
 
 
-def _altered(values: NDArray[np.float64], time: NDArray[np.float64], fault: Fault, unit: float) -> NDArray[np.float64]:
+def _altered(
+    values: NDArray[np.float64], time: NDArray[np.float64], fault: Fault, unit: float
+) -> NDArray[np.float64]:
     n = round(fault.size)
     at = np.arange(values.size)
     match fault.kind:

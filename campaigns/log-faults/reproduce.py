@@ -59,8 +59,10 @@ HEALTHY = (
     "c310 --mission doublets --speed-mps 64 --wind-mps 8 --turbulence moderate --noise --seed 120",
 )
 HELD_OUT = (
-    *(f"espaaro --duration-s 40 --wind-mps {w} --turbulence {t} --noise --seed {s}"
-      for w, t, s in ((2, "light", 201), (4, "moderate", 202), (7, "severe", 203))),
+    *(
+        f"espaaro --duration-s 40 --wind-mps {w} --turbulence {t} --noise --seed {s}"
+        for w, t, s in ((2, "light", 201), (4, "moderate", 202), (7, "severe", 203))
+    ),
     "espaaro_truth --script flight-ident --noise --seed 204",
     "espaaro_truth --script flight-validation --noise --seed 205",
     "espaaro --script 3-2-1-1 --noise --seed 206",
@@ -78,7 +80,7 @@ HELD_OUT = (
     "737 --mission 3-2-1-1 --speed-mps 135 --turbulence light --noise --seed 218",
     "A320 --mission doublets --speed-mps 130 --noise --seed 219",
     "B747 --mission doublets --speed-mps 140 --turbulence light --noise --seed 220",
-)  # fmt: skip
+)
 """Flights that no check was made or mended with."""
 TRUE = frozenset({"estimate:alpha_rad", "estimate:beta_rad", "delay:ground velocity"})
 """True of every ArduPlane log without vanes: AOA is computed, and a receiver's velocity comes a tenth of a second late. Gaps are
@@ -86,10 +88,12 @@ where the logger dropped records."""
 CARD = "\n".join(
     f"[inputs.{name}]\nproperty = 'fcs/{name}'\nservo_pwm = {table}\nchannel = {channel}\n"
     for name, channel, table in (
-        ("aileron", 1, "[[1100, -20], [1900, 20]]"), ("elevator", 2, "[[1100, -20], [1900, 20]]"),
-        ("throttle", 3, "[[1000, 0], [2000, 100]]"), ("rudder", 4, "[[1100, -20], [1900, 20]]"),
+        ("aileron", 1, "[[1100, -20], [1900, 20]]"),
+        ("elevator", 2, "[[1100, -20], [1900, 20]]"),
+        ("throttle", 3, "[[1000, 0], [2000, 100]]"),
+        ("rudder", 4, "[[1100, -20], [1900, 20]]"),
     )
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,9 @@ def aircraft_of(folder: Path, name: str) -> Path:
 
 
 def _ran(*words: str, makes: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
+    )
     if not makes.exists():
         raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
 
@@ -136,7 +142,9 @@ def samples(folder: Path, genuine: Path | None) -> Iterator[Sample]:
     write_ulog(px4, px4_topics(FlightRecord.read(flown(folder, PX4, ".parquet"))))
     yield Sample("ULog", px4, "ulog", parse_card(CARD, Path("airframe.toml")))
     if genuine is not None:
-        start, _ = import_log(genuine, None, find_aircraft("espaaro").folder).metadata.free_flight_s[0]
+        start, _ = import_log(
+            genuine, None, find_aircraft("espaaro").folder
+        ).metadata.free_flight_s[0]
         yield Sample("ArduPlane", genuine, "dataflash", card, (start, start + GENUINE_S))
 
 
@@ -176,29 +184,58 @@ def judged(fault: Any, found: Sequence[Finding], before: Sequence[Finding]) -> d
     sizes = [size_of(f) for f in right.values()]
     slack = 0.03 if fault.kind == "late" else 0.0
     # A channel that was late before comes later still.
-    due = {c: fault.size + sum(f.numbers["delay_s"] for f in before if fault.kind == "late" and (f.code, f.channel) == ("delay", c))
-           for c in right}  # fmt: skip
-    sized = all(math.isnan(s) or abs(s - due[c]) <= WITHIN * abs(fault.size) + slack for c, s in zip(right, sizes, strict=True))
+    due = {
+        c: fault.size
+        + sum(
+            f.numbers["delay_s"]
+            for f in before
+            if fault.kind == "late" and (f.code, f.channel) == ("delay", c)
+        )
+        for c in right
+    }
+    sized = all(
+        math.isnan(s) or abs(s - due[c]) <= WITHIN * abs(fault.size) + slack
+        for c, s in zip(right, sizes, strict=True)
+    )
     own = {*fault.channels, *fault.named}
     beside = [f for f in found if (f.code, f.channel) not in known and f.channel not in own]
     return {
-        "channels": " ".join(fault.named), "size": round(fault.size, 6),
-        "named": int(set(right) == set(fault.named)), "sized": int(bool(right) and sized),
-        "stated": " ".join(f"{s:.4g}" for s in sizes), "beside": " ".join(f"{f.code}:{f.channel}" for f in beside),
-    }  # fmt: skip
+        "channels": " ".join(fault.named),
+        "size": round(fault.size, 6),
+        "named": int(set(right) == set(fault.named)),
+        "sized": int(bool(right) and sized),
+        "stated": " ".join(f"{s:.4g}" for s in sizes),
+        "beside": " ".join(f"{f.code}:{f.channel}" for f in beside),
+    }
 
 
-def healthy(folder: Path, flights: Sequence[str], genuine: Sequence[Path]) -> Iterator[dict[str, Any]]:
+def healthy(
+    folder: Path, flights: Sequence[str], genuine: Sequence[Path]
+) -> Iterator[dict[str, Any]]:
     """A row a healthy log: flights of simulations, and genuine ones, of which some findings are known to be true."""
-    logs = [(words, flown(folder, words, (".parquet", ".bin")[k % 2])) for k, words in enumerate(flights)]
+    logs = [
+        (words, flown(folder, words, (".parquet", ".bin")[k % 2]))
+        for k, words in enumerate(flights)
+    ]
     for name, log in [*logs, *((path.stem, path) for path in genuine)]:
-        card = aircraft_of(folder, "espaaro" if log in genuine else name.split()[0].removesuffix("_truth"))
+        card = aircraft_of(
+            folder, "espaaro" if log in genuine else name.split()[0].removesuffix("_truth")
+        )
         begin = time.process_time()
-        told = {f"{f.code}:{f.channel}" for f in import_log(log, None, card).metadata.findings if f.severity != "info"}
+        told = {
+            f"{f.code}:{f.channel}"
+            for f in import_log(log, None, card).metadata.findings
+            if f.severity != "info"
+        }
         seconds = time.process_time() - begin
         true = {t for t in told if log in genuine and (t in TRUE or t.startswith("gap:"))}
-        row = {"flight": name, "format": log.suffix[1:].lower(), "findings": " ".join(sorted(told - true)),
-               "true": " ".join(sorted(true)), "cpu_s": round(seconds, 2)}  # fmt: skip
+        row = {
+            "flight": name,
+            "format": log.suffix[1:].lower(),
+            "findings": " ".join(sorted(told - true)),
+            "true": " ".join(sorted(true)),
+            "cpu_s": round(seconds, 2),
+        }
         print(row, flush=True)
         yield row
 
@@ -207,10 +244,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Write faults.csv, healthy.csv and held_out.csv."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--genuine", type=Path, nargs="+", default=[],
+        "--genuine",
+        type=Path,
+        nargs="+",
+        default=[],
         help="ArduPlane logs of the E-SPAARO: faults are built into the first, and all count as healthy",
-    )  # fmt: skip
-    parser.add_argument("--flights", type=Path, default=Path("flights"), help="where simulated logs are kept")
+    )
+    parser.add_argument(
+        "--flights", type=Path, default=Path("flights"), help="where simulated logs are kept"
+    )
     parser.add_argument("--out", type=Path, default=HOME)
     parser.add_argument("--part", choices=("faults", "healthy", "held-out", "all"), default="all")
     args = parser.parse_args(argv)
@@ -218,12 +260,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.part in ("faults", "all"):
         rows = list(faulty(args.flights, args.genuine[0] if args.genuine else None))
         _write(args.out / "faults.csv", rows)
-        print(f"{sum(row['named'] and row['sized'] for row in rows)} of {len(rows)} faults named with channel and size")
+        print(
+            f"{sum(row['named'] and row['sized'] for row in rows)} of {len(rows)} faults named with channel and size"
+        )
     for part, flights, genuine in (("healthy", HEALTHY, args.genuine), ("held-out", HELD_OUT, [])):
         if args.part in (part, "all"):
             clean = list(healthy(args.flights, flights, genuine))
             _write(args.out / f"{part.replace('-', '_')}.csv", clean)
-            print(f"{part}: {sum(bool(row['findings']) for row in clean)} of {len(clean)} healthy logs with a finding")
+            print(
+                f"{part}: {sum(bool(row['findings']) for row in clean)} of {len(clean)} healthy logs with a finding"
+            )
     return 0
 
 

@@ -33,7 +33,11 @@ HOME = Path(__file__).parent
 SHARES, PBOXES, PICTURE = "shares.csv", "pboxes.csv", "pboxes.svg"
 METRICS = tuple(f"{name}{suffix}" for name in MEDIANS for suffix in ("", "_measured"))
 """Medians of an hour's |error|: true, and as the noise-laden sensors saw it."""
-PUBLISHED_FLIGHT = {"cross_track_median_m": 9.41, "altitude_median_m": 2.16, "speed_median_mps": 0.61}
+PUBLISHED_FLIGHT = {
+    "cross_track_median_m": 9.41,
+    "altitude_median_m": 2.16,
+    "speed_median_mps": 0.61,
+}
 """Medians of the published flight in 3 m/s of wind (Fig 3.6), as its sensors saw them."""
 PROBABILITIES = (0.05, 0.5, 0.95)
 
@@ -61,7 +65,9 @@ class Share:
 
 def published_shares() -> pd.DataFrame:
     """Table 4.7: coefficient -> ranges."""
-    return pd.read_csv(PROJECT_ROOT / "tests" / "reference" / "table_4_7.csv", comment="#").set_index("coefficient")
+    return pd.read_csv(
+        PROJECT_ROOT / "tests" / "reference" / "table_4_7.csv", comment="#"
+    ).set_index("coefficient")
 
 
 def shares(found: Sequence[MetricSensitivity]) -> Iterator[Share]:
@@ -71,7 +77,10 @@ def shares(found: Sequence[MetricSensitivity]) -> Iterator[Share]:
         quantity = item.metric.partition("_median")[0]
         for name, index in item.result.indices.items():
             assert isinstance(index, PairRange)
-            theirs = (float(print_.loc[name, f"{quantity}_min"]), float(print_.loc[name, f"{quantity}_max"]))
+            theirs = (
+                float(print_.loc[name, f"{quantity}_min"]),
+                float(print_.loc[name, f"{quantity}_max"]),
+            )
             low, high = index.minimum, index.maximum
             yield Share(item.metric, name, (low.value, high.value), (low.low, high.high), theirs)
 
@@ -123,16 +132,24 @@ def write_tables(flown: Flown, out: Path) -> list[str]:
     found = list(shares(analysed))
     write_bytes(out / SHARES, csv_text(share_rows(found)).encode())
     write_bytes(out / PBOXES, csv_text(list(pbox_rows(flown.frame))).encode())
-    marks = {f"{name}_measured": (value, "published flight") for name, value in PUBLISHED_FLIGHT.items()}
+    marks = {
+        f"{name}_measured": (value, "published flight") for name, value in PUBLISHED_FLIGHT.items()
+    }
     title = f"64 corners, {hours_each(flown.frame):g} h each, 3 m/s of wind, severe turbulence"
     write_text(out / PICTURE, drawn_pboxes({"": flown.frame}, METRICS, title, marks))
-    counted = {word: sum(item.beside == word for item in found) for word in ("overlaps", "above", "below")}
-    return [item.words for item in analysed] + [f"{len(found)} shares: " + ", ".join(f"{n} {w}" for w, n in counted.items())]
+    counted = {
+        word: sum(item.beside == word for item in found) for word in ("overlaps", "above", "below")
+    }
+    return [item.words for item in analysed] + [
+        f"{len(found)} shares: " + ", ".join(f"{n} {w}" for w, n in counted.items())
+    ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Make the tables; exit code 0, or 2 for bad input."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.loiter.full_size", description="Figs 3.7 to 3.9, 4.3, Table 4.7")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.loiter.full_size", description="Figs 3.7 to 3.9, 4.3, Table 4.7"
+    )
     parser.add_argument("--shards", type=Path, default=EXCURSIONS / "shards", metavar="DIR")
     parser.add_argument("--out", type=Path, default=HOME, metavar="DIR")
     args = parser.parse_args(argv)

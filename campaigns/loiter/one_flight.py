@@ -55,7 +55,9 @@ def flights() -> dict[str, FlightSpec]:
 def errors(result: FlightResult) -> dict[str, Array]:
     """|error| (n,) of a flight, sorted, by signal, true and ``_measured``. Raises BadInputError for one that did not end well."""
     if result.status != "ok":
-        raise BadInputError(f"a flight ended {result.status}: {result.reason}; no distribution of an hour's errors")
+        raise BadInputError(
+            f"a flight ended {result.status}: {result.reason}; no distribution of an hour's errors"
+        )
     names = [f"{name}{suffix}" for name in SIGNALS for suffix in ("", "_measured")]
     return {name: np.sort(np.abs(result.signals[name])) for name in names}
 
@@ -65,8 +67,17 @@ def table(found: Mapping[str, Mapping[str, Array]]) -> bytes:
     rows = []
     for words, signals in found.items():
         for name, values in signals.items():
-            quantiles = {f"q{100.0 * p:g}": f"{float(np.quantile(values, p)):.4g}" for p in PROBABILITIES}
-            rows.append({"flight": words, "error": name, "unit": SIGNALS[name.removesuffix("_measured")], **quantiles})
+            quantiles = {
+                f"q{100.0 * p:g}": f"{float(np.quantile(values, p)):.4g}" for p in PROBABILITIES
+            }
+            rows.append(
+                {
+                    "flight": words,
+                    "error": name,
+                    "unit": SIGNALS[name.removesuffix("_measured")],
+                    **quantiles,
+                }
+            )
     return csv_text(rows).encode()
 
 
@@ -75,12 +86,22 @@ def drawing(found: Mapping[str, Mapping[str, Array]]) -> str:
     charts = []
     share = np.linspace(0.0, 1.0, 201)
     for name, unit in SIGNALS.items():
-        curves = {words: np.quantile(signals[f"{name}_measured"], share) for words, signals in found.items()}
+        curves = {
+            words: np.quantile(signals[f"{name}_measured"], share)
+            for words, signals in found.items()
+        }
         words = name.replace("_", " ")
         mark = next(value for metric, value in PUBLISHED_FLIGHT.items() if metric.startswith(name))
-        x = scale(f"|{words} error|, measured [{unit}]", [*curves.values(), np.array([0.0, mark])], least=0.0)
+        x = scale(
+            f"|{words} error|, measured [{unit}]",
+            [*curves.values(), np.array([0.0, mark])],
+            least=0.0,
+        )
         chart = Chart(
-            f"one-{name}", f"Distribution functions of |{words} error| within an hour.", x, Scale(PROBABILITY, -0.01, 1.01)
+            f"one-{name}",
+            f"Distribution functions of |{words} error| within an hour.",
+            x,
+            Scale(PROBABILITY, -0.01, 1.01),
         )
         for line, (flight, values) in zip(LINES, curves.items(), strict=True):
             chart.line(values, share, line, flight)
@@ -96,14 +117,20 @@ def run(out: Path, fly_one: Callable[[FlightSpec], FlightResult] = fly) -> list[
     write_bytes(out / TABLE, table(found))
     write_text(out / PICTURE, drawing(found))
     return [
-        f"{words}: " + ", ".join(f"{name} {float(np.median(signals[name])):.3g} {SIGNALS[name]}" for name in SIGNALS)
+        f"{words}: "
+        + ", ".join(
+            f"{name} {float(np.median(signals[name])):.3g} {SIGNALS[name]}" for name in SIGNALS
+        )
         for words, signals in found.items()
     ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run it; exit code 0, or 2 for bad input."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.loiter.one_flight", description="Errors within one flight (Fig 3.6)")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.loiter.one_flight",
+        description="Errors within one flight (Fig 3.6)",
+    )
     parser.add_argument("--out", type=Path, default=HOME, metavar="DIR")
     args = parser.parse_args(argv)
     try:

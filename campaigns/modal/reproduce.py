@@ -20,7 +20,15 @@ import pandas as pd
 from campaigns.modal.through_jsbsim import jsbsim_study, what_is_left_out
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.sensitivity import METHODS, Index, MethodResult, PairRange, Sensitivity, analyse, write_study
+from uqharness.sensitivity import (
+    METHODS,
+    Index,
+    MethodResult,
+    PairRange,
+    Sensitivity,
+    analyse,
+    write_study,
+)
 from uqharness.sensitivity.modal import OUTPUTS, READINGS, modal_sensitivity
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 
@@ -33,7 +41,9 @@ def published(output: str) -> pd.DataFrame:
     """The printed table of one output as text, indexed by parameter: digits tell the rounding. Raises BadInputError."""
     path = PUBLISHED / f"table_{TABLES[output]}.csv"
     if not path.is_file():
-        raise BadInputError(f"{path}: not there; the printed tables come with the project's source, not with the package")
+        raise BadInputError(
+            f"{path}: not there; the printed tables come with the project's source, not with the package"
+        )
     return pd.read_csv(path, comment="#", index_col=0, dtype=str)
 
 
@@ -75,9 +85,11 @@ def compare(found: Sensitivity) -> tuple[list[Cell], dict[str, float]]:
                 if column == "local":
                     value *= factors[output]
                 half_unit = 0.5 * 10.0 ** -(len(text.partition(".")[2]))
-                error = {"local": LOCAL_WITHIN, "proposed_min": ENDS_WITHIN, "proposed_max": ENDS_WITHIN}.get(
-                    column, STD_WITHIN * std + (half_unit if "." in text else 0.5e-4)
-                )
+                error = {
+                    "local": LOCAL_WITHIN,
+                    "proposed_min": ENDS_WITHIN,
+                    "proposed_max": ENDS_WITHIN,
+                }.get(column, STD_WITHIN * std + (half_unit if "." in text else 0.5e-4))
                 cells.append(Cell(output, name, column, text, value, std, error))
     return cells, factors
 
@@ -88,7 +100,9 @@ def _single(result: MethodResult, name: str) -> Index:
     return index
 
 
-def _ours(methods: Mapping[str, MethodResult], name: str, k: int, column: str) -> tuple[float, float]:
+def _ours(
+    methods: Mapping[str, MethodResult], name: str, k: int, column: str
+) -> tuple[float, float]:
     method, _, end = column.partition("_")
     result = methods[method]
     index = result.indices[name]
@@ -109,7 +123,10 @@ def table_text(output: str, cells: Sequence[Cell], factor: float) -> str:
     lines.append("|" + "---|" * (len(columns) + 1))
     mine = [cell for cell in cells if cell.output == output]
     for name in dict.fromkeys(cell.parameter for cell in mine):
-        row = [next(cell for cell in mine if (cell.parameter, cell.column) == (name, column)) for column in columns]
+        row = [
+            next(cell for cell in mine if (cell.parameter, cell.column) == (name, column))
+            for column in columns
+        ]
         lines.append(f"| `{name}` | " + " | ".join(map(_cell_text, row)) + " |")
     return "\n".join(lines)
 
@@ -120,12 +137,22 @@ def _cell_text(cell: Cell) -> str:
     return text if cell.agrees else f"**{text}**"
 
 
-def beside_jsbsim(as_published: Sensitivity, as_corrected: Sensitivity, jsbsim: Sensitivity, output: str) -> str:
+def beside_jsbsim(
+    as_published: Sensitivity, as_corrected: Sensitivity, jsbsim: Sensitivity, output: str
+) -> str:
     """Markdown: the proposed method's ranges of both readings and of JSBSim's model, and JSBSim's local shares."""
-    lines = ["| parameter | as_published | as_corrected | JSBSim | JSBSim, local |", "|---|---|---|---|---|"]
+    lines = [
+        "| parameter | as_published | as_corrected | JSBSim | JSBSim, local |",
+        "|---|---|---|---|---|",
+    ]
     for name in jsbsim[output]["proposed"].indices:
-        row = [_range(item[output]["proposed"].indices[name]) for item in (as_published, as_corrected, jsbsim)]
-        lines.append(f"| `{name}` | {' | '.join(row)} | {_single(jsbsim[output]['local'], name).value:.4f} |")
+        row = [
+            _range(item[output]["proposed"].indices[name])
+            for item in (as_published, as_corrected, jsbsim)
+        ]
+        lines.append(
+            f"| `{name}` | {' | '.join(row)} | {_single(jsbsim[output]['local'], name).value:.4f} |"
+        )
     return "\n".join(lines)
 
 
@@ -136,25 +163,46 @@ def _range(index: Index | PairRange) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write tables.md and jsbsim.npz; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.modal.reproduce", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for tables.md and jsbsim.npz")
-    parser.add_argument("--repeats", type=int, default=20, metavar="R", help="repeats of each reading (default 20)")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.modal.reproduce", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for tables.md and jsbsim.npz"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=20, metavar="R", help="repeats of each reading (default 20)"
+    )
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     aircraft = find_aircraft("espaaro")
-    by_reading = {reading: modal_sensitivity(reading, args.repeats, on_progress=_say(reading)) for reading in READINGS}
+    by_reading = {
+        reading: modal_sensitivity(reading, args.repeats, on_progress=_say(reading))
+        for reading in READINGS
+    }
     cells, factors = compare(by_reading["as_published"])
     study = jsbsim_study(aircraft, on_progress=_say("JSBSim"))
     write_study(study, args.out / "jsbsim.npz")
     through = analyse(study, ("local", "proposed"))
     parts = [table_text(output, cells, factors[output]) for output in OUTPUTS]
-    missed = [f"{c.output} {c.parameter} {c.column}: {c.ours:.4f} for {c.printed}" for c in cells if not c.agrees]
-    parts.append(f"{len(cells) - len(missed)} of {len(cells)} cells agree. Not: {'; '.join(missed) or 'none'}.")
+    missed = [
+        f"{c.output} {c.parameter} {c.column}: {c.ours:.4f} for {c.printed}"
+        for c in cells
+        if not c.agrees
+    ]
+    parts.append(
+        f"{len(cells) - len(missed)} of {len(cells)} cells agree. Not: {'; '.join(missed) or 'none'}."
+    )
     for output in OUTPUTS:
         models = by_reading["as_published"], by_reading["as_corrected"], through
         parts.append(f"{output}, three models\n\n{beside_jsbsim(*models, output)}")
-    lines = ["| model | phugoid zeta | wn, rad/s | short-period zeta | wn, rad/s |", "|---|---|---|---|---|"]
-    lines += [f"| {name} | " + " | ".join(f"{value:.4f}" for value in row) + " |" for name, row in what_is_left_out(aircraft)]
+    lines = [
+        "| model | phugoid zeta | wn, rad/s | short-period zeta | wn, rad/s |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {name} | " + " | ".join(f"{value:.4f}" for value in row) + " |"
+        for name, row in what_is_left_out(aircraft)
+    ]
     parts.append("What the linear model leaves out\n\n" + "\n".join(lines))
     write_bytes(args.out / "tables.md", ("\n\n".join(parts) + "\n").encode())
     print(args.out / "tables.md")
@@ -164,7 +212,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _say(what: str) -> Callable[[int, int], None]:
     def update(done: int, total: int) -> None:
         if sys.stderr.isatty():
-            print(f"\r{what}: {done} of {total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+            print(
+                f"\r{what}: {done} of {total}",
+                end="\n" if done == total else "",
+                file=sys.stderr,
+                flush=True,
+            )
 
     return update
 

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, Study
-from uqharness.sensitivity.modal import ALEATORY, NOMINAL, OUTPUTS, V_MPS, intervals, longitudinal_modes, system_matrix
+from uqharness.sensitivity.modal import (
+    ALEATORY,
+    NOMINAL,
+    OUTPUTS,
+    V_MPS,
+    intervals,
+    longitudinal_modes,
+    system_matrix,
+)
 from uqharness.sensitivity.problem import corners
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
@@ -48,7 +56,8 @@ def nominal_trim(aircraft: Aircraft, V_mps: float = V_MPS) -> ModalTrim:
     x = np.array([found.alpha_rad, found.controls["elevator"], found.controls["throttle"]])
     steps = np.array([1e-4, 1e-2, 1e-1])
     columns = [
-        (_residual(aircraft, V_mps, x + h, {}) - _residual(aircraft, V_mps, x - h, {})) / (2.0 * step)
+        (_residual(aircraft, V_mps, x + h, {}) - _residual(aircraft, V_mps, x - h, {}))
+        / (2.0 * step)
         for h, step in zip(np.diag(steps), steps, strict=True)
     ]
     return ModalTrim(aircraft, V_mps, x, np.linalg.inv(np.stack(columns, axis=1)))
@@ -85,13 +94,25 @@ def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Arr
     centre, controls = _level(start.V_mps, x), _controls(x)
 
     def derivative(step: Array) -> tuple[Array, float]:
-        state = BodyState(centre.u + step[0], 0.0, centre.w + step[1], 0.0, centre.theta + step[3], 0.0, q=float(step[2]))
-        acceleration, out = force_state(start.aircraft, state, controls, 0.0, properties, (_THRUST,))
+        state = BodyState(
+            centre.u + step[0],
+            0.0,
+            centre.w + step[1],
+            0.0,
+            centre.theta + step[3],
+            0.0,
+            q=float(step[2]),
+        )
+        acceleration, out = force_state(
+            start.aircraft, state, controls, 0.0, properties, (_THRUST,)
+        )
         return np.array([*acceleration[list(_LONGITUDINAL)], step[2]]), out.get(_THRUST, math.nan)
 
     A, slope = np.empty((4, 4)), math.nan
     for column, step in enumerate(_STEPS):
-        (plus, thrust_plus), (minus, thrust_minus) = (derivative(sign * step * np.eye(4)[column]) for sign in (1, -1))
+        (plus, thrust_plus), (minus, thrust_minus) = (
+            derivative(sign * step * np.eye(4)[column]) for sign in (1, -1)
+        )
         A[:, column] = (plus - minus) / (2.0 * step)
         if column == 0:
             slope = (thrust_plus - thrust_minus) / (2.0 * step)
@@ -105,7 +126,9 @@ def outputs_of(start: ModalTrim, values: Mapping[str, float]) -> Array:
     return np.array([phugoid_zeta, zeta, wn])
 
 
-def jsbsim_study(aircraft: Aircraft, on_progress: Callable[[int, int], None] | None = None) -> Study:
+def jsbsim_study(
+    aircraft: Aircraft, on_progress: Callable[[int, int], None] | None = None
+) -> Study:
     """Nominal, 1 % steps and all 2^10 corners through JSBSim, mass, area, chord and inertia at their means."""
     start = nominal_trim(aircraft)
     names = tuple(NOMINAL)
@@ -119,7 +142,9 @@ def jsbsim_study(aircraft: Aircraft, on_progress: Callable[[int, int], None] | N
             on_progress(k + 1, len(points))
     d = len(names)
     outputs = {
-        output: Evaluations(nominal=found[:1, k], forward=found[1 : d + 1, k], corners=found[d + 1 :, k : k + 1])
+        output: Evaluations(
+            nominal=found[:1, k], forward=found[1 : d + 1, k], corners=found[d + 1 :, k : k + 1]
+        )
         for k, output in enumerate(OUTPUTS)
     }
     return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), False, outputs)
@@ -133,7 +158,9 @@ def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, Array]]:
     start = nominal_trim(aircraft)
     full, slope = linear_model(start, {})
     values: dict[str, float] = dict(NOMINAL) | {name: mean for name, (mean, _) in ALEATORY.items()}
-    A = system_matrix("as_corrected", {name: np.array(value) for name, value in values.items()}).dense()
+    A = system_matrix(
+        "as_corrected", {name: np.array(value) for name, value in values.items()}
+    ).dense()
     rows = [("the chapter's linear model, as_corrected", A.copy())]
     A[0, 0] += slope / values["M_kg"]
     rows.append(("thrust that falls with speed at fixed throttle", A.copy()))

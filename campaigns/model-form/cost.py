@@ -34,10 +34,15 @@ RATES_HZ = (100.0, 50.0, 10.0, 1.0)
 STEPS = 20_000
 
 
-def cost(aircraft: Aircraft, form: ModelForm, script: str, rounds: int, folder: Path) -> dict[str, float]:
+def cost(
+    aircraft: Aircraft, form: ModelForm, script: str, rounds: int, folder: Path
+) -> dict[str, float]:
     """Microseconds of processor time per step by variant."""
     variants = {"no plugin": without_plugin(aircraft, folder / "none")}
-    for name, bounds in (("constant bounds", Bounds()), *((f"{rate:g} Hz", Bounds(form)) for rate in RATES_HZ)):
+    for name, bounds in (
+        ("constant bounds", Bounds()),
+        *((f"{rate:g} Hz", Bounds(form)) for rate in RATES_HZ),
+    ):
         out = folder / name.replace(" ", "-") / aircraft.name
         out.parent.mkdir(parents=True)
         planned = plan(aircraft, bounds)
@@ -74,7 +79,14 @@ def hold_error(
     write(aircraft, planned, out)
     system = next(file for file in planned.files if file.endswith("model-form.xml"))
     (out / system).write_bytes(model_form_xml(form, aircraft, 1.0 / aircraft.dt_s))
-    spec = FlightSpec(out, Path(script), duration_s=60.0 * minutes, wind_mps=2.0, turbulence=turbulence, turbulence_source="jsbsim")
+    spec = FlightSpec(
+        out,
+        Path(script),
+        duration_s=60.0 * minutes,
+        wind_mps=2.0,
+        turbulence=turbulence,
+        turbulence_source="jsbsim",
+    )
     with StagedMission(find_aircraft(out), find_script(script)) as mission:
         fdm = mission.open()
         set_conditions(fdm, mission, spec)
@@ -104,25 +116,41 @@ def hold_error(
 
 def main(argv: list[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.model-form.cost", description="Cost and hold error of bounds.")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.model-form.cost", description="Cost and hold error of bounds."
+    )
     parser.add_argument("aircraft", metavar="AIRCRAFT")
-    parser.add_argument("--bounds", type=Path, required=True, metavar="FILE", help="model-form.json")
+    parser.add_argument(
+        "--bounds", type=Path, required=True, metavar="FILE", help="model-form.json"
+    )
     parser.add_argument("--script", default="loiter", help="mission flown (default %(default)s)")
     parser.add_argument("--rounds", type=int, default=8, metavar="N", help="default %(default)s")
-    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of each hold flight (default %(default)s)")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=10.0,
+        metavar="M",
+        help="of each hold flight (default %(default)s)",
+    )
     arguments = parser.parse_args(argv)
     aircraft, form = find_aircraft(arguments.aircraft), read_model_form(arguments.bounds)
     with scratch_folder() as scratch:
         best = cost(aircraft, form, arguments.script, arguments.rounds, scratch.path)
-        print("| variant | us per step | more than no plugin | more than constant bounds |\n|---|---|---|---|")
+        print(
+            "| variant | us per step | more than no plugin | more than constant bounds |\n|---|---|---|---|"
+        )
         for name, us in best.items():
-            print(f"| {name} | {us:.2f} | {us - best['no plugin']:.2f} | {us - best['constant bounds']:.2f} |")
+            print(
+                f"| {name} | {us:.2f} | {us - best['no plugin']:.2f} | {us - best['constant bounds']:.2f} |"
+            )
         print(
             f"\n| turbulence | bounds at | {' | '.join(form.coefficients)} |\n|---|---|{'---|' * len(form.coefficients)}",
             flush=True,
         )
         for turbulence in ("light", "moderate", "severe"):
-            errors, outside = hold_error(aircraft, form, arguments.script, turbulence, arguments.minutes, scratch.path)
+            errors, outside = hold_error(
+                aircraft, form, arguments.script, turbulence, arguments.minutes, scratch.path
+            )
             for rate, row in zip(RATES_HZ, errors, strict=True):
                 print(
                     f"| {turbulence}, {outside:.0%} outside | {rate:g} Hz | {' | '.join(f'{value:.3f}' for value in row)} |",

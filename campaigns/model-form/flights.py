@@ -15,7 +15,15 @@ from functools import cache
 
 import numpy as np
 
-from sysid.aerodynamics import AirPiece, Cutoffs, Residuals, air_pieces, as_measured, with_sensor_noise, without_air_rotation
+from sysid.aerodynamics import (
+    AirPiece,
+    Cutoffs,
+    Residuals,
+    air_pieces,
+    as_measured,
+    with_sensor_noise,
+    without_air_rotation,
+)
 from sysid.aerodynamics.residuals import Passage, PieceNoise
 from sysid.estimation import NoiseSize
 from sysid.model_form.noise_floor import with_noise
@@ -42,7 +50,15 @@ BOUNDS = Plan(
         Manoeuvre("pull-up, 16.5 m/s", "elevator", -8.0, 0.9, recovery_s=8.0, speed_mps=18.0),
         Manoeuvre("3-2-1-1, 18 m/s", "elevator", -6.0, 0.4, THREE_TWO_ONE_ONE),
         Manoeuvre("yaw doublet, 18 m/s", "rudder", -8.5, 0.9),
-        Manoeuvre("roll doublet, 18 m/s", "aileron", -10.0, 0.6, rest_s=2.0, recovery_s=8.0, speed_mps=22.5),
+        Manoeuvre(
+            "roll doublet, 18 m/s",
+            "aileron",
+            -10.0,
+            0.6,
+            rest_s=2.0,
+            recovery_s=8.0,
+            speed_mps=22.5,
+        ),
         Manoeuvre("pitch doublet, 22.5 m/s", "elevator", -5.0, 0.5),
         Manoeuvre("throttle doublet, 22.5 m/s", "throttle", -22.0, 1.6, rest_s=1.5),
         Manoeuvre("yaw doublet, 22.5 m/s", "rudder", 8.0, 0.7, recovery_s=10.0, speed_mps=27.5),
@@ -78,12 +94,21 @@ def validation_plan(speed_mps: float) -> Plan:
     plan = next(p for p in PLANS if p.name == "flight-validation")
     moved = tuple(
         replace(
-            m, name=f"{m.name.partition(',')[0]}, {speed_mps:g} m/s", size=round(m.size * 20.0 / speed_mps, 1), recovery_s=5.0,
+            m,
+            name=f"{m.name.partition(',')[0]}, {speed_mps:g} m/s",
+            size=round(m.size * 20.0 / speed_mps, 1),
+            recovery_s=5.0,
             speed_mps=None,
         )
         for m in (plan.manoeuvres[k] for k in _CHOSEN)
-    )  # fmt: skip
-    return replace(plan, name=f"study-validation-{speed_mps:g}", speed_mps=speed_mps, manoeuvres=moved, settle_s=10.0)
+    )
+    return replace(
+        plan,
+        name=f"study-validation-{speed_mps:g}",
+        speed_mps=speed_mps,
+        manoeuvres=moved,
+        settle_s=10.0,
+    )
 
 
 PLANS_FLOWN = (BOUNDS, *(validation_plan(speed) for speed in SPEEDS))
@@ -126,14 +151,23 @@ def _flown(flown: str, turbulence: str, plan: Plan, seed: int) -> Quiet:
     with model_pair(measured) as pair:
         said = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
         air = tuple(air_pieces(flight.record, flight.pieces, pair.of(flight), CUTOFFS.airspeed_hz))
-        unit = with_sensor_noise(said, flight.record, flight.pieces, pair.of(flight), model.accelerometer_m, table_noise())
+        unit = with_sensor_noise(
+            said,
+            flight.record,
+            flight.pieces,
+            pair.of(flight),
+            model.accelerometer_m,
+            table_noise(),
+        )
     deltas = [np.zeros_like(p.delta) for p in said.pieces]
     if flown != MODEL:
         with prediction_of(find_aircraft(flown), measured) as pair:
             other = flight_residuals(pair, flight, model.accelerometer_m, CUTOFFS)
         # Both are what was demanded minus what one of the two says.
         deltas = [a.delta - b.delta for a, b in zip(said.pieces, other.pieces, strict=True)]
-    true = replace(said, pieces=tuple(replace(p, delta=d) for p, d in zip(said.pieces, deltas, strict=True)))
+    true = replace(
+        said, pieces=tuple(replace(p, delta=d) for p, d in zip(said.pieces, deltas, strict=True))
+    )
     return Quiet(record, measured, true, unit, air)
 
 
@@ -142,10 +176,14 @@ def _record(aircraft: Aircraft, turbulence: str, plan: Plan, seed: int) -> Fligh
         path = scratch.path / f"{plan.name}.xml"
         path.write_text(script(plan), encoding="utf-8")
         read = read_script(path)
-        spec = FlightSpec(aircraft.folder, path, read.end_s, turbulence=turbulence, record_rate_hz=50.0)
+        spec = FlightSpec(
+            aircraft.folder, path, read.end_s, turbulence=turbulence, record_rate_hz=50.0
+        )
         table, recorded = recorded_flight(aircraft, read, as_asked(spec, seed))
         if recorded.status != "ok":
-            raise BadInputError(f"{plan.name}, seed {seed}: the flight did not end well: {recorded.reason}")
+            raise BadInputError(
+                f"{plan.name}, seed {seed}: the flight did not end well: {recorded.reason}"
+            )
         kept = scratch.path / "record.parquet"
         table.to_parquet(kept)
         return FlightRecord.read(kept)
@@ -182,14 +220,18 @@ class Noisy:
             pieces.append(replace(piece, noise=_resized(twin.noise, sizes)))
         noisy = replace(self.residuals, pieces=tuple(pieces))
         arm = find_aircraft(MODEL).accelerometer_m
-        return without_air_rotation(noisy, self.air, arm, {c: size.std for c, size in sizes.items()})[0]
+        return without_air_rotation(
+            noisy, self.air, arm, {c: size.std for c, size in sizes.items()}
+        )[0]
 
     def exactly(self) -> Residuals:
         """The residuals with the true noise, known without doubt."""
         return self.knowing({c: NoiseSize(s, 0.0) for c, s in table_noise().items()})
 
 
-def noisy_twin(quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]) -> Noisy:
+def noisy_twin(
+    quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]
+) -> Noisy:
     """The flight with noise of Table 2.1 from the stream, its states as measured forced upon the model."""
     std = table_noise()
     channels = {c: quiet.record[c] for c in std if c in quiet.record}
@@ -197,7 +239,9 @@ def noisy_twin(quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_fac
     flight = _flight("noisy", record, quiet.measured)
     residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
     air = tuple(as_measured(quiet.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
-    sizes = {f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors}
+    sizes = {
+        f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors
+    }
     return Noisy(residuals, quiet.unit, air, sizes)
 
 
@@ -210,4 +254,6 @@ def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:
         return replace(p, gain=p.gain * (size.std / std[p.channel]), spread=size.spread)
 
     states = {c: (sizes[c].std, weights) for c, (_, weights) in noise.states.items() if c in sizes}
-    return PieceNoise(tuple(other(p) for p in noise.passages if p.channel in sizes), states, noise.n)
+    return PieceNoise(
+        tuple(other(p) for p in noise.passages if p.channel in sizes), states, noise.n
+    )

@@ -50,7 +50,10 @@ def run_seed(case: Case, seed: int, picture: bool = False) -> dict[str, Any]:
     quiet = [quiet_flight(case, plan, 10 * seed + k) for k, plan in enumerate(PLANS_FLOWN)]
     number = CASES.index(case)
     with model_pair(quiet[0].measured) as pair:
-        noisy = [noisy_twin(q, pair, (seed, number, k), tuple(CARDS.values()) if k == 0 else (1.0,)) for k, q in enumerate(quiet)]
+        noisy = [
+            noisy_twin(q, pair, (seed, number, k), tuple(CARDS.values()) if k == 0 else (1.0,))
+            for k, q in enumerate(quiet)
+        ]
     forms = fitted_ways(noisy[0])
     published = fit_bounds(noisy[0].residuals, options=PUBLISHED)
     rows, fits = [], []
@@ -73,20 +76,25 @@ def form_of(fitted: Mapping[str, FittedBounds], rate_hz: float) -> ModelForm:
     """A model form of the study's model."""
     model = find_aircraft(MODEL)
     return ModelForm(
-        AircraftReference(model.name, content_hash(model)), (),
-        Filtering(CUTOFFS.all_hz, CUTOFFS.airspeed_hz, WALK_CUTOFF_HZ, rate_hz), 0.95, "grow",
+        AircraftReference(model.name, content_hash(model)),
+        (),
+        Filtering(CUTOFFS.all_hz, CUTOFFS.airspeed_hz, WALK_CUTOFF_HZ, rate_hz),
+        0.95,
+        "grow",
         {c: f.bounds for c, f in fitted.items()},
-    )  # fmt: skip
+    )
 
 
-def whole_interval(bounds: CoefficientBounds, states: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+def whole_interval(
+    bounds: CoefficientBounds, states: Mapping[str, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
     """Middle and half-width (n,) of the interval of the whole model error, before it is stretched to hold zero."""
     return bounds.sample_middle(states, np.zeros(len(states["V_mps"])))
 
 
 def _rows(
     way: str, fitted: Mapping[str, FittedBounds], quiet: list[Quiet], noisy: list[Noisy]
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     rate = 1.0 / noisy[0].residuals.dt_s
     form = form_of(fitted, rate)
     measured = [n.knowing(n.sizes[1.0]) for n in noisy]
@@ -101,17 +109,31 @@ def _rows(
             far = bounds.distance(states)
             known = far == 0.0
             plain = np.abs(true - middle) <= half
-            clipped = (true >= np.minimum(middle - half, 0.0)) & (true <= np.maximum(middle + half, 0.0))
+            clipped = (true >= np.minimum(middle - half, 0.0)) & (
+                true <= np.maximum(middle + half, 0.0)
+            )
             row = {
-                "way": way, "coefficient": c, "speed_mps": speed, "n": len(true), "outside": float(np.mean(~known)),
-                "furthest": float(far.max()), "inside": _share(plain, known), "inside_stretched": _share(clipped, known),
-                "inside_all": float(plain.mean()), "inside_stretched_all": float(clipped.mean()),
-                "width": _mean(2.0 * half, known), "true_rms": float(np.sqrt(np.mean(true**2))),
-            }  # fmt: skip
+                "way": way,
+                "coefficient": c,
+                "speed_mps": speed,
+                "n": len(true),
+                "outside": float(np.mean(~known)),
+                "furthest": float(far.max()),
+                "inside": _share(plain, known),
+                "inside_stretched": _share(clipped, known),
+                "inside_all": float(plain.mean()),
+                "inside_stretched_all": float(clipped.mean()),
+                "width": _mean(2.0 * half, known),
+                "true_rms": float(np.sqrt(np.mean(true**2))),
+            }
             if third:
                 factor = whole[c].conformal
                 row |= {"third": third[c].share[0.95], "third_error": third[c].error[0.95]}
-                row |= {} if factor is None else {"conformal": factor.factor, "conformal_level": factor.level}
+                row |= (
+                    {}
+                    if factor is None
+                    else {"conformal": factor.factor, "conformal_level": factor.level}
+                )
             out.append(finite(row))
     return out
 
@@ -124,7 +146,9 @@ def _mean(values: FloatArray, known: NDArray[np.bool_]) -> float:
     return float(values[known].mean()) if known.any() else float("nan")
 
 
-def _fit_row(way: str, coefficient: str, fitted: FittedBounds, true: Residuals, published: FittedBounds) -> dict[str, Any]:
+def _fit_row(
+    way: str, coefficient: str, fitted: FittedBounds, true: Residuals, published: FittedBounds
+) -> dict[str, Any]:
     """Parts of one coefficient, beside what they stand for in the data: the true error, and what of it no polynomial holds."""
     bounds, states = fitted.bounds, true.states
     assert bounds.parts is not None
@@ -136,16 +160,25 @@ def _fit_row(way: str, coefficient: str, fitted: FittedBounds, true: Residuals, 
     kept = {k: v for k, v in asdict(bounds.parts).items() if k not in ("flight", "noise")}
     return finite(
         {
-            "way": way, "coefficient": coefficient, **kept, "log_odds": fitted.separation.components().log_odds,
-            "true_rms": float(np.sqrt(np.mean(error**2))), "left_rms": float(np.sqrt(np.mean((error - middle) ** 2))),
-            "middle_rms": float(np.sqrt(np.mean(middle**2))), "width": float(np.mean(2.0 * half)),
-            "persistent_width": float(np.mean(high - low)), "published_width": float(np.mean(today[1] - today[0])),
+            "way": way,
+            "coefficient": coefficient,
+            **kept,
+            "log_odds": fitted.separation.components().log_odds,
+            "true_rms": float(np.sqrt(np.mean(error**2))),
+            "left_rms": float(np.sqrt(np.mean((error - middle) ** 2))),
+            "middle_rms": float(np.sqrt(np.mean(middle**2))),
+            "width": float(np.mean(2.0 * half)),
+            "persistent_width": float(np.mean(high - low)),
+            "published_width": float(np.mean(today[1] - today[0])),
         }
-    )  # fmt: skip
+    )
 
 
 def _histories(
-    fitted: Mapping[str, FittedBounds], published: Mapping[str, FittedBounds], quiet: list[Quiet], noisy: list[Noisy]
+    fitted: Mapping[str, FittedBounds],
+    published: Mapping[str, FittedBounds],
+    quiet: list[Quiet],
+    noisy: list[Noisy],
 ) -> dict[str, Any]:
     """Coefficient -> curves along the three flights: true error, measured residual, bounds as published and by parts."""
     out: dict[str, Any] = {}
@@ -158,9 +191,15 @@ def _histories(
             lasting = fitted[c].bounds.interval(states)
             today = published[c].bounds.bounds(states)
             found = {
-                "true": q.true.delta[:, k], "measured": n.residuals.delta[:, k], "lower": middle - half, "upper": middle + half,
-                "lasting_lower": lasting[0], "lasting_upper": lasting[1], "today_lower": today[0], "today_upper": today[1],
-            }  # fmt: skip
+                "true": q.true.delta[:, k],
+                "measured": n.residuals.delta[:, k],
+                "lower": middle - half,
+                "upper": middle + half,
+                "lasting_lower": lasting[0],
+                "lasting_upper": lasting[1],
+                "today_lower": today[0],
+                "today_upper": today[1],
+            }
             for name, values in found.items():
                 curves.setdefault(name, []).extend(float(f"{v:.4g}") for v in values[keep])
         out[c] = curves

@@ -67,17 +67,33 @@ rearm_m = 2
 def run_seed(case: Case, seed: int, flights: int, duration_s: float) -> dict[str, Any]:
     """Areas [m] of the cross-track p-boxes, their medians, and whether the flown aircraft's own flights lie inside."""
     made = _fits(case, seed)
-    out: dict[str, Any] = {"case": case.name, "seed": seed, "flights": flights, "duration_s": duration_s}
+    out: dict[str, Any] = {
+        "case": case.name,
+        "seed": seed,
+        "flights": flights,
+        "duration_s": duration_s,
+    }
     with scratch_folder("model-form") as scratch:
-        settings = {"seed": 20161201 + seed, "flights": flights, "duration_s": duration_s, "mission": find_script("loiter")}
+        settings = {
+            "seed": 20161201 + seed,
+            "flights": flights,
+            "duration_s": duration_s,
+            "mission": find_script("loiter"),
+        }
         truth = _flown(scratch.path / "truth", case.flown, 'method = "none"', settings)
         for way, fitted in made.items():
             folder = scratch.path / way.replace(" ", "-")
             folder.mkdir()
             form_of(fitted, 50.0).write(folder / "model-form.json")
-            samples = _flown(folder, MODEL, 'method = "corners"\nbounds = "model-form.json"', settings)
+            samples = _flown(
+                folder, MODEL, 'method = "corners"\nbounds = "model-form.json"', settings
+            )
             found = containment(truth, samples)
-            out[way] = {"area": area(samples), "median": list(pbox(samples).quantile(0.5)), "flown": found.verdict}
+            out[way] = {
+                "area": area(samples),
+                "median": list(pbox(samples).quantile(0.5)),
+                "flown": found.verdict,
+            }
         out["flown_median"] = float(np.median(truth[0].values))
     return out
 
@@ -89,11 +105,15 @@ def _fits(case: Case, seed: int) -> dict[str, dict[str, FittedBounds]]:
     residuals = noisy.knowing(noisy.sizes[1.0])
     published = fit_bounds(residuals, options=PUBLISHED)
     rates = {c: variation(residuals, c, f.bounds).rate for c, f in published.items()}
-    rated = {c: replace(f, bounds=replace(f.bounds, walk_rate=rates[c])) for c, f in published.items()}
+    rated = {
+        c: replace(f, bounds=replace(f.bounds, walk_rate=rates[c])) for c, f in published.items()
+    }
     return {WAYS[0]: fit_bounds(residuals), WAYS[1]: rated}
 
 
-def _flown(folder: Path, aircraft: str, epistemic: str, settings: Mapping[str, Any]) -> list[Sample]:
+def _flown(
+    folder: Path, aircraft: str, epistemic: str, settings: Mapping[str, Any]
+) -> list[Sample]:
     from uqharness.cli.main import main as command
 
     folder.mkdir(exist_ok=True)
@@ -101,7 +121,17 @@ def _flown(folder: Path, aircraft: str, epistemic: str, settings: Mapping[str, A
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
-        code = command(["campaign", "run", str(folder / "campaign.toml"), "--out", str(folder / "out"), "--workers", "1"])
+        code = command(
+            [
+                "campaign",
+                "run",
+                str(folder / "campaign.toml"),
+                "--out",
+                str(folder / "out"),
+                "--workers",
+                "1",
+            ]
+        )
     if code == 2:
         raise BadInputError(f"{folder.name}: {said.getvalue().strip()}")
     cases = pd.read_parquet(folder / "out" / "cases.parquet")
@@ -116,15 +146,21 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         mine = [r for r in rows if r["case"] == case.name]
         for way in WAYS if mine else ():
             low, high = np.mean([r[way]["median"] for r in mine], axis=0)
-            wide, flown = np.mean([r[way]["area"] for r in mine]), np.mean([r["flown_median"] for r in mine])
+            wide, flown = (
+                np.mean([r[way]["area"] for r in mine]),
+                np.mean([r["flown_median"] for r in mine]),
+            )
             out.append(
                 {
-                    "case": case.name, "bounds": way, "seeds": str(len(mine)),
-                    "area [m]": f"{wide:.3g}", "median, best to worst [m]": f"{low:.2f} to {high:.2f}",
+                    "case": case.name,
+                    "bounds": way,
+                    "seeds": str(len(mine)),
+                    "area [m]": f"{wide:.3g}",
+                    "median, best to worst [m]": f"{low:.2f} to {high:.2f}",
                     "flown aircraft's [m]": f"{flown:.2f}",
                     "it is inside": f"{sum(r[way]['flown'] != 'outside' for r in mine)} of {len(mine)}",
                 }
-            )  # fmt: skip
+            )
     return markdown_table(out)
 
 
@@ -136,23 +172,39 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         mine = [r for r in rows if r["case"] == case.name]
         if not mine:
             continue
-        share = float(np.mean([r[new]["area"] for r in mine]) / np.mean([r[old]["area"] for r in mine]))
+        share = float(
+            np.mean([r[new]["area"] for r in mine]) / np.mean([r[old]["area"] for r in mine])
+        )
         if case.flown == MODEL and share > MOST_AREA:
             out.append(f"{case.name}: the p-box has {100 * share:.0f} % of the area as published")
         inside = float(np.mean([r[new]["flown"] != "outside" for r in mine]))
         if inside < LEAST_INSIDE:
-            out.append(f"{case.name}: the flown aircraft lies inside its p-box in {100 * inside:.0f} % of the seeds")
+            out.append(
+                f"{case.name}: the flown aircraft lies inside its p-box in {100 * inside:.0f} % of the seeds"
+            )
     return out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder for pbox/ and pbox.md")
-    parser.add_argument("--seeds", type=seed_range, default="40", metavar="N|A-B", help="how many from 1 on, or which (default 40)")
+    parser.add_argument(
+        "--seeds",
+        type=seed_range,
+        default="40",
+        metavar="N|A-B",
+        help="how many from 1 on, or which (default 40)",
+    )
     parser.add_argument("--flights", type=int, default=8, metavar="N", help="a corner (default 8)")
-    parser.add_argument("--duration-s", type=float, default=180.0, metavar="T", help="scored (default 180)")
-    parser.add_argument("--cases", nargs="+", default=[c.name for c in FLOWN], choices=[c.name for c in FLOWN])
+    parser.add_argument(
+        "--duration-s", type=float, default=180.0, metavar="T", help="scored (default 180)"
+    )
+    parser.add_argument(
+        "--cases", nargs="+", default=[c.name for c in FLOWN], choices=[c.name for c in FLOWN]
+    )
     chosen = parser.parse_args(arguments)
     place = chosen.out / "pbox"
     place.mkdir(parents=True, exist_ok=True)
@@ -160,11 +212,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for case in (c for c in FLOWN if c.name in chosen.cases):
             path = place / f"{case.name}-{seed:03d}.json"
             if not path.exists():
-                write_text(path, json.dumps(run_seed(case, seed, chosen.flights, chosen.duration_s)) + "\n")
+                write_text(
+                    path, json.dumps(run_seed(case, seed, chosen.flights, chosen.duration_s)) + "\n"
+                )
                 print(f"{case.name}, seed {seed} done", file=sys.stderr, flush=True)
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(place.glob("*.json"))]
     failures = verdict(rows)
-    text = table(rows) + "\n" + ("\n".join(f"- fails: {f}" for f in failures) or "P-boxes are as asked for.") + "\n"
+    text = (
+        table(rows)
+        + "\n"
+        + ("\n".join(f"- fails: {f}" for f in failures) or "P-boxes are as asked for.")
+        + "\n"
+    )
     write_text(chosen.out / "pbox.md", text)
     print(text)
     return 1 if failures else 0

@@ -16,8 +16,11 @@ from .flights import SPEEDS
 from .tables import TITLES
 
 LEGEND = (
-    ("fillrange", "as published"), ("fill2", "whole model error"), ("first", "its persistent part"), ("third", "true error"),
-)  # fmt: skip
+    ("fillrange", "as published"),
+    ("fill2", "whole model error"),
+    ("first", "its persistent part"),
+    ("third", "true error"),
+)
 
 
 def write_pictures(answers: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
@@ -25,11 +28,17 @@ def write_pictures(answers: Sequence[Mapping[str, Any]], out: Path) -> list[Path
     place, paths = out / "figures", []
     found = {a["case"]: a for a in answers}
     for c in COEFFICIENTS if found else ():
-        charts = [(_chart(c, case, found[case]["histories"][c]).svg(), words) for case, words in TITLES.items() if case in found]
+        charts = [
+            (_chart(c, case, found[case]["histories"][c]).svg(), words)
+            for case, words in TITLES.items()
+            if case in found
+        ]
         seed = next(iter(found.values()))["seed"]
         place.mkdir(parents=True, exist_ok=True)
         paths.append(place / f"{c}.svg")
-        write_text(paths[-1], standalone(charts, f"{c}: bounds and true error, seed {seed}", LEGEND, 2))
+        write_text(
+            paths[-1], standalone(charts, f"{c}: bounds and true error, seed {seed}", LEGEND, 2)
+        )
     return paths
 
 
@@ -38,7 +47,10 @@ def _chart(coefficient: str, case: str, curves: Mapping[str, Sequence[float]]) -
     n = len(data["true"])
     at, length = np.arange(n), n / len(SPEEDS)
     bands = (("today_lower", "today_upper", "fillrange"), ("lower", "upper", "fill2"))
-    y = scale(f"model error, {coefficient} [-]", [data[k] for low, high, _ in bands for k in (low, high)] + [data["true"]])
+    y = scale(
+        f"model error, {coefficient} [-]",
+        [data[k] for low, high, _ in bands for k in (low, high)] + [data["true"]],
+    )
     label = (
         f"{coefficient}, {TITLES[case]}: bounds as published from {data['today_lower'].min():.2g} to "
         f"{data['today_upper'].max():.2g}, of the model error {data['lower'].min():.2g} to {data['upper'].max():.2g}."

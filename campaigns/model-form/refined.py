@@ -37,15 +37,43 @@ def run_seed(seed: int) -> dict[str, Any]:
         paths = []
         for number, script in enumerate(_FLOWN):
             paths.append(str(scratch.path / f"{script}.parquet"))
-            said = ["fly", "espaaro_truth", "--script", script, "--noise", "--seed", str(100 * seed + number)]
+            said = [
+                "fly",
+                "espaaro_truth",
+                "--script",
+                script,
+                "--noise",
+                "--seed",
+                str(100 * seed + number),
+            ]
             _command([*said, "--out", paths[-1]])
         out = scratch.path / "refined"
-        said = ["refine", MODEL, "--train", *paths[:2], "--test", paths[2], "--out", str(out), "--workers", "1", "--no-figures"]
+        said = [
+            "refine",
+            MODEL,
+            "--train",
+            *paths[:2],
+            "--test",
+            paths[2],
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
         _command(said)
         found = json.loads((out / "refinement.json").read_text(encoding="utf-8"))
     effects = [f"{e.get('coefficient') or e['subsystem']} {e['term']}" for e in found["effects"]]
-    widths = {r["metric"]: (r["width_before"], r["width_after"]) for r in found["gap"]["test"]["pbox"]["metrics"]}
-    return {"seed": seed, "verdict": found["verdict"], "effects": effects, "widths": {m: widths[m] for m in METRICS}}
+    widths = {
+        r["metric"]: (r["width_before"], r["width_after"])
+        for r in found["gap"]["test"]["pbox"]["metrics"]
+    }
+    return {
+        "seed": seed,
+        "verdict": found["verdict"],
+        "effects": effects,
+        "widths": {m: widths[m] for m in METRICS},
+    }
 
 
 def _command(arguments: list[str]) -> None:
@@ -70,18 +98,31 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         before, after = (sum(r["widths"][metric][k] for r in rows) / len(rows) for k in (0, 1))
         out.append(
             {
-                "metric": metric, "seeds": str(len(rows)), "width before [m]": f"{before:.3g}", "after [m]": f"{after:.3g}",
+                "metric": metric,
+                "seeds": str(len(rows)),
+                "width before [m]": f"{before:.3g}",
+                "after [m]": f"{after:.3g}",
                 "narrower in": f"{narrower(rows, metric)} of {len(rows)}",
             }
-        )  # fmt: skip
+        )
     return markdown_table(out)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for refined/ and refined.md")
-    parser.add_argument("--seeds", type=seed_range, default="40", metavar="N|A-B", help="how many from 1 on, or which (default 40)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for refined/ and refined.md"
+    )
+    parser.add_argument(
+        "--seeds",
+        type=seed_range,
+        default="40",
+        metavar="N|A-B",
+        help="how many from 1 on, or which (default 40)",
+    )
     chosen = parser.parse_args(arguments)
     place = chosen.out / "refined"
     place.mkdir(parents=True, exist_ok=True)
@@ -93,7 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(place.glob("*.json"))]
     share = narrower(rows, METRICS[0]) / len(rows)
     failed = share < LEAST_NARROWER
-    text = table(rows) + ("\nToo few are narrower after than before.\n" if failed else "\nRefinement narrows it.\n")
+    text = table(rows) + (
+        "\nToo few are narrower after than before.\n" if failed else "\nRefinement narrows it.\n"
+    )
     write_text(chosen.out / "refined.md", text)
     print(text)
     return 1 if failed else 0

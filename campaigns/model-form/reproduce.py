@@ -72,18 +72,37 @@ def frames(answers: Sequence[dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFram
     """Rows of coverage and rows of parts, each with its case and seed."""
     out = []
     for key in ("rows", "fits"):
-        named = [{"case": a["case"], "seed": a["seed"], **row} for a in answers for row in a.get(key, ())]
+        named = [
+            {"case": a["case"], "seed": a["seed"], **row} for a in answers for row in a.get(key, ())
+        ]
         out.append(pd.DataFrame(named))
     return out[0], out[1]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for seeds/, tables.md, coverage.csv, parts.csv, figures/")
-    parser.add_argument("--seeds", type=seed_range, default="40", metavar="N|A-B", help="how many from 1 on, or which (default 40)")
-    parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])
-    parser.add_argument("--tables", action="store_true", help="fly nothing; tables and pictures of what is there")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="folder for seeds/, tables.md, coverage.csv, parts.csv, figures/",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=seed_range,
+        default="40",
+        metavar="N|A-B",
+        help="how many from 1 on, or which (default 40)",
+    )
+    parser.add_argument(
+        "--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES]
+    )
+    parser.add_argument(
+        "--tables", action="store_true", help="fly nothing; tables and pictures of what is there"
+    )
     chosen = parser.parse_args(arguments)
     if not chosen.tables:
         fly_seeds(chosen.out, [c for c in CASES if c.name in chosen.cases], chosen.seeds)
@@ -92,14 +111,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if rows.empty:
         print(f"{chosen.out}: no seed is there", file=sys.stderr)
         return 1
-    left_out = [f"{a['case']}, seed {a['seed']}: {a['left_out']}" for a in answers if "left_out" in a]
+    left_out = [
+        f"{a['case']}, seed {a['seed']}: {a['left_out']}" for a in answers if "left_out" in a
+    ]
     failures = verdict(rows, fits)
     text = tables(rows, fits)
-    text += "\n" + ("\n".join(f"- fails: {f}" for f in failures) or "Coverage and widths are as asked for.") + "\n"
+    text += (
+        "\n"
+        + ("\n".join(f"- fails: {f}" for f in failures) or "Coverage and widths are as asked for.")
+        + "\n"
+    )
     text += "".join(f"- left out: {f}\n" for f in left_out)
     write_text(chosen.out / "tables.md", text)
-    write_text(chosen.out / "coverage.csv", summary(rows, COVERAGE).to_csv(index=False, lineterminator="\n"))
-    write_text(chosen.out / "parts.csv", summary(fits, PARTS).to_csv(index=False, lineterminator="\n"))
+    write_text(
+        chosen.out / "coverage.csv",
+        summary(rows, COVERAGE).to_csv(index=False, lineterminator="\n"),
+    )
+    write_text(
+        chosen.out / "parts.csv", summary(fits, PARTS).to_csv(index=False, lineterminator="\n")
+    )
     write_pictures([a for a in answers if "histories" in a], chosen.out)
     print(text)
     return 1 if failures else 0

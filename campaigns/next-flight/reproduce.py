@@ -29,7 +29,14 @@ from uqharness.files import write_text
 from uqharness.next_flight.mission_states import Occupancy, recorded_mission
 from uqharness.next_flight.plan import NextFlight, Options, plan_from, try_library
 from uqharness.next_flight.prospects import designs_of, prospects, widths_over
-from uqharness.next_flight.trials import Refused, TestFlight, Trial, fly_points, fly_script, residuals_of
+from uqharness.next_flight.trials import (
+    Refused,
+    TestFlight,
+    Trial,
+    fly_points,
+    fly_script,
+    residuals_of,
+)
 from uqharness.simulator.aircraft import content_hash, find_aircraft
 from uqharness.simulator.mission import find_script
 from uqharness.text_tables import markdown_table
@@ -69,17 +76,24 @@ def form_from(residuals: Sequence[Residuals], designs: object = None) -> ModelFo
     merged = together(residuals)
     fitted = fit_bounds(merged, designs, FitOptions())  # type: ignore[arg-type]
     used = tuple(
-        FlightUsed(str(k), "", sum(float(p.time_s[-1] - p.time_s[0]) for p in r.pieces), sum(r.lengths))
+        FlightUsed(
+            str(k), "", sum(float(p.time_s[-1] - p.time_s[0]) for p in r.pieces), sum(r.lengths)
+        )
         for k, r in enumerate(residuals)
     )
     return ModelForm(
-        AircraftReference(model.name, content_hash(model)), used,
-        Filtering(_CUTOFFS.all_hz, _CUTOFFS.airspeed_hz, WALK_CUTOFF_HZ, 1.0 / merged.dt_s), 0.95, "grow",
+        AircraftReference(model.name, content_hash(model)),
+        used,
+        Filtering(_CUTOFFS.all_hz, _CUTOFFS.airspeed_hz, WALK_CUTOFF_HZ, 1.0 / merged.dt_s),
+        0.95,
+        "grow",
         {c: f.bounds for c, f in fitted.items()},
-    )  # fmt: skip
+    )
 
 
-def _flown(flight: TestFlight, script: str, seed: int, path: Path, seconds: float | None = None) -> Path:
+def _flown(
+    flight: TestFlight, script: str, seed: int, path: Path, seconds: float | None = None
+) -> Path:
     """The record of a script's first seconds. Raises BadInputError when it does not end well."""
     if not path.exists():
         ok, _, reason = fly_script(flight, find_script(script), seed, path, seconds)
@@ -93,7 +107,9 @@ def mission_of(folder: Path) -> Occupancy:
     """The loiter as the model flies it, three flights of four minutes in light turbulence."""
     model = find_aircraft(MODEL)
     flight = TestFlight(model, find_script("loiter"), True, BEGIN_S, TURBULENCE, noise=False)
-    paths = [_flown(flight, "loiter", s, folder / f"mission-{s}.parquet", 240.0) for s in _MISSION_SEEDS]
+    paths = [
+        _flown(flight, "loiter", s, folder / f"mission-{s}.parquet", 240.0) for s in _MISSION_SEEDS
+    ]
     return recorded_mission(paths, model, _CUTOFFS.all_hz)
 
 
@@ -114,13 +130,27 @@ class Study:
         """One row a coefficient. Flight seeds are 100 seed + 1 (bounds), + 2 (next flight), + 3 and + 4 (old manoeuvres)."""
         model, truth, base = find_aircraft(MODEL), self.flight(TRUTH), 100 * seed
         stem = f"{case.seconds:g}-{seed}"
-        first = _flown(truth, "flight-bounds", base + 1, self.folder / f"bounds-{stem}.parquet", case.seconds)
-        old = [_flown(truth, "flight-bounds", base + k, self.folder / f"old-{seed}-{k}.parquet") for k in (3, 4)]
+        first = _flown(
+            truth, "flight-bounds", base + 1, self.folder / f"bounds-{stem}.parquet", case.seconds
+        )
+        old = [
+            _flown(truth, "flight-bounds", base + k, self.folder / f"old-{seed}-{k}.parquet")
+            for k in (3, 4)
+        ]
         made, *repeated = residuals_of(model, [first, *old], _CUTOFFS)
         form = form_from([made])
         if case.seconds not in self.tried:
-            self.tried[case.seconds] = try_library(form, self.mission, self.flight(MODEL), self.options, _CUTOFFS)
-        plan = plan_from(form, case.coefficient, self.mission, self.flight(MODEL), self.options, *self.tried[case.seconds])
+            self.tried[case.seconds] = try_library(
+                form, self.mission, self.flight(MODEL), self.options, _CUTOFFS
+            )
+        plan = plan_from(
+            form,
+            case.coefficient,
+            self.mission,
+            self.flight(MODEL),
+            self.options,
+            *self.tried[case.seconds],
+        )
         path = self.folder / f"next-{case.coefficient}-{stem}.parquet"
         ok, _, reason = fly_points(truth, [p.point for p in plan.plan], base + 2, path)
         if not ok:
@@ -130,19 +160,41 @@ class Study:
         redone = widths_over(form_from([made, new], designs), self.mission)
         again = widths_over(form_from([made, *repeated], designs), self.mission)
         naive = prospects(form, self.mission, together(repeated), 1.0, self.tried[case.seconds][0])
-        return [_row(case, seed, c, plan, redone[c], naive[c].redone, again[c]) for c in form.coefficients]
+        return [
+            _row(case, seed, c, plan, redone[c], naive[c].redone, again[c])
+            for c in form.coefficients
+        ]
 
 
-def _row(case: Case, seed: int, coefficient: str, plan: NextFlight, redone: Width, naive: Width, again: Width) -> dict[str, object]:
+def _row(
+    case: Case,
+    seed: int,
+    coefficient: str,
+    plan: NextFlight,
+    redone: Width,
+    naive: Width,
+    again: Width,
+) -> dict[str, object]:
     p = plan.prospects[coefficient]
     return {
-        "case": case.name, "seed": seed, "for": case.coefficient, "coefficient": coefficient, "seconds": plan.end_s,
-        "now": p.now.total, "now_parameter": p.now.parameter, "known": p.then.total,
-        "predicted": p.redone.total, "predicted_parameter": p.redone.parameter,
-        "achieved": redone.total, "achieved_parameter": redone.parameter, "old_predicted": naive.total,
-        "old_predicted_parameter": naive.parameter, "old_achieved": again.total, "old_achieved_parameter": again.parameter,
+        "case": case.name,
+        "seed": seed,
+        "for": case.coefficient,
+        "coefficient": coefficient,
+        "seconds": plan.end_s,
+        "now": p.now.total,
+        "now_parameter": p.now.parameter,
+        "known": p.then.total,
+        "predicted": p.redone.total,
+        "predicted_parameter": p.redone.parameter,
+        "achieved": redone.total,
+        "achieved_parameter": redone.parameter,
+        "old_predicted": naive.total,
+        "old_predicted_parameter": naive.parameter,
+        "old_achieved": again.total,
+        "old_achieved_parameter": again.parameter,
         "at_most": p.ever.total,
-    }  # fmt: skip
+    }
 
 
 def narrowings(rows: pd.DataFrame) -> pd.DataFrame:
@@ -161,9 +213,13 @@ def narrowings(rows: pd.DataFrame) -> pd.DataFrame:
                     continue
                 share = 100.0 * (1.0 - part[what + suffix] / part["now" + suffix])
                 row[what + suffix] = float(share.mean())
-                row[f"{what}{suffix}_error"] = float(share.std(ddof=1) / math.sqrt(len(part))) if len(part) > 1 else math.nan
+                row[f"{what}{suffix}_error"] = (
+                    float(share.std(ddof=1) / math.sqrt(len(part))) if len(part) > 1 else math.nan
+                )
         for suffix in ("", "_parameter"):
-            row[f"ratio{suffix}"] = float(row["predicted" + suffix]) / float(row["achieved" + suffix])  # type: ignore[arg-type]
+            row[f"ratio{suffix}"] = float(row["predicted" + suffix]) / float(
+                row["achieved" + suffix]
+            )  # type: ignore[arg-type]
         out.append(row)
     return pd.DataFrame(out)
 
@@ -172,21 +228,33 @@ def tables(rows: pd.DataFrame) -> str:
     """The study as markdown."""
     found = narrowings(rows)
     lines = [
-        (f"{rows['seed'].nunique()} seeds; narrowing in percent, ± standard error of the mean over seeds; flights of "
-        f"{rows['seconds'].mean():.0f} s on average."), "",
-    ]  # fmt: skip
-    for own, title in ((True, "The coefficient that the flight was planned for"), (False, "The others")):
+        (
+            f"{rows['seed'].nunique()} seeds; narrowing in percent, ± standard error of the mean over seeds; flights of "
+            f"{rows['seconds'].mean():.0f} s on average."
+        ),
+        "",
+    ]
+    for own, title in (
+        (True, "The coefficient that the flight was planned for"),
+        (False, "The others"),
+    ):
         part = found[(found["coefficient"] == found["for"]) == own]
         shown = [
             {
-                "bounds from, for": str(r["case"]), "coefficient": str(r["coefficient"]),
-                "width: predicted": _pm(r, "predicted"), "achieved": _pm(r, "achieved"), "ratio": f"{r['ratio']:.2f}",
-                "old manoeuvres": _pm(r, "old_achieved"), "endless data": f"{r['at_most']:.1f}",
-                "parameter part: predicted": _pm(r, "predicted_parameter"), "achieved ": _pm(r, "achieved_parameter"),
-                "ratio ": f"{r['ratio_parameter']:.2f}", "old manoeuvres ": _pm(r, "old_achieved_parameter"),
+                "bounds from, for": str(r["case"]),
+                "coefficient": str(r["coefficient"]),
+                "width: predicted": _pm(r, "predicted"),
+                "achieved": _pm(r, "achieved"),
+                "ratio": f"{r['ratio']:.2f}",
+                "old manoeuvres": _pm(r, "old_achieved"),
+                "endless data": f"{r['at_most']:.1f}",
+                "parameter part: predicted": _pm(r, "predicted_parameter"),
+                "achieved ": _pm(r, "achieved_parameter"),
+                "ratio ": f"{r['ratio_parameter']:.2f}",
+                "old manoeuvres ": _pm(r, "old_achieved_parameter"),
             }
             for _, r in part.iterrows()
-        ]  # fmt: skip
+        ]
         if shown:
             lines += [f"## {title}", "", markdown_table(shown)]
     return "\n".join(lines)
@@ -203,7 +271,9 @@ def verdict(found: pd.DataFrame) -> list[str]:
         for suffix, what in (("_parameter", "the parameter part"), ("", "the width")):
             clear = suffix or row["at_most"] > 100.0 * WITHIN
             if clear and not abs(row["ratio" + suffix] - 1.0) <= WITHIN:
-                out.append(f"{row['case']}: predicted over achieved narrowing of {what} is {row['ratio' + suffix]:.2f}")
+                out.append(
+                    f"{row['case']}: predicted over achieved narrowing of {what} is {row['ratio' + suffix]:.2f}"
+                )
     return out
 
 
@@ -213,11 +283,17 @@ def _pm(row: pd.Series, key: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for records, tables.md, narrowing.csv")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for records, tables.md, narrowing.csv"
+    )
     parser.add_argument("--seed", type=int, default=1, help="the first (default 1)")
     parser.add_argument("--seeds", type=int, default=10, help="how many (default 10)")
-    parser.add_argument("--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES])
+    parser.add_argument(
+        "--cases", nargs="+", default=[c.name for c in CASES], choices=[c.name for c in CASES]
+    )
     chosen = parser.parse_args(arguments)
     chosen.out.mkdir(parents=True, exist_ok=True)
     study = Study(chosen.out, mission_of(chosen.out), Options(MINUTES), {})
@@ -233,13 +309,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     failed.append(f"{case.name}, seed {seed}: {error}")
         print(f"seed {seed} done", file=sys.stderr)
         if rows:
-            write_text(chosen.out / "narrowing.csv", pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
+            write_text(
+                chosen.out / "narrowing.csv",
+                pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"),
+            )
     if not rows:
         print("\n".join(failed), file=sys.stderr)
         return 1
     failures = verdict(narrowings(pd.DataFrame(rows)))
     text = tables(pd.DataFrame(rows)) + "".join(f"- left out: {f}\n" for f in failed)
-    text += "\n" + ("\n".join(f"- fails: {f}" for f in failures) or "Predictions hold as asked for.") + "\n"
+    text += (
+        "\n"
+        + ("\n".join(f"- fails: {f}" for f in failures) or "Predictions hold as asked for.")
+        + "\n"
+    )
     write_text(chosen.out / "tables.md", text)
     print(text)
     return 1 if failures else 0

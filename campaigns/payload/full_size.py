@@ -64,21 +64,31 @@ class Effect:
     constant_spread: float
 
 
-def effect(varied: pd.DataFrame, constant: pd.DataFrame, metric: str, nominal_slugs: float) -> Effect:
+def effect(
+    varied: pd.DataFrame, constant: pd.DataFrame, metric: str, nominal_slugs: float
+) -> Effect:
     """The effect of the mass between two case tables of the same corners and airs. Raises BadInputError below three airs."""
     keys = ["epistemic_id", "aleatory_id"]
-    pairs = varied[[*keys, metric, MASS]].merge(constant[[*keys, metric]], on=keys, suffixes=("", "_constant"), validate="1:1")
+    pairs = varied[[*keys, metric, MASS]].merge(
+        constant[[*keys, metric]], on=keys, suffixes=("", "_constant"), validate="1:1"
+    )
     pairs["change"] = pairs[metric] - pairs[f"{metric}_constant"]
     by_air = pairs.groupby("aleatory_id")[[MASS, "change"]].mean().dropna()
     if len(by_air) < 3:
-        raise BadInputError(f"{metric}: {len(by_air)} airs have a value with and without the payload; a slope needs three at least")
+        raise BadInputError(
+            f"{metric}: {len(by_air)} airs have a value with and without the payload; a slope needs three at least"
+        )
     payload_kg = SLUG_KG * (by_air[MASS].to_numpy() - nominal_slugs)
     slope, error = _line(payload_kg, by_air["change"].to_numpy())
     known = [samples(frame, metric) for frame in (varied, constant)]
     boxes = [_medians(frame, metric) for frame in (varied, constant)]
-    spreads = [float(frame.groupby("epistemic_id")[metric].std().mean()) for frame in (varied, constant)]
+    spreads = [
+        float(frame.groupby("epistemic_id")[metric].std().mean()) for frame in (varied, constant)
+    ]
     ratio = containment(known[0], known[1]).area_ratio
-    return Effect(metric, len(by_air), slope, error, boxes[0], boxes[1], ratio, spreads[0], spreads[1])
+    return Effect(
+        metric, len(by_air), slope, error, boxes[0], boxes[1], ratio, spreads[0], spreads[1]
+    )
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
@@ -94,7 +104,9 @@ def _medians(frame: pd.DataFrame, metric: str) -> tuple[float, float]:
     return float(middle.min()), float(middle.max())
 
 
-def tables(plan: Plan, shards: Path, out: Path, constant_shards: Path = EXCURSIONS / "shards") -> Sequence[str]:
+def tables(
+    plan: Plan, shards: Path, out: Path, constant_shards: Path = EXCURSIONS / "shards"
+) -> Sequence[str]:
     """effects.csv, rates.csv, pboxes.svg and cost.csv of the airs that were flown with and without the payload.
 
     Raises BadInputError where nothing was flown, or the flights without lack these airs.
@@ -103,14 +115,23 @@ def tables(plan: Plan, shards: Path, out: Path, constant_shards: Path = EXCURSIO
     (condition,) = plan.conditions
     other = constant_plan()
     varied, constant = common_airs(
-        cell_table(plan, shards, condition)[0], cell_table(other, constant_shards, other.condition("severe-3"))[0]
+        cell_table(plan, shards, condition)[0],
+        cell_table(other, constant_shards, other.condition("severe-3"))[0],
     )
     nominal = plan.spec.aleatory.variables[MASS.removeprefix("variable_")].value(0.0, 0.5)
     found = [effect(varied, constant, metric, nominal) for metric in MEDIANS]
     write_bytes(out / EFFECTS, csv_text([_row(item) for item in found]).encode())
-    write_bytes(out / RATES, csv_text([*rate_rows("payload varied", varied), *rate_rows("constant", constant)]).encode())
+    write_bytes(
+        out / RATES,
+        csv_text([*rate_rows("payload varied", varied), *rate_rows("constant", constant)]).encode(),
+    )
     title = f"64 corners, {hours_each(varied):g} h each, 3 m/s, severe turbulence"
-    write_text(out / PICTURE, drawn_pboxes({"payload varied": varied, "constant": constant}, MEDIANS, title, {}, columns=3))
+    write_text(
+        out / PICTURE,
+        drawn_pboxes(
+            {"payload varied": varied, "constant": constant}, MEDIANS, title, {}, columns=3
+        ),
+    )
     write_bytes(out / COST, cost_table(plan, shards))
     return [
         f"{e.metric}: {e.slope_per_kg:.3g} +/- {e.slope_error:.2g} per kg; p-box's middle {e.box[0]:.4g} to {e.box[1]:.4g}, "
@@ -135,7 +156,13 @@ def _row(item: Effect) -> dict[str, str]:
     }
 
 
-STUDY = Study("campaigns.payload.full_size", "The loiter with a payload that differs from flight to flight", plan, HOME, tables)
+STUDY = Study(
+    "campaigns.payload.full_size",
+    "The loiter with a payload that differs from flight to flight",
+    plan,
+    HOME,
+    tables,
+)
 
 if __name__ == "__main__":
     sys.exit(main(STUDY, sys.argv[1:]))

@@ -41,8 +41,14 @@ class Crossings:
     """Paths from the stationary distribution; an event of a kind: x exceeds its threshold, re-armed ``rearm`` below."""
 
     def __init__(
-        self, rng: np.random.Generator, roots: int, steps: int, thresholds: Sequence[float], rearm: float, each: int = EACH
-    ) -> None:  # fmt: skip
+        self,
+        rng: np.random.Generator,
+        roots: int,
+        steps: int,
+        thresholds: Sequence[float],
+        rearm: float,
+        each: int = EACH,
+    ) -> None:
         self._rng, self._left, self._each = rng, steps // each, each
         self._thresholds, self._rearm = np.asarray(thresholds), rearm
         self._x = rng.standard_normal(roots)
@@ -55,10 +61,14 @@ class Crossings:
         self._left -= 1
         events = np.zeros(self._outside.shape, np.int64)
         for _ in range(self._each):
-            self._x = KEEP * self._x + np.sqrt(1.0 - KEEP**2) * self._rng.standard_normal(self._x.size)
+            self._x = KEEP * self._x + np.sqrt(1.0 - KEEP**2) * self._rng.standard_normal(
+                self._x.size
+            )
             beyond = self._x[:, None] > self._thresholds
             events += beyond & ~self._outside
-            self._outside = beyond | (self._outside & (self._x[:, None] >= self._thresholds - self._rearm))
+            self._outside = beyond | (
+                self._outside & (self._x[:, None] >= self._thresholds - self._rearm)
+            )
         return Seen(self._x, events, np.zeros(self._x.size, bool))
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
@@ -73,12 +83,24 @@ def exact(steps: int, threshold: float, rearm: float, nodes: int = 80) -> tuple[
     """
     ends = (-7.0, threshold - rearm, threshold, 9.0)
     places, weights = np.polynomial.legendre.leggauss(nodes)
-    x = np.concatenate([0.5 * (b - a) * places + 0.5 * (a + b) for a, b in itertools.pairwise(ends)])
+    x = np.concatenate(
+        [0.5 * (b - a) * places + 0.5 * (a + b) for a, b in itertools.pairwise(ends)]
+    )
     dx = np.concatenate([0.5 * (b - a) * weights for a, b in itertools.pairwise(ends)])
     sd = np.sqrt(1.0 - KEEP**2)
-    move = np.exp(-0.5 * ((x[None, :] - KEEP * x[:, None]) / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi)) * dx
+    move = (
+        np.exp(-0.5 * ((x[None, :] - KEEP * x[:, None]) / sd) ** 2)
+        / (sd * np.sqrt(2.0 * np.pi))
+        * dx
+    )
     start = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi) * dx
-    never, armed, outside, first, events = start.copy(), start.copy(), np.zeros_like(start), 0.0, 0.0
+    never, armed, outside, first, events = (
+        start.copy(),
+        start.copy(),
+        np.zeros_like(start),
+        0.0,
+        0.0,
+    )
     beyond, inside = x > threshold, x < threshold - rearm
     for _ in range(steps):
         never, armed, outside = never @ move, armed @ move, outside @ move
@@ -142,13 +164,19 @@ class Coverage:
         found = []
         for number, one in enumerate(self.studies):
             row = {"paths": paths, "repeat": str(number)}
-            for name, limits, true in (("probability", one.probability, self.truth[0]), ("events", one.events, self.truth[1])):
+            for name, limits, true in (
+                ("probability", one.probability, self.truth[0]),
+                ("events", one.events, self.truth[1]),
+            ):
                 row |= {
                     name: shown(limits.estimate, 9),
                     f"{name}_lower": shown(limits.lower, 9),
                     f"{name}_upper": shown(limits.upper, 9),
                 }
-                row |= {f"{name}_true": shown(true, 9), f"{name}_held": "yes" if holds(limits, true) else "no"}
+                row |= {
+                    f"{name}_true": shown(true, 9),
+                    f"{name}_held": "yes" if holds(limits, true) else "no",
+                }
             found.append(row)
         return found
 
@@ -161,11 +189,21 @@ def holds(limits: Interval, true: float) -> bool:
 def coverage(repeats: int, made: type[Crossings] = Crossings) -> Coverage:
     """Repeat a study of REPLICATES replicates, the levels from one pilot that is not counted."""
     truth = exact(STEPS, THRESHOLD, REARM)
-    levels = pilot(lambda number: _begun(Crossings, 10**6, number, 4 * ROOTS), 4 * ROOTS, 1, GRID, THRESHOLD)
+    levels = pilot(
+        lambda number: _begun(Crossings, 10**6, number, 4 * ROOTS), 4 * ROOTS, 1, GRID, THRESHOLD
+    )
     studies = []
     for repeat in range(repeats):
-        found = [run(_begun(made, repeat, number, ROOTS), ROOTS, levels, 1) for number in range(REPLICATES)]
-        studies.append(Repeat(interval([one.probability[0] for one in found]), interval([one.events[0] for one in found])))
+        found = [
+            run(_begun(made, repeat, number, ROOTS), ROOTS, levels, 1)
+            for number in range(REPLICATES)
+        ]
+        studies.append(
+            Repeat(
+                interval([one.probability[0] for one in found]),
+                interval([one.events[0] for one in found]),
+            )
+        )
     return Coverage(tuple(studies), truth)
 
 
@@ -175,19 +213,33 @@ def _begun(made: type[Crossings], repeat: int, number: int, roots: int) -> Cross
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the coverage of both, and write what each repeat found."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.closed_form", description="Coverage of splitting")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.rare_events.closed_form", description="Coverage of splitting"
+    )
     parser.add_argument("--repeats", type=int, default=100, help="studies that are repeated (100)")
-    parser.add_argument("--out", type=Path, default=HOME, metavar="DIR", help=f"folder of {TABLE} (that of this module)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=HOME,
+        metavar="DIR",
+        help=f"folder of {TABLE} (that of this module)",
+    )
     args = parser.parse_args(argv)
     if args.repeats < 20:
-        print(f"closed_form: error: --repeats {args.repeats}: 20 at least tell nine of ten from less", file=sys.stderr)
+        print(
+            f"closed_form: error: --repeats {args.repeats}: 20 at least tell nine of ten from less",
+            file=sys.stderr,
+        )
         return 2
     first, events = exact(STEPS, THRESHOLD, REARM)
     print(f"by quadrature: probability {first:.6g}, {events:.6g} events a path")
     good, bad = coverage(args.repeats), coverage(args.repeats, Careless)
     both = {"splitting": good, "copies that begin elsewhere": bad}
     args.out.mkdir(parents=True, exist_ok=True)
-    write_bytes(args.out / TABLE, csv_text([row for name, found in both.items() for row in found.rows(name)]).encode())
+    write_bytes(
+        args.out / TABLE,
+        csv_text([row for name, found in both.items() for row in found.rows(name)]).encode(),
+    )
     for name, found in both.items():
         held = f"{found.probability} of {found.repeats} intervals hold the probability, {found.events} the events"
         print(f"{name}: {held}; mean over truth {found.ratio:.3f}")

@@ -49,7 +49,10 @@ TABLE = "coverage.csv"
 def flights(study: Study, first: int, count: int) -> tuple[list[FlightSpec], list[int]]:
     """So many flights of DURATION_S, and their aleatory ids."""
     cases = study.cases(first, count)
-    specs = [replace(case.flight, duration_s=DURATION_S, excursion_radius_m=(RADIUS_M,)) for case in cases]
+    specs = [
+        replace(case.flight, duration_s=DURATION_S, excursion_radius_m=(RADIUS_M,))
+        for case in cases
+    ]
     return specs, [case.aleatory_id for case in cases]
 
 
@@ -58,11 +61,15 @@ def truth(study: Study, count: int) -> tuple[int, int]:
     hit = 0
     for first in range(0, count, PLAIN_A_GROUP):
         specs, _ = flights(study, FIRST_PLAIN + first, PLAIN_A_GROUP)
-        hit += sum(flown.metrics[f"excursions_{RADIUS_M:g}m"] > 0 for flown in fly_group(BATCH, specs))
+        hit += sum(
+            flown.metrics[f"excursions_{RADIUS_M:g}m"] > 0 for flown in fly_group(BATCH, specs)
+        )
     return hit, -(-count // PLAIN_A_GROUP) * PLAIN_A_GROUP
 
 
-def observed(study: Study, levels: Levels, watch: Watch, repeats: int, roots: int) -> tuple[NDArray[np.float64], float]:
+def observed(
+    study: Study, levels: Levels, watch: Watch, repeats: int, roots: int
+) -> tuple[NDArray[np.float64], float]:
     """(repeats, OBSERVATIONS) estimates of the share of flights with an excursion, and the hours of paths."""
     each, found, steps = OBSERVATIONS * roots, [], 0
     for first in range(0, repeats, SIDE_BY_SIDE):
@@ -91,7 +98,10 @@ def rows(values: NDArray[np.float64], hit: int, flown: int) -> list[dict[str, st
             "plain_hit": str(hit),
             "plain_flights": str(flown),
         }
-        found.append(row | {f"mean_{place}": shown(value, 9) for place, value in enumerate(map(float, means))})
+        found.append(
+            row
+            | {f"mean_{place}": shown(value, 9) for place, value in enumerate(map(float, means))}
+        )
     return found
 
 
@@ -102,25 +112,43 @@ def table_name(roots: int) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the coverage, and write what each repeat found."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.coverage", description="Coverage of splitting in flight")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.rare_events.coverage",
+        description="Coverage of splitting in flight",
+    )
     parser.add_argument("--repeats", type=int, default=100, help="studies that are repeated (100)")
     parser.add_argument(
-        "--roots", type=int, default=ROOTS, help=f"flights of a mean, of which a repeat has {OBSERVATIONS} ({ROOTS})"
+        "--roots",
+        type=int,
+        default=ROOTS,
+        help=f"flights of a mean, of which a repeat has {OBSERVATIONS} ({ROOTS})",
     )
-    parser.add_argument("--plain", type=int, default=4000, help="plain flights for the truth (4000)")
-    parser.add_argument("--out", type=Path, default=HOME, metavar="DIR", help=f"folder of {TABLE} (that of this module)")
+    parser.add_argument(
+        "--plain", type=int, default=4000, help="plain flights for the truth (4000)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=HOME,
+        metavar="DIR",
+        help=f"folder of {TABLE} (that of this module)",
+    )
     args = parser.parse_args(argv)
     return ending(lambda: _run(args.repeats, args.roots, args.plain, args.out))
 
 
 def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
     if repeats < 20 or min(roots, plain) < 1:
-        raise BadInputError(f"--repeats {repeats} --roots {roots} --plain {plain}: 20 repeats, a root and a plain flight at least")
+        raise BadInputError(
+            f"--repeats {repeats} --roots {roots} --plain {plain}: 20 repeats, a root and a plain flight at least"
+        )
     begun = time.process_time()
     study = default_study(HOME / "campaign.toml", CELL, CORNER)
     tuned = Folder(HOME / "shards" / study.name, study.radii_m).tuned()
     if tuned is None:
-        raise BadInputError(f"no predictions of {study.name} under {HOME / 'shards'}: run reproduce fly first")
+        raise BadInputError(
+            f"no predictions of {study.name} under {HOME / 'shards'}: run reproduce fly first"
+        )
     watch = Watch(study.size.step_s, LoiterScore(replace(tuned.predicted, radius_m=RADIUS_M)))
 
     def start(number: int) -> LoiterPaths:
@@ -134,7 +162,10 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
     )
     values, hours = observed(study, levels, watch, repeats, roots)
     limits = [interval(one) for one in values]
-    print(f"{repeats} repeats, {hours:.0f} h of paths; {time.process_time() - begun:.0f} s of a core", flush=True)
+    print(
+        f"{repeats} repeats, {hours:.0f} h of paths; {time.process_time() - begun:.0f} s of a core",
+        flush=True,
+    )
     hit, flown = truth(study, plain)
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(out / table_name(roots), csv_text(rows(values, hit, flown)).encode())
@@ -142,9 +173,14 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
     held = sum(one.lower <= true <= one.upper for one in limits)
     undefined = sum(not one.lower > 0.0 for one in limits)
     factor = float(np.median([one.upper / one.estimate for one in limits if one.lower > 0.0]))
-    ratio, spread = float(values.mean() / true), float(values.mean(axis=1).std(ddof=1) / np.sqrt(repeats) / true)
+    ratio, spread = (
+        float(values.mean() / true),
+        float(values.mean(axis=1).std(ddof=1) / np.sqrt(repeats) / true),
+    )
     lowest = int(stats.binom.ppf(0.025, repeats, 0.95))
-    print(f"plain: {hit} of {flown} flights, {true:.4g} +- {error:.2g}; mean of all repeats over it {ratio:.3f} +- {spread:.2g}")
+    print(
+        f"plain: {hit} of {flown} flights, {true:.4g} +- {error:.2g}; mean of all repeats over it {ratio:.3f} +- {spread:.2g}"
+    )
     print(
         f"{held} of {repeats} intervals hold it, {undefined} are not defined, factor {factor:.2f} in the middle; of right ones "
         f"{lowest} or more would in 39 of 40 cases; {time.process_time() - begun:.0f} s of a core"

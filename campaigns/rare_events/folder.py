@@ -56,15 +56,25 @@ class Folder:
             if found.pop("regressors") != list(NAMES):
                 raise ValueError("predictions of other regressors")
             rows = tuple(tuple(map(float, row)) for row in found.pop("coefficients"))
-            lists = {name: tuple(map(float, found[name])) for name in ("horizons_s", "constants", "sigmas")}
+            lists = {
+                name: tuple(map(float, found[name]))
+                for name in ("horizons_s", "constants", "sigmas")
+            }
             predicted = Predicted(float(found["radius_m"]), coefficients=rows, **lists)
             return Tuned(levels, predicted, float(known["core_s"]), float(known["plain_h"]))
         except (ValueError, KeyError, TypeError) as error:
-            raise BadInputError(f"{file}: no levels of a pilot ({error}); remove it and its replicates, and fly again") from error
+            raise BadInputError(
+                f"{file}: no levels of a pilot ({error}); remove it and its replicates, and fly again"
+            ) from error
 
     def keep_tuned(self, tuned: Tuned) -> None:
         """Write levels.json: levels in standard deviations, and the predictions' coefficients by horizon and regressor."""
-        known = {"scores": tuned.levels.scores, "copies": tuned.levels.copies, "core_s": tuned.core_s, "plain_h": tuned.plain_h}
+        known = {
+            "scores": tuned.levels.scores,
+            "copies": tuned.levels.copies,
+            "core_s": tuned.core_s,
+            "plain_h": tuned.plain_h,
+        }
         self._write(LEVELS, known | {"predicted": {"regressors": NAMES} | asdict(tuned.predicted)})
 
     def lines(self, table: str) -> dict[int, Line]:
@@ -73,15 +83,27 @@ class Folder:
         if not file.exists():
             return {}
         columns = {name: [f"{name}_{radius:g}m" for radius in self.radii_m] for name in _BY_RADIUS}
-        numbers = [*_NUMBERS, *(name for each in ("probability", "events") for name in columns[each])]
+        numbers = [
+            *_NUMBERS,
+            *(name for each in ("probability", "events") for name in columns[each]),
+        ]
         found = {}
         for row in csv_rows(file.read_bytes(), file, numbers, _TEXTS, columns["squares"]):
-            by_radius = {name: tuple(float(row[each] or "nan") for each in columns[name]) for name in _BY_RADIUS}
+            by_radius = {
+                name: tuple(float(row[each] or "nan") for each in columns[name])
+                for name in _BY_RADIUS
+            }
             counted = Counted(
-                flights=int(row["flights"]), **by_radius, ended=float(row["ended"]), path_s=float(row["path_s"]),
-                most=int(row["most"]), core_s=float(row["core_s"]),
-            )  # fmt: skip
-            found[int(row["number"])] = Line(int(row["number"]), counted, row["flights_id"], row["version"])
+                flights=int(row["flights"]),
+                **by_radius,
+                ended=float(row["ended"]),
+                path_s=float(row["path_s"]),
+                most=int(row["most"]),
+                core_s=float(row["core_s"]),
+            )
+            found[int(row["number"])] = Line(
+                int(row["number"]), counted, row["flights_id"], row["version"]
+            )
         return found
 
     def add(self, table: str, line: Line) -> None:
@@ -97,7 +119,9 @@ class Folder:
             rows.append(
                 {
                     name: "" if value != value else str(value)
-                    for name, value in (row | {"flights_id": one.flights_id, "version": one.version}).items()
+                    for name, value in (
+                        row | {"flights_id": one.flights_id, "version": one.version}
+                    ).items()
                 }
             )
         self._table(table, rows)
@@ -107,7 +131,10 @@ class Folder:
         found = []
         for number in self.lines(REPLICATES):
             known = json.loads((self.path / "hits" / f"{number:03d}.json").read_bytes())
-            found += [Hit(**{**each, "splits": tuple(Split(**split) for split in each["splits"])}) for each in known]
+            found += [
+                Hit(**{**each, "splits": tuple(Split(**split) for split in each["splits"])})
+                for each in known
+            ]
         return found
 
     def keep_hits(self, number: int, hits: Sequence[Hit]) -> None:
@@ -117,7 +144,11 @@ class Folder:
     def reflown(self) -> list[dict[str, str]]:
         """Rows of jsbsim.csv. Raises BadInputError for a damaged table."""
         file = self.path / JSBSIM
-        return csv_rows(file.read_bytes(), file, ["difference_m", "distance_m"], ["first_row_beyond"]) if file.exists() else []
+        return (
+            csv_rows(file.read_bytes(), file, ["difference_m", "distance_m"], ["first_row_beyond"])
+            if file.exists()
+            else []
+        )
 
     def keep_reflown(self, rows: Sequence[Mapping[str, str]]) -> None:
         """Write jsbsim.csv."""

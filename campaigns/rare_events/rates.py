@@ -55,7 +55,9 @@ class Rate:
         return None if math.isnan(self.p_value) else self.p_value >= FAMILY / self.compared
 
 
-def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> list[Rate]:
+def rates(
+    radii_m: Sequence[float], hours: float, split: Sequence[Counted], plain: Sequence[Counted]
+) -> list[Rate]:
     """One rate a radius, of flights of ``hours``.
 
     Split: t on the logarithm of the mean of observations, each of one replicate or more. Plain: Clopper and Pearson for the
@@ -64,7 +66,10 @@ def rates(radii_m: Sequence[float], hours: float, split: Sequence[Counted], plai
     observed = pooled(split)
     found = [_rate(place, radius, hours, observed, plain) for place, radius in enumerate(radii_m)]
     compared = sum(not math.isnan(one.p_value) for one in found)
-    return [replace(one, compared=compared, largest=_largest(split, place)) for place, one in enumerate(found)]
+    return [
+        replace(one, compared=compared, largest=_largest(split, place))
+        for place, one in enumerate(found)
+    ]
 
 
 def _largest(split: Sequence[Counted], place: int) -> float:
@@ -78,18 +83,22 @@ def pooled(split: Sequence[Counted]) -> list[Counted]:
     groups = [split[first : first + size] for first in range(0, len(split) - size + 1, size)]
     return [
         replace(
-            group[0], flights=sum(one.flights for one in group),
-            probability=_mean([one.probability for one in group]), events=_mean([one.events for one in group]),
+            group[0],
+            flights=sum(one.flights for one in group),
+            probability=_mean([one.probability for one in group]),
+            events=_mean([one.events for one in group]),
         )
         for group in groups
-    ]  # fmt: skip
+    ]
 
 
 def _mean(values: Sequence[Sequence[float]]) -> tuple[float, ...]:
     return tuple(map(float, np.mean(values, axis=0)))
 
 
-def _rate(place: int, radius_m: float, hours: float, split: Sequence[Counted], plain: Sequence[Counted]) -> Rate:
+def _rate(
+    place: int, radius_m: float, hours: float, split: Sequence[Counted], plain: Sequence[Counted]
+) -> Rate:
     probability = interval([one.probability[place] for one in split], CONFIDENCE)
     events = interval([one.events[place] for one in split], CONFIDENCE)
     flights = sum(one.flights for one in plain)

@@ -40,25 +40,47 @@ DIFFERENCE_M = 1e-6
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; exit code 0 done, 1 JSBSim flies another path, or flights that are not split contradict the estimate, 2 bad
     input, 130 interrupted."""
-    parser = argparse.ArgumentParser(prog="python -m campaigns.rare_events.reproduce", description="Rates of rare excursions")
+    parser = argparse.ArgumentParser(
+        prog="python -m campaigns.rare_events.reproduce", description="Rates of rare excursions"
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     flying = commands.add_parser("fly", help="fly the pilot and the replicates that are missing")
     flying.add_argument(
-        "--replicates", type=int, default=REPLICATES_WANTED, metavar="N", help=f"so many in all ({REPLICATES_WANTED})"
+        "--replicates",
+        type=int,
+        default=REPLICATES_WANTED,
+        metavar="N",
+        help=f"so many in all ({REPLICATES_WANTED})",
     )
-    plain = commands.add_parser("plain", help="fly the flights that are not split, 125 h a piece, that are missing")
-    plain.add_argument("--pieces", type=int, default=PLAIN_WANTED, metavar="N", help="so many in all (16)")
+    plain = commands.add_parser(
+        "plain", help="fly the flights that are not split, 125 h a piece, that are missing"
+    )
+    plain.add_argument(
+        "--pieces", type=int, default=PLAIN_WANTED, metavar="N", help="so many in all (16)"
+    )
     for each in (flying, plain):
-        each.add_argument("--most", type=int, default=sys.maxsize, metavar="N", help="fly so many at most")
-    again = commands.add_parser("jsbsim", help="fly branched paths with an excursion again, in JSBSim")
+        each.add_argument(
+            "--most", type=int, default=sys.maxsize, metavar="N", help="fly so many at most"
+        )
+    again = commands.add_parser(
+        "jsbsim", help="fly branched paths with an excursion again, in JSBSim"
+    )
     again.add_argument("--paths", type=int, default=PATHS, metavar="N", help="so many (20)")
     made = commands.add_parser("tables", help="rates.csv of what is there")
     for each in (flying, plain, again, made):
         each.add_argument("--corner", default=CORNER, help=f"of the bounds ({CORNER})")
-        each.add_argument("--cell", default=CELL, metavar="AIR-WIND", help=f"turbulence and wind ({CELL})")
+        each.add_argument(
+            "--cell", default=CELL, metavar="AIR-WIND", help=f"turbulence and wind ({CELL})"
+        )
         each.add_argument("--campaign", type=Path, default=HOME / "campaign.toml", metavar="FILE")
         each.add_argument("--shards", type=Path, default=HOME / "shards", metavar="DIR")
-    flying.add_argument("--aim", type=float, default=AIM_M, metavar="M", help=f"radius of the pilot's scores, m ({AIM_M:g})")
+    flying.add_argument(
+        "--aim",
+        type=float,
+        default=AIM_M,
+        metavar="M",
+        help=f"radius of the pilot's scores, m ({AIM_M:g})",
+    )
     args = parser.parse_args(argv)
     return ending(lambda: _run(args))
 
@@ -89,17 +111,28 @@ def fly(study: Study, folder: Folder, replicates: int, most: int = sys.maxsize) 
     tuned = folder.tuned()
     if tuned is None:
         if folder.lines(REPLICATES):
-            raise BadInputError(f"{folder.path}: has replicates and no {LEVELS}; remove {REPLICATES}, and fly again")
+            raise BadInputError(
+                f"{folder.path}: has replicates and no {LEVELS}; remove {REPLICATES}, and fly again"
+            )
         tuned = study.tune()
         folder.keep_tuned(tuned)
         scores = ", ".join(f"{score:.3g}" for score in tuned.levels.scores)
-        _say(f"pilot: levels at {scores} standard deviations to {tuned.predicted.radius_m:g} m; {tuned.core_s:.0f} s of a core")
+        _say(
+            f"pilot: levels at {scores} standard deviations to {tuned.predicted.radius_m:g} m; {tuned.core_s:.0f} s of a core"
+        )
 
     def flown(number: int) -> Line:
         found, hits = study.replicate(number, tuned)
         folder.keep_hits(number, hits)
-        _say(f"replicate {number}: {found.path_s / 3600.0:.0f} h of paths, {found.most} at most, {found.core_s:.0f} s of a core")
-        return Line(number, found, study.tuned_by(study.replicate_cases(number), tuned), uqharness.__version__)
+        _say(
+            f"replicate {number}: {found.path_s / 3600.0:.0f} h of paths, {found.most} at most, {found.core_s:.0f} s of a core"
+        )
+        return Line(
+            number,
+            found,
+            study.tuned_by(study.replicate_cases(number), tuned),
+            uqharness.__version__,
+        )
 
     _fly_missing(folder, REPLICATES, replicates, most, flown)
 
@@ -115,7 +148,9 @@ def fly_plain(study: Study, folder: Folder, pieces: int, most: int = sys.maxsize
     _fly_missing(folder, PLAIN, pieces, most, flown)
 
 
-def _fly_missing(folder: Folder, table: str, wanted: int, most: int, flown: Callable[[int], Line]) -> None:
+def _fly_missing(
+    folder: Folder, table: str, wanted: int, most: int, flown: Callable[[int], Line]
+) -> None:
     missing = (number for number in range(wanted) if number not in folder.lines(table))
     for number in itertools.islice(missing, most):
         folder.add(table, flown(number))
@@ -146,20 +181,33 @@ def jsbsim(study: Study, folder: Folder, paths: int) -> int:
     known_lines(study, folder)
     wanted = chosen_hits(folder.hits(), paths)
     if not wanted:
-        raise BadInputError(f"{folder.path}: no branched path with an excursion was kept; fly more replicates")
+        raise BadInputError(
+            f"{folder.path}: no branched path with an excursion was kept; fly more replicates"
+        )
     for hit in wanted:
         row = _path(study, hit)
         rows = folder.reflown()
         if any(row.items() <= known.items() for known in rows):
             continue
         distance, beyond = study.reflown(hit)
-        found = {"difference_m": f"{abs(distance - hit.distance_m):.2g}", "first_row_beyond": "same" if beyond == 1 else "other"}
+        found = {
+            "difference_m": f"{abs(distance - hit.distance_m):.2g}",
+            "first_row_beyond": "same" if beyond == 1 else "other",
+        }
         folder.keep_reflown([*rows, row | found])
-        _say(f"{len(rows) + 1}: {hit.distance_m:.3f} m at {row['time_s']} s, {found['difference_m']} m from JSBSim's")
+        _say(
+            f"{len(rows) + 1}: {hit.distance_m:.3f} m at {row['time_s']} s, {found['difference_m']} m from JSBSim's"
+        )
     rows = folder.reflown()
     largest = max(float(row["difference_m"]) for row in rows)
-    print(f"{len(rows)} branched paths in JSBSim: largest difference {largest:.2g} m at the excursion ({folder.path / JSBSIM})")
-    return 0 if largest <= DIFFERENCE_M and all(row["first_row_beyond"] == "same" for row in rows) else 1
+    print(
+        f"{len(rows)} branched paths in JSBSim: largest difference {largest:.2g} m at the excursion ({folder.path / JSBSIM})"
+    )
+    return (
+        0
+        if largest <= DIFFERENCE_M and all(row["first_row_beyond"] == "same" for row in rows)
+        else 1
+    )
 
 
 def _path(study: Study, hit: Hit) -> dict[str, str]:
@@ -176,7 +224,12 @@ def _path(study: Study, hit: Hit) -> dict[str, str]:
 def tables(study: Study, folder: Folder) -> int:
     """rates.csv of what is there; 1 where flights that are not split contradict the estimate. Raises BadInputError."""
     split, plain = known_lines(study, folder)
-    found = rates(study.radii_m, study.hours, [line.counted for line in split], [line.counted for line in plain])
+    found = rates(
+        study.radii_m,
+        study.hours,
+        [line.counted for line in split],
+        [line.counted for line in plain],
+    )
     write_bytes(folder.path / RATES, csv_text([_row(one) for one in found]).encode())
     for one in found:
         print(_words(one))
@@ -184,11 +237,23 @@ def tables(study: Study, folder: Folder) -> int:
 
 
 def _row(one: Rate) -> dict[str, str]:
-    row = {"radius_m": f"{one.radius_m:g}", "observations": str(one.observations), "largest_share": shown(one.largest)}
+    row = {
+        "radius_m": f"{one.radius_m:g}",
+        "observations": str(one.observations),
+        "largest_share": shown(one.largest),
+    }
     for name in ("split", "split_per_h", "plain", "plain_per_h"):
         limits = getattr(one, name)
-        row |= {name: shown(limits.estimate), f"{name}_lower": shown(limits.lower), f"{name}_upper": shown(limits.upper)}
-    row |= {"cluster": shown(one.cluster), "plain_flights": str(one.plain_flights), "plain_hit": str(one.plain_hit)}
+        row |= {
+            name: shown(limits.estimate),
+            f"{name}_lower": shown(limits.lower),
+            f"{name}_upper": shown(limits.upper),
+        }
+    row |= {
+        "cluster": shown(one.cluster),
+        "plain_flights": str(one.plain_flights),
+        "plain_hit": str(one.plain_hit),
+    }
     row["p_value"] = shown(one.p_value)
     return row | {"agree": {None: "", True: "yes", False: "no"}[one.agree], "reason": one.reason}
 
@@ -200,7 +265,11 @@ def _words(one: Rate) -> str:
     told += f", one replicate has {100.0 * one.largest:.2g} %"
     if one.plain_flights:
         told += f"; flights with one: {_limits(one.split)}, not split {_limits(one.plain)} ({one.plain_hit} of {one.plain_flights})"
-    return told if one.agree is None else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {shown(one.p_value)})"
+    return (
+        told
+        if one.agree is None
+        else f"{told}: {'they agree' if one.agree else 'they differ'} (p = {shown(one.p_value)})"
+    )
 
 
 def _limits(limits: Limits) -> str:

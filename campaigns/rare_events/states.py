@@ -37,8 +37,14 @@ CENTRE_EAST_M = 120.0
 """The circle's centre lies so far east of the start (scripts/loiter.xml); a score may be off, an estimate is not."""
 
 PROPERTIES = (*_PLAIN.values(), *(name for pair in _VECTORS.values() for name in pair), *_PLACE)
-_EACH = ("distance", *_PLAIN, *(f"{name} {way}" for name in _VECTORS for way in ("outward", "along")))
-NAMES = tuple(f"{name}{factor}" for factor in ("", " x sine", " x cosine") for name in ("one", *_EACH))[1:]
+_EACH = (
+    "distance",
+    *_PLAIN,
+    *(f"{name} {way}" for name in _VECTORS for way in ("outward", "along")),
+)
+NAMES = tuple(
+    f"{name}{factor}" for factor in ("", " x sine", " x cosine") for name in ("one", *_EACH)
+)[1:]
 """The regressors: each state, and its products with sine and cosine of the place on the circle: the wind has a direction."""
 
 
@@ -47,12 +53,17 @@ def regressors(values: Mapping[str, Array], distance_m: Array) -> Array:
     north, east = values[_PLACE[0]], values[_PLACE[1]] - CENTRE_EAST_M
     away = np.maximum(np.sqrt(north * north + east * east), 1e-6)
     sine, cosine = east / away, north / away
-    states = [distance_m, *(values[name] * (FT_M if name.endswith("-fps") else 1.0) for name in _PLAIN.values())]
+    states = [
+        distance_m,
+        *(values[name] * (FT_M if name.endswith("-fps") else 1.0) for name in _PLAIN.values()),
+    ]
     for to_north, to_east in _VECTORS.values():
         n, e = values[to_north] * FT_M, values[to_east] * FT_M
         states += [n * cosine + e * sine, e * cosine - n * sine]
     each = np.stack([np.ones_like(distance_m), *states], axis=-1)
-    return np.concatenate([each[..., 1:], each * sine[..., None], each * cosine[..., None]], axis=-1)
+    return np.concatenate(
+        [each[..., 1:], each * sine[..., None], each * cosine[..., None]], axis=-1
+    )
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,10 @@ class Recorder:
     def values(self) -> dict[str, Array]:
         """Each property (paths, checkpoints) of the same flights."""
         whole = self._whole()
-        return {name: np.stack([each[name] for each in self._seen], axis=1)[whole] for name in self.properties}
+        return {
+            name: np.stack([each[name] for each in self._seen], axis=1)[whole]
+            for name in self.properties
+        }
 
     def _whole(self) -> NDArray[np.bool_]:
         return np.isfinite(np.stack(self._distances, axis=1)).all(axis=1)

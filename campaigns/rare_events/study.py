@@ -20,7 +20,13 @@ from uqharness.campaign.folder.digests import digest_of_rows
 from uqharness.campaign.rare.paths import DISTANCE, Hit, LoiterPaths, Watch
 from uqharness.campaign.rare.predicted import Predicted, fit
 from uqharness.errors import BadInputError
-from uqharness.flight import OPTIONAL_SIGNALS, FlightSpec, record_mission, scored_signals, staged_mission
+from uqharness.flight import (
+    OPTIONAL_SIGNALS,
+    FlightSpec,
+    record_mission,
+    scored_signals,
+    staged_mission,
+)
 from uqharness.statistics import Levels, Occupancy, pilot, run
 
 FIRST_ROOT, FIRST_PILOT = 1_000_000, 2_000_000
@@ -91,7 +97,9 @@ class Study:
         """Raises BadInputError for a corner that the campaign lacks."""
         known = self.plan.epistemic_ids
         if self.corner not in known:
-            raise BadInputError(f"--corner {self.corner}: not one of {known[0]} to {known[-1]} ({len(known)} corners)")
+            raise BadInputError(
+                f"--corner {self.corner}: not one of {known[0]} to {known[-1]} ({len(known)} corners)"
+            )
 
     @property
     def name(self) -> str:
@@ -121,7 +129,11 @@ class Study:
         """Flights of so many aleatory ids."""
         place = self.plan.epistemic_ids.index(self.corner)
         air = ((self.condition.wind_mps, self.condition.turbulence),)
-        return build_cases(self.plan.spec, self.plan.mission, Part(range(first, first + count), air, range(place, place + 1)))
+        return build_cases(
+            self.plan.spec,
+            self.plan.mission,
+            Part(range(first, first + count), air, range(place, place + 1)),
+        )
 
     def replicate_cases(self, number: int) -> tuple[Case, ...]:
         """The flights with which a replicate begins."""
@@ -133,7 +145,9 @@ class Study:
 
     def tuned_by(self, cases: Sequence[Case], tuned: Tuned) -> str:
         """One digest of what decides a replicate: its flights, levels and checkpoints."""
-        return digest_of_rows([identity(tuple(cases)), repr((tuned.levels, tuned.predicted, self.size.step_s))])
+        return digest_of_rows(
+            [identity(tuple(cases)), repr((tuned.levels, tuned.predicted, self.size.step_s))]
+        )
 
     def tune(self) -> Tuned:
         """Predictions and first levels from flights that are not split; further ones from rounds with these. None is counted.
@@ -169,7 +183,10 @@ class Study:
     def _pilot_paths(self, number: int, watch: Watch) -> LoiterPaths:
         count = self.size.pilot_roots
         cases = self.cases(FIRST_PILOT + number * count, count)
-        flights = [replace(case.flight, duration_s=min(self.size.pilot_s, case.flight.duration_s)) for case in cases]
+        flights = [
+            replace(case.flight, duration_s=min(self.size.pilot_s, case.flight.duration_s))
+            for case in cases
+        ]
         return LoiterPaths(flights, [case.aleatory_id for case in cases], self._seed, watch)
 
     @property
@@ -180,39 +197,62 @@ class Study:
         """Fly one replicate: what it counted, and the excursions that are kept with their path."""
         begun, cases, size = time.process_time(), self.replicate_cases(number), self.size
         watch = Watch(size.step_s, LoiterScore(tuned.predicted), size.noted)
-        paths = LoiterPaths([case.flight for case in cases], [case.aleatory_id for case in cases], self._seed, watch)
+        paths = LoiterPaths(
+            [case.flight for case in cases], [case.aleatory_id for case in cases], self._seed, watch
+        )
         found = run(paths, size.roots, tuned.levels, len(self.radii_m))
         nothing = (float("nan"),) * len(self.radii_m)
-        probability, events = (tuple(map(float, each)) for each in (found.probability, found.events))
+        probability, events = (
+            tuple(map(float, each)) for each in (found.probability, found.events)
+        )
         core_s = time.process_time() - begun
         flown_s = found.steps * size.step_s
-        return Counted(size.roots, probability, events, nothing, found.ended, flown_s, found.most, core_s), paths.hits
+        return Counted(
+            size.roots, probability, events, nothing, found.ended, flown_s, found.most, core_s
+        ), paths.hits
 
     def plain(self, number: int) -> Counted:
         """Fly one piece of flights that are not split. One that ends early counts one excursion at least, as in ``run``."""
         begun, cases = time.process_time(), self.plain_cases(number)
         flown = fly_group(BATCH, [case.flight for case in cases])
-        counts = np.array([[one.metrics[f"excursions_{radius:g}m"] for radius in self.radii_m] for one in flown])
+        counts = np.array(
+            [[one.metrics[f"excursions_{radius:g}m"] for radius in self.radii_m] for one in flown]
+        )
         failed = np.array([one.status != "ok" for one in flown])
         counts = np.maximum(np.nan_to_num(counts), failed[:, None])
-        share, mean, square = ((counts > 0).mean(axis=0), counts.mean(axis=0), (counts**2).mean(axis=0))
+        share, mean, square = (
+            (counts > 0).mean(axis=0),
+            counts.mean(axis=0),
+            (counts**2).mean(axis=0),
+        )
         found = (tuple(map(float, each)) for each in (share, mean, square))
         flown_s = 3600.0 * self.hours * len(cases)
-        return Counted(len(cases), *found, float(failed.mean()), flown_s, len(cases), time.process_time() - begun)
+        return Counted(
+            len(cases),
+            *found,
+            float(failed.mean()),
+            flown_s,
+            len(cases),
+            time.process_time() - begun,
+        )
 
     def reflown(self, hit: Hit) -> tuple[float, int]:
         """The path of an excursion in JSBSim: its distance in that row [m], and rows beyond the radius by then (1: as here)."""
         case = self.cases(hit.aleatory_id, 1)[0]
         flight = replace(case.flight, duration_s=hit.frame * self.dt_s - case.flight.burn_in_s)
         mission = staged_mission(flight)
-        flown = record_mission(mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=hit.splits)
+        flown = record_mission(
+            mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=hit.splits
+        )
         distance = np.abs(flown.signals[DISTANCE])
         return float(distance[-1]), int((distance > self.radii_m[hit.kind]).sum())
 
 
 def chosen_hits(hits: Sequence[Hit], count: int) -> list[Hit]:
     """Excursions of branched paths to fly again: the farthest radius first, a root once before any comes a second time."""
-    left = sorted((hit for hit in hits if hit.splits), key=lambda hit: (-hit.kind, hit.aleatory_id, hit.frame))
+    left = sorted(
+        (hit for hit in hits if hit.splits), key=lambda hit: (-hit.kind, hit.aleatory_id, hit.frame)
+    )
     chosen: list[Hit] = []
     while left and len(chosen) < count:
         used: set[int] = set()

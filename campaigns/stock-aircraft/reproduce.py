@@ -50,9 +50,16 @@ method = "corners"
 """
 # What flies, and is no aeroplane.
 OTHERS = {
-    "ah1s": "helicopter", "ball": "ball", "ballx": "ball", "F450": "quadrotor", "J246": "launcher", "mk82": "bomb",
-    "Submarine_Scout": "airship", "ZLT-NT": "airship", "weather-balloon": "balloon",
-}  # fmt: skip
+    "ah1s": "helicopter",
+    "ball": "ball",
+    "ballx": "ball",
+    "F450": "quadrotor",
+    "J246": "launcher",
+    "mk82": "bomb",
+    "Submarine_Scout": "airship",
+    "ZLT-NT": "airship",
+    "weather-balloon": "balloon",
+}
 
 
 @dataclass
@@ -81,7 +88,11 @@ def untouched(name: str) -> None:
         fdm.set_debug_level(0)
         if not fdm.load_model(name):
             raise RuntimeError("JSBSim does not load it")
-        fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-deg"] = 45.0, ALTITUDE_M / FT_M, alpha
+        fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-deg"] = (
+            45.0,
+            ALTITUDE_M / FT_M,
+            alpha,
+        )
         fdm["ic/u-fps"] = speed_fps * math.cos(math.radians(alpha))
         fdm["ic/w-fps"] = speed_fps * math.sin(math.radians(alpha))
         fdm.run_ic()
@@ -98,7 +109,15 @@ def untouched(name: str) -> None:
         fdm["propulsion/set-running"] = -1  # type: ignore[index]
         for _ in range(600):
             fdm.run()  # type: ignore[attr-defined]
-        state = [fdm[n] for n in ("velocities/vt-fps", "position/h-agl-ft", "attitude/phi-rad", "attitude/theta-rad")]  # type: ignore[index]
+        state = [
+            fdm[n]
+            for n in (
+                "velocities/vt-fps",
+                "position/h-agl-ft",
+                "attitude/phi-rad",
+                "attitude/theta-rad",
+            )
+        ]  # type: ignore[index]
         if not all(map(math.isfinite, state)):
             raise RuntimeError("the state is not finite after five seconds")
         answer["V_mps"] = speed * FT_M
@@ -113,7 +132,13 @@ def alone(name: str) -> tuple[float, str]:
     # Some aircraft write files where they are flown.
     with scratch_folder() as scratch:
         ended = subprocess.run(
-            command, cwd=scratch.path, capture_output=True, text=True, errors="replace", env=child_environment(), check=False
+            command,
+            cwd=scratch.path,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env=child_environment(),
+            check=False,
         )
     for line in reversed(ended.stdout.splitlines()):
         if line.startswith("uqharness-answer "):
@@ -131,8 +156,12 @@ def study(name: str, V_mps: float) -> Row:
         def command(*words: str) -> tuple[int, str]:
             done = subprocess.run(
                 [sys.executable, "-m", "uqharness", *words],
-                cwd=folder, capture_output=True, text=True, env=child_environment(), check=False,
-            )  # fmt: skip
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                env=child_environment(),
+                check=False,
+            )
             row.reason = "" if done.returncode == 0 else _last(done.stdout, done.stderr)
             return done.returncode, done.stdout
 
@@ -142,11 +171,15 @@ def study(name: str, V_mps: float) -> Row:
         if not _trims(row, V_mps, command):
             return row
         row.reached += ["trim", "modes"]
-        (folder / "campaign.toml").write_text(_CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M, climb=row.climb_deg), encoding="utf-8")
+        (folder / "campaign.toml").write_text(
+            _CAMPAIGN.format(V=row.V_mps, h=ALTITUDE_M, climb=row.climb_deg), encoding="utf-8"
+        )
         if command("campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes")[0]:
             return row
         row.reached.append("campaign")
-        if (folder / "results" / "pbox.parquet").is_file() and not command("campaign", "report", "results")[0]:
+        if (folder / "results" / "pbox.parquet").is_file() and not command(
+            "campaign", "report", "results"
+        )[0]:
             row.reached.append("p-box")
     return row
 
@@ -161,7 +194,15 @@ def _trims(row: Row, V_mps: float, command: Callable[..., tuple[int, str]]) -> b
             continue
         tried.add((row.V_mps, row.climb_deg))
         speed, climb = f"{row.V_mps:.1f}", f"{row.climb_deg:g}"
-        code, said = command("modes", "mine", "--speed-mps", speed, f"--climb-deg={climb}", "--altitude-m", f"{ALTITUDE_M:g}")
+        code, said = command(
+            "modes",
+            "mine",
+            "--speed-mps",
+            speed,
+            f"--climb-deg={climb}",
+            "--altitude-m",
+            f"{ALTITUDE_M:g}",
+        )
         if code == 0:
             return True
         if "does not change the thrust" in said:
@@ -183,7 +224,9 @@ def _last(said: str, errors: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Print the table; the process's exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--aircraft", action="append", metavar="NAME", help="only this one; repeatable")
+    parser.add_argument(
+        "--aircraft", action="append", metavar="NAME", help="only this one; repeatable"
+    )
     parser.add_argument("--untouched", metavar="NAME", help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
     if arguments.untouched:
@@ -191,14 +234,19 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     root = engine.default_root() / "aircraft"
     names = arguments.aircraft or sorted(path.name for path in root.iterdir() if path.is_dir())
-    print(f"| aircraft | m/s | path, deg | {' | '.join(STEPS)} | reason |\n|---{'|---' * (len(STEPS) + 3)}|", flush=True)
+    print(
+        f"| aircraft | m/s | path, deg | {' | '.join(STEPS)} | reason |\n|---{'|---' * (len(STEPS) + 3)}|",
+        flush=True,
+    )
     rows = []
     for name in names:
         if name in OTHERS:
             continue
         V_mps, why = alone(name)
         if not math.isfinite(V_mps):
-            print(f"| {name} |  |  |{'  |' * len(STEPS)} does not fly untouched: {why} |", flush=True)
+            print(
+                f"| {name} |  |  |{'  |' * len(STEPS)} does not fly untouched: {why} |", flush=True
+            )
             continue
         rows.append(study(name, V_mps))
         print(rows[-1].line(), flush=True)

@@ -43,7 +43,9 @@ def plan() -> Plan:
     return Plan.read(HOME / "walks.toml", AIRS, BLOCK).with_samples(WALKS).with_flights(FLIGHTS)
 
 
-def tables(plan: Plan, shards: Path, out: Path, corner_shards: Path = EXCURSIONS / "shards") -> Sequence[str]:
+def tables(
+    plan: Plan, shards: Path, out: Path, corner_shards: Path = EXCURSIONS / "shards"
+) -> Sequence[str]:
     """containment.csv, walks-enough.csv, rates.csv, pboxes.svg and cost.csv of the walks in the airs that all of them flew.
 
     Raises BadInputError where nothing was flown, or the corners lack these airs.
@@ -52,15 +54,25 @@ def tables(plan: Plan, shards: Path, out: Path, corner_shards: Path = EXCURSIONS
     (condition,) = plan.conditions
     corners = corners_plan()
     outer, inner = common_airs(
-        cell_table(corners, corner_shards, corners.condition("severe-3"))[0], cell_table(plan, shards, condition)[0]
+        cell_table(corners, corner_shards, corners.condition("severe-3"))[0],
+        cell_table(plan, shards, condition)[0],
     )
     found = list(compared(outer, inner))
-    grown = [item for metric in MEDIANS for item in converged(inner, metric, _ALL, True, plan.spec.campaign.seed)]
+    grown = [
+        item
+        for metric in MEDIANS
+        for item in converged(inner, metric, _ALL, True, plan.spec.campaign.seed)
+    ]
     write_bytes(out / CONTAINMENT, containment_table(found))
     write_bytes(out / ENOUGH, table(grown))
-    write_bytes(out / RATES, csv_text([*rate_rows("corners", outer), *rate_rows("walks", inner)]).encode())
+    write_bytes(
+        out / RATES, csv_text([*rate_rows("corners", outer), *rate_rows("walks", inner)]).encode()
+    )
     title = f"{outer['epistemic_id'].nunique()} corners and {inner['epistemic_id'].nunique()} walks, {hours_each(inner):g} h each"
-    write_text(out / PICTURE, drawn_pboxes({"corners": outer, "walks": inner}, MEDIANS, title, {}, columns=3))
+    write_text(
+        out / PICTURE,
+        drawn_pboxes({"corners": outer, "walks": inner}, MEDIANS, title, {}, columns=3),
+    )
     write_bytes(out / COST, cost_table(plan, shards))
     return [*_contained(found), *_grown(grown)]
 
@@ -73,11 +85,20 @@ def _contained(found: Sequence[Compared]) -> Iterator[str]:
 
 def _grown(found: Sequence[Converged]) -> Iterator[str]:
     for item in found:
-        sizes = [f"{100.0 * part.area / item.growth[-1].area:.3g} % with {part.samples}" for part in item.growth]
+        sizes = [
+            f"{100.0 * part.area / item.growth[-1].area:.3g} % with {part.samples}"
+            for part in item.growth
+        ]
         yield f"{item.metric}: share of the p-box of all walks: {', '.join(sizes)}"
 
 
-STUDY = Study("campaigns.time-varying.full_size", "Fig 3.10 at the published number of walks", plan, HOME, tables)
+STUDY = Study(
+    "campaigns.time-varying.full_size",
+    "Fig 3.10 at the published number of walks",
+    plan,
+    HOME,
+    tables,
+)
 
 if __name__ == "__main__":
     sys.exit(main(STUDY, sys.argv[1:]))

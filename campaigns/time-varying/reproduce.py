@@ -32,9 +32,20 @@ from uqharness.report.svg import Chart, Scale, scale, standalone
 from uqharness.statistics.pbox import Containment, containment
 
 _COLUMNS = (
-    "metric", "condition", "corners", "walks", "hours_per_corner", "hours_per_walk", "area_ratio", "excess_lower", "at_lower",
-    "excess_upper", "at_upper", "chance", "verdict",
-)  # fmt: skip
+    "metric",
+    "condition",
+    "corners",
+    "walks",
+    "hours_per_corner",
+    "hours_per_walk",
+    "area_ratio",
+    "excess_lower",
+    "at_lower",
+    "excess_upper",
+    "at_upper",
+    "chance",
+    "verdict",
+)
 _SAME = ("duration_s", "burn_in_s", "wind_from_deg", "turbulence_source", "sensor_noise")
 
 
@@ -59,9 +70,19 @@ def compare(corners: Path, walks: Path) -> list[Compared]:
 
 def _refuse_unlike(manifests: Sequence[dict[str, Any]], folders: tuple[Path, Path]) -> None:
     first, second = manifests
-    pairs = [(f"[aleatory] {name}", first["campaign"]["aleatory"][name], second["campaign"]["aleatory"][name]) for name in _SAME]
+    pairs = [
+        (
+            f"[aleatory] {name}",
+            first["campaign"]["aleatory"][name],
+            second["campaign"]["aleatory"][name],
+        )
+        for name in _SAME
+    ]
     pairs += [("[campaign] seed", first["seed"], second["seed"])]
-    pairs += [(f"the content of the {name}", first["hashes"][name], second["hashes"][name]) for name in ("aircraft", "script")]
+    pairs += [
+        (f"the content of the {name}", first["hashes"][name], second["hashes"][name])
+        for name in ("aircraft", "script")
+    ]
     unlike = [f"{name} ({one} and {two})" for name, one, two in pairs if one != two]
     if unlike:
         raise BadInputError(
@@ -75,16 +96,24 @@ def compared(outer: pd.DataFrame, inner: pd.DataFrame) -> Iterator[Compared]:
     common = [item for item in conditions(inner) if item in conditions(outer)]
     if not common:
         raise BadInputError("the two campaigns have no condition in common")
-    for metric in (name for name in (*ERROR_METRICS, *UNCOMMANDED_METRICS) if name in outer and name in inner):
+    for metric in (
+        name for name in (*ERROR_METRICS, *UNCOMMANDED_METRICS) if name in outer and name in inner
+    ):
         for condition in common:
             rows = [in_condition(frame, condition) for frame in (outer, inner)]
             found = [samples(part, metric) for part in rows]
             if all(any(sample.values.size for sample in part) for part in found):
-                hours = [float(part["duration_s"].sum()) / 3600.0 / len(some) for part, some in zip(rows, found, strict=True)]
+                hours = [
+                    float(part["duration_s"].sum()) / 3600.0 / len(some)
+                    for part, some in zip(rows, found, strict=True)
+                ]
                 yield Compared(
-                    metric, condition, containment(found[1], found[0], CONFIDENCE), (len(found[0]), len(found[1])),
+                    metric,
+                    condition,
+                    containment(found[1], found[0], CONFIDENCE),
+                    (len(found[0]), len(found[1])),
                     (hours[0], hours[1]),
-                )  # fmt: skip
+                )
 
 
 def table(found: Sequence[Compared]) -> bytes:
@@ -94,9 +123,21 @@ def table(found: Sequence[Compared]) -> bytes:
     writer.writerow(_COLUMNS)
     for item in found:
         box = item.found
-        numbers = [box.area_ratio, box.excess_lower, box.at_lower, box.excess_upper, box.at_upper, box.chance]
+        numbers = [
+            box.area_ratio,
+            box.excess_lower,
+            box.at_lower,
+            box.excess_upper,
+            box.at_upper,
+            box.chance,
+        ]
         writer.writerow(
-            [item.metric, item.condition.label, *item.samples, *(f"{hours:g}" for hours in item.hours)]
+            [
+                item.metric,
+                item.condition.label,
+                *item.samples,
+                *(f"{hours:g}" for hours in item.hours),
+            ]
             + [f"{number:.6g}" for number in numbers]
             + [box.verdict]
         )
@@ -108,7 +149,10 @@ def drawing(item: Compared) -> str:
     found = item.found
     x, y = scale(metric_label(item.metric), [found.value]), Scale(PROBABILITY, -0.01, 1.01)
     chart = Chart("containment", f"P-boxes of corners and walks: {found.verdict}.", x, y, 250)
-    for (lower, upper), line, fill, name in ((found.outer, "first", "fill1", "corners"), (found.inner, "second", "fill2", "walks")):
+    for (lower, upper), line, fill, name in (
+        (found.outer, "first", "fill1", "corners"),
+        (found.inner, "second", "fill2", "walks"),
+    ):
         chart.band(found.value, lower, upper, fill, steps=True)
         chart.line(found.value, upper, line, name, steps=True)
         chart.line(found.value, lower, line, steps=True)
@@ -121,7 +165,8 @@ def drawing(item: Compared) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m campaigns.time-varying.reproduce", description="Does the walks' p-box lie within the corners'?"
+        prog="python -m campaigns.time-varying.reproduce",
+        description="Does the walks' p-box lie within the corners'?",
     )
     parser.add_argument("corners", type=Path, metavar="CORNERS")
     parser.add_argument("walks", type=Path, metavar="WALKS")

@@ -91,23 +91,33 @@ def picture() -> str:
     height = TOP + len(UQHARNESS) * (FLOOR + GAP) + 74
     bottom = height - 64
     out = [f'<rect class="ground" width="{WIDTH}" height="{height}" rx="10"/>']
-    out.append(text(24, 28, "Each room imports its own layer and lower ones, never a higher one.", "title"))
+    out.append(
+        text(24, 28, "Each room imports its own layer and lower ones, never a higher one.", "title")
+    )
     x = 24.0
     for way, words in WAYS.items():
         out.append(badge(way, "1", x + 12, 60) + text(x + 34, 60, f"the way of {words}"))
         x += 240
     # The two houses.
-    out.append(f'<rect class="house" x="14" y="{TOP - 34}" width="356" height="{bottom - TOP + 42}" rx="10"/>')
+    out.append(
+        f'<rect class="house" x="14" y="{TOP - 34}" width="356" height="{bottom - TOP + 42}" rx="10"/>'
+    )
     out.append(text(28, TOP - 16, "sysid: logs and identification", "title"))
-    out.append(f'<rect class="house" x="410" y="{TOP - 34}" width="576" height="{bottom - TOP + 42}" rx="10"/>')
+    out.append(
+        f'<rect class="house" x="410" y="{TOP - 34}" width="576" height="{bottom - TOP + 42}" rx="10"/>'
+    )
     out.append(text(424, TOP - 16, "uqharness: JSBSim, campaigns, command line", "title"))
     whole = bottom - TOP
     each = whole / len(SYSID)
     for k, room in enumerate(SYSID):
         top = TOP + k * each
-        out.append(f'<rect class="room" x="26" y="{top:g}" width="332" height="{each - GAP:g}" rx="6"/>')
+        out.append(
+            f'<rect class="room" x="26" y="{top:g}" width="332" height="{each - GAP:g}" rx="6"/>'
+        )
         middle = top + (each - GAP) / 2
-        out.append(text(40, middle - 11, room.name, "name") + text(40, middle + 12, room.words, "soft"))
+        out.append(
+            text(40, middle - 11, room.name, "name") + text(40, middle + 12, room.words, "soft")
+        )
         out.extend(stations(room, 338, middle))
     for k, room in enumerate(UQHARNESS):
         top = TOP + k * (FLOOR + GAP)
@@ -117,19 +127,30 @@ def picture() -> str:
         out.extend(stations(room, 954, middle))
     # uqharness takes from sysid, never the other way.
     y = TOP + whole * 0.5
-    out.append(f'<path class="arrow" d="M 408 {y:g} H 384"/><path class="head" d="M 372 {y:g} l 14 -8 v 16 z"/>')
-    out.append(text(WIDTH / 2, height - 32, "Files of others: logs, aircraft in JSBSim's XML, TOML settings", "soft", "middle"))
-    label = "Rooms of sysid and uqharness in their order of import, with the stations of three ways through them"
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}" height="{height:g}" role="img">'
+    out.append(
+        f'<path class="arrow" d="M 408 {y:g} H 384"/><path class="head" d="M 372 {y:g} l 14 -8 v 16 z"/>'
     )
+    out.append(
+        text(
+            WIDTH / 2,
+            height - 32,
+            "Files of others: logs, aircraft in JSBSim's XML, TOML settings",
+            "soft",
+            "middle",
+        )
+    )
+    label = "Rooms of sysid and uqharness in their order of import, with the stations of three ways through them"
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}" height="{height:g}" role="img">'
     return "\n".join([head, f"<title>{label}</title><style>{STYLE}</style>", *out, "</svg>\n"])
 
 
 def stations(room: Room, right: float, middle: float) -> list[str]:
     """The room's badges, from its right edge inwards."""
     found = [(way, number) for way, numbers in room.stations.items() for number in numbers]
-    return [badge(way, str(number), right - 34 * k, middle) for k, (way, number) in enumerate(reversed(found))]
+    return [
+        badge(way, str(number), right - 34 * k, middle)
+        for k, (way, number) in enumerate(reversed(found))
+    ]
 
 
 if __name__ == "__main__":

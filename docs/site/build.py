@@ -33,7 +33,9 @@ def stage(folder: Path) -> None:
         path
         for top in ("docs", "campaigns")
         for path in (ROOT / top).rglob("*")
-        if path.suffix in FIGURES and HERE not in path.parents and not any(p.startswith("results") for p in path.parts)
+        if path.suffix in FIGURES
+        and HERE not in path.parents
+        and not any(p.startswith("results") for p in path.parts)
     ]
     for path in (*pages, *figures):
         target = folder / path.relative_to(ROOT)
@@ -63,7 +65,12 @@ def notebook_page(path: Path) -> str:
     for cell in cells:
         text = "".join(cell["source"]) if isinstance(cell["source"], list) else cell["source"]
         pieces.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
-    return "\n\n".join([*pieces, f"The notebook is `{path.relative_to(ROOT).as_posix()}`; a test runs it."]) + "\n"
+    return (
+        "\n\n".join(
+            [*pieces, f"The notebook is `{path.relative_to(ROOT).as_posix()}`; a test runs it."]
+        )
+        + "\n"
+    )
 
 
 def linked(page: Path) -> set[Path]:
@@ -80,7 +87,11 @@ def index() -> str:
     """The first page; a page of docs/ that it does not place yet is listed under "Tasks"."""
     text = (HERE / "index.md").read_text(encoding="utf-8")
     placed = set(re.findall(r"^docs/([\w-]+)$", text, re.M))
-    more = [f"docs/{path.stem}" for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in placed]
+    more = [
+        f"docs/{path.stem}"
+        for path in sorted((ROOT / "docs").glob("*.md"))
+        if path.stem not in placed
+    ]
     return text.replace("docs/extend\n", "\n".join(["docs/extend", *more]) + "\n")
 
 
@@ -89,20 +100,39 @@ def build(out: Path) -> int:
     try:
         from sphinx.cmd.build import main as sphinx
     except ImportError:
-        print("the documentation needs its extra: pip install 'uqharness[docs]' (make setup installs it)", file=sys.stderr)
+        print(
+            "the documentation needs its extra: pip install 'uqharness[docs]' (make setup installs it)",
+            file=sys.stderr,
+        )
         return 2
     with tempfile.TemporaryDirectory(prefix="uqharness-docs-") as name:
         source = Path(name) / "source"
         source.mkdir()
         stage(source)
         # Built anew each time, in a cache that goes with the source: what is tested is what a fresh checkout gives.
-        options = ["-b", "html", "-W", "--keep-going", "-q", "-c", str(HERE), "-d", str(Path(name) / "cache")]
+        options = [
+            "-b",
+            "html",
+            "-W",
+            "--keep-going",
+            "-q",
+            "-c",
+            str(HERE),
+            "-d",
+            str(Path(name) / "cache"),
+        ]
         return int(sphinx([*options, str(source), str(out)]))
 
 
 def _main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "docs", metavar="DIR", help="default build/docs")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "build" / "docs",
+        metavar="DIR",
+        help="default build/docs",
+    )
     out = parser.parse_args().out
     sys.path[:0] = [str(HERE), str(ROOT)]
     code = build(out)

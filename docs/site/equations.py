@@ -16,7 +16,9 @@ _COMBINING = {"˙": "\u0307", "ˉ": "\u0304", "ˆ": "\u0302"}
 def mathml(tex: str, display: bool) -> str:
     """MathML of a TeX formula."""
     text = tex2mathml(tex, as_block=display)
-    return _ACCENT.sub(lambda found: f'<mi class="accented">{found[1]}{_COMBINING[found[2]]}</mi>', text)
+    return _ACCENT.sub(
+        lambda found: f'<mi class="accented">{found[1]}{_COMBINING[found[2]]}</mi>', text
+    )
 
 
 def _inline(self: Any, node: nodes.math) -> None:

@@ -35,14 +35,22 @@ NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
 
 def pages() -> dict[str, str]:
     """File name -> Markdown of every page."""
-    written = {"commands.md": commands(), "files.md": files(), "properties.md": properties(), "settings.md": settings()}
+    written = {
+        "commands.md": commands(),
+        "files.md": files(),
+        "properties.md": properties(),
+        "settings.md": settings(),
+    }
     return written | {"python.md": python()}
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
-    lines += ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in rows]
+    lines += [
+        "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |"
+        for row in rows
+    ]
     return "\n".join(lines) + "\n\n"
 
 
@@ -52,14 +60,19 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def commands() -> str:
     """Every command with its options and examples, as `--help` has them."""
     parser = cli.complete_parser()
-    text = NOTE + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
+    text = (
+        NOTE
+        + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
+    )
     return text + "".join(command(leaf) for leaf in leaves(parser))
 
 
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
     """The parsers of all commands, subcommands in place of their parents."""
     subs = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
-    return [leaf for sub in subs for child in sub.choices.values() for leaf in leaves(child)] or [parser]
+    return [leaf for sub in subs for child in sub.choices.values() for leaf in leaves(child)] or [
+        parser
+    ]
 
 
 def command(parser: argparse.ArgumentParser) -> str:
@@ -67,16 +80,27 @@ def command(parser: argparse.ArgumentParser) -> str:
     for action in parser._actions:
         if isinstance(action, argparse._HelpAction):
             continue
-        name = f"`{', '.join(action.option_strings)}`" if action.option_strings else f"`{metavar(action)}`"
+        name = (
+            f"`{', '.join(action.option_strings)}`"
+            if action.option_strings
+            else f"`{metavar(action)}`"
+        )
         if action.option_strings and action.nargs != 0 and action.choices is None:
             name += f" {metavar(action)}"
-        told = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%").replace(str(Path.home()), "~")
+        told = (
+            (action.help or "")
+            .replace("%(default)s", str(action.default))
+            .replace("%%", "%")
+            .replace(str(Path.home()), "~")
+        )
         if action.choices is not None:
             told += "; one of " + ", ".join(f"`{choice}`" for choice in action.choices)
         if action.option_strings and action.required:
             told += " (required)"
         rows.append([name, told])
-    text = f"## {parser.prog}\n\n{parser.description or ''}\n\n" + table(["argument", "meaning"], rows)
+    text = f"## {parser.prog}\n\n{parser.description or ''}\n\n" + table(
+        ["argument", "meaning"], rows
+    )
     return text + (f"```text\n{parser.epilog.strip()}\n```\n\n" if parser.epilog else "")
 
 
@@ -93,11 +117,18 @@ def metavar(action: argparse.Action) -> str:
 
 def files() -> str:
     """Columns and keys of every file that commands write."""
-    text = NOTE + "# Files\n\nParquet columns have the type that is named; empty or null means undefined, never 0.\n\n"
+    text = (
+        NOTE
+        + "# Files\n\nParquet columns have the type that is named; empty or null means undefined, never 0.\n\n"
+    )
     text += "## Flight record (.csv, .parquet)\n\nOne row a sample; the last columns say where a log's signal comes from.\n\n"
     text += markdown_table() + "\n\n"
-    text += "Of JSBSim the signals are\n\n" + table(["signal", "property", "factor"], jsbsim_sources())
-    text += "## cases.parquet\n\nOne row a flight.\n\n" + table(["column", "type", "meaning"], case_rows())
+    text += "Of JSBSim the signals are\n\n" + table(
+        ["signal", "property", "factor"], jsbsim_sources()
+    )
+    text += "## cases.parquet\n\nOne row a flight.\n\n" + table(
+        ["column", "type", "meaning"], case_rows()
+    )
     schema = campaign_results._pbox_table(_no_flights(), 0.95).schema
     text += "## pbox.parquet\n\n" + described([(f.name, str(f.type)) for f in schema], words.PBOX)
     for name, columns, told in (
@@ -112,16 +143,36 @@ def files() -> str:
     form = ["format", *(field.name for field in dataclasses.fields(ModelForm))]
     text += "## model-form.json\n\n" + keys(form, words.MODEL_FORM)
     text += "Of each coefficient:\n\n"
-    return text + keys([field.name for field in dataclasses.fields(CoefficientBounds)], words.BOUNDS)
+    return text + keys(
+        [field.name for field in dataclasses.fields(CoefficientBounds)], words.BOUNDS
+    )
 
 
 # File, the functions whose returned dictionaries make it, meanings.
 DOCUMENTS = (
-    ("manifest.json", ("uqharness.campaign.folder.manifest:describe", "+tables", "+journal", "+digest", "+engine"), words.MANIFEST),
+    (
+        "manifest.json",
+        (
+            "uqharness.campaign.folder.manifest:describe",
+            "+tables",
+            "+journal",
+            "+digest",
+            "+engine",
+        ),
+        words.MANIFEST,
+    ),
     ("fit.json", ("uqharness.report.identify:fit_document",), words.FIT),
     ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
-    ("bounds.json", ("uqharness.report.model_form:bounds_document", "+command", "+version"), words.BOUNDS_REPORT),
-    ("coverage.json", ("uqharness.report.model_form:validation_document", "+command", "+version"), words.COVERAGE),
+    (
+        "bounds.json",
+        ("uqharness.report.model_form:bounds_document", "+command", "+version"),
+        words.BOUNDS_REPORT,
+    ),
+    (
+        "coverage.json",
+        ("uqharness.report.model_form:validation_document", "+command", "+version"),
+        words.COVERAGE,
+    ),
     (
         "refinement.json",
         ("uqharness.refinement.showing.document:document_of", "uqharness.refinement.run:_document"),
@@ -143,12 +194,18 @@ def document_keys(*places: str) -> list[str]:
             found[place[1:]] = None
             continue
         module, function = place.split(":")
-        tree = ast.parse(Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8"))
+        tree = ast.parse(
+            Path(importlib.import_module(module).__file__ or "").read_text(encoding="utf-8")
+        )
         (body,) = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function]
-        returned = [n.value for n in ast.walk(body) if isinstance(n, ast.Return) and n.value is not None]
+        returned = [
+            n.value for n in ast.walk(body) if isinstance(n, ast.Return) and n.value is not None
+        ]
         literals = [literal for value in returned for literal in joined(value)]
         assert literals, f"{place} returns no dictionary that is written out"
-        found |= dict.fromkeys(k.value for literal in literals for k in literal.keys if isinstance(k, ast.Constant))
+        found |= dict.fromkeys(
+            k.value for literal in literals for k in literal.keys if isinstance(k, ast.Constant)
+        )
     return list(found)
 
 
@@ -163,14 +220,23 @@ def keys(found: Sequence[str], told: Mapping[str, str]) -> str:
     """Table of JSON keys. KeyError where code and words differ."""
     extra = set(told) - set(found)
     if extra:
-        raise KeyError(f"{sorted(extra)} described in docs/site/reference_words.py and written by no code")
-    return table(["key", "meaning"], [(f"`{key}`", words.meaning(key, dict(told))) for key in found])
+        raise KeyError(
+            f"{sorted(extra)} described in docs/site/reference_words.py and written by no code"
+        )
+    return table(
+        ["key", "meaning"], [(f"`{key}`", words.meaning(key, dict(told))) for key in found]
+    )
 
 
 def described(columns: Sequence[tuple[str, str]], told: dict[str, str]) -> str:
     if not any(kind for _, kind in columns):
-        return table(["column", "meaning"], [(f"`{name}`", words.meaning(name, told)) for name, _ in columns])
-    return table(["column", "type", "meaning"], [(f"`{name}`", kind, words.meaning(name, told)) for name, kind in columns])
+        return table(
+            ["column", "meaning"], [(f"`{name}`", words.meaning(name, told)) for name, _ in columns]
+        )
+    return table(
+        ["column", "type", "meaning"],
+        [(f"`{name}`", kind, words.meaning(name, told)) for name, kind in columns],
+    )
 
 
 def case_columns() -> list[tuple[str, str]]:
@@ -190,7 +256,8 @@ def _no_flights() -> typing.Any:
 
 def jsbsim_sources() -> list[tuple[str, str, str]]:
     return [
-        (f"`{name}`", f"`{s.property}`" + (f" / `{s.over}`" if s.over else ""), f"{s.factor:g}") for name, s in STANDARD.items()
+        (f"`{name}`", f"`{s.property}`" + (f" / `{s.over}`" if s.over else ""), f"{s.factor:g}")
+        for name, s in STANDARD.items()
     ]
 
 
@@ -199,9 +266,14 @@ def jsbsim_sources() -> list[tuple[str, str, str]]:
 
 def properties() -> str:
     """Properties that the aircraft's XML declares, with its own remarks."""
-    text = NOTE + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script may set them.\n\n"
+    text = (
+        NOTE
+        + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script may set them.\n\n"
+    )
     text += "## The plugin\n\n`<C>` is one of CX CY CZ Cl Cm Cn; see [instrument](../instrument.md).\n\n"
-    text += table(["property", "meaning"], [(f"`{name}`", told) for name, told in words.PROPERTIES.items()])
+    text += table(
+        ["property", "meaning"], [(f"`{name}`", told) for name, told in words.PROPERTIES.items()]
+    )
     folder = PROJECT_ROOT / "aircraft" / "espaaro"
     text += "An aircraft without coefficient properties of its own gets `uq/scale/...` (1) and `uq/bias/...` (0) for each\n"
     text += "function of its aerodynamics; `uq-instrument.json` in its folder lists them.\n\n"
@@ -212,7 +284,9 @@ def properties() -> str:
         ("Autopilot", folder / "Systems" / "autopilot.xml"),
     ):
         rows = [(f"`{name}`", value, remark) for name, value, remark in declared(path)]
-        text += f"## {title}\n\nFrom `{path.relative_to(PROJECT_ROOT)}`.\n\n" + table(["property", "value", "remark"], rows)
+        text += f"## {title}\n\nFrom `{path.relative_to(PROJECT_ROOT)}`.\n\n" + table(
+            ["property", "value", "remark"], rows
+        )
     return text
 
 
@@ -223,15 +297,27 @@ def declared(path: Path) -> list[tuple[str, str, str]]:
         if element.get("value") is None:
             continue
         after = element.getnext()
-        same_line = after is not None and after.tag is etree.Comment and "\n" not in (element.tail or "")
-        found.append((element.text.strip(), element.get("value"), " ".join(after.text.split()) if same_line else ""))
+        same_line = (
+            after is not None and after.tag is etree.Comment and "\n" not in (element.tail or "")
+        )
+        found.append(
+            (
+                element.text.strip(),
+                element.get("value"),
+                " ".join(after.text.split()) if same_line else "",
+            )
+        )
     return found
 
 
 def plugin_names() -> set[str]:
     """Names, the coefficient as <C>, of what the plugin's XML declares or computes."""
-    text = (PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml").read_text(encoding="utf-8")
-    return {re.sub(r"uq/C\w/", "uq/<C>/", name) for name in re.findall(r"[>\"](uq/[\w/-]+)[<\"]", text)}
+    text = (PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml").read_text(
+        encoding="utf-8"
+    )
+    return {
+        re.sub(r"uq/C\w/", "uq/<C>/", name) for name in re.findall(r"[>\"](uq/[\w/-]+)[<\"]", text)
+    }
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -247,12 +333,18 @@ def settings() -> str:
     for title, model in (("campaign.toml", Document), ("airframe.toml", Card)):
         text += f"## {title}\n\n"
         for name, field in model.model_fields.items():
-            section = next((t for t in (field.annotation, *parts(field.annotation)) if is_section(t)), None)
+            section = next(
+                (t for t in (field.annotation, *parts(field.annotation)) if is_section(t)), None
+            )
             if section is None:
                 text += f"### {title}: [{name}]\n\nProperties or outputs by name.\n\n"
                 continue
             star = f"[{name}.NAME]" if "Mapping" in str(field.annotation) else f"[{name}]"
-            text += f"### {title}: {star}\n\n" + " ".join((section.__doc__ or "").split()).replace("``", "`") + "\n\n"
+            text += (
+                f"### {title}: {star}\n\n"
+                + " ".join((section.__doc__ or "").split()).replace("``", "`")
+                + "\n\n"
+            )
             text += nested(section) + table(["key", "type", "default"], section_rows(section))
     return text
 
@@ -264,7 +356,9 @@ def is_section(annotation: object) -> bool:
 def section_rows(section: typing.Any) -> list[tuple[str, str, str]]:
     """Key, type and default of a section that a model or a data class stands for."""
     if dataclasses.is_dataclass(section):
-        return [(f"`{key}`", in_words(hint), "") for key, hint in typing.get_type_hints(section).items()]
+        return [
+            (f"`{key}`", in_words(hint), "") for key, hint in typing.get_type_hints(section).items()
+        ]
     return [(f"`{key}`", kind(item), default(item)) for key, item in section.model_fields.items()]
 
 
@@ -275,7 +369,10 @@ def nested(section: typing.Any) -> str:
         inner = next((t for t in parts(field.annotation) if hasattr(t, "model_fields")), None)
         if inner is not None:
             told = " ".join((inner.__doc__ or "").split()).replace("``", "`")
-            rows = [(f"`{name}`", kind(item), default(item)) for name, item in inner.model_fields.items()]
+            rows = [
+                (f"`{name}`", kind(item), default(item))
+                for name, item in inner.model_fields.items()
+            ]
             text += f"`{key}` holds: {told}\n\n" + table(["key", "type", "default"], rows)
     return text
 
@@ -287,7 +384,13 @@ def parts(annotation: object) -> list[object]:
     return found
 
 
-_WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", typing.Any: "anything"}
+_WORDS = {
+    float: "number",
+    int: "whole number",
+    str: "text",
+    bool: "true or false",
+    typing.Any: "anything",
+}
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
@@ -308,10 +411,17 @@ def in_words(annotation: typing.Any) -> str:
     if origin is tuple:
         if not arguments:
             return "list"
-        return f"list of {in_words(arguments[0])}" if arguments[-1] is ... else f"[{', '.join(map(in_words, arguments))}]"
+        return (
+            f"list of {in_words(arguments[0])}"
+            if arguments[-1] is ...
+            else f"[{', '.join(map(in_words, arguments))}]"
+        )
     if origin in (dict, collections.abc.Mapping):
         return f"table of {in_words(arguments[1])}"
-    return _WORDS.get(annotation, "sections, see above" if hasattr(annotation, "model_fields") else str(annotation))
+    return _WORDS.get(
+        annotation,
+        "sections, see above" if hasattr(annotation, "model_fields") else str(annotation),
+    )
 
 
 def limits(metadata: Iterable[typing.Any]) -> str:
@@ -319,7 +429,11 @@ def limits(metadata: Iterable[typing.Any]) -> str:
     found = ""
     for item in metadata:
         found += limits(getattr(item, "metadata", ()))
-        found += "".join(f", {sign} {getattr(item, name):g}" for name, sign in _SIGNS.items() if hasattr(item, name))
+        found += "".join(
+            f", {sign} {getattr(item, name):g}"
+            for name, sign in _SIGNS.items()
+            if hasattr(item, name)
+        )
     return found
 
 
@@ -329,4 +443,8 @@ def default(field: typing.Any) -> str:
     value = field.get_default(call_default_factory=True)
     if value is None or value in ({}, (), ""):
         return ""
-    return f"`{json.dumps(value)}`" if isinstance(value, str | bool | int | float | tuple | list) else ""
+    return (
+        f"`{json.dumps(value)}`"
+        if isinstance(value, str | bool | int | float | tuple | list)
+        else ""
+    )

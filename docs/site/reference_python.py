@@ -8,7 +8,13 @@ from uqharness import sensitivity
 
 CHAPTERS = {
     "Flights": ("find_aircraft", "fly", "read_flights"),
-    "From flights to a model and its bounds": ("identify", "compare", "fit_model_form", "instrument", "refine"),
+    "From flights to a model and its bounds": (
+        "identify",
+        "compare",
+        "fit_model_form",
+        "instrument",
+        "refine",
+    ),
     "Campaigns and p-boxes": ("run_campaign", "read_campaign", "pbox", "plot_pbox"),
     "Steady flight": ("find_trim", "linearise"),
     "Errors": ("BadInputError", "LogError"),
@@ -38,13 +44,19 @@ def python() -> str:
     """The page, in Markdown. KeyError for a public name that no chapter has."""
     placed = {name for names in CHAPTERS.values() for name in names} | {"sensitivity"}
     if placed != set(uqharness.__all__):
-        raise KeyError(f"in one of CHAPTERS and uqharness alone: {sorted(placed ^ set(uqharness.__all__))}")
+        raise KeyError(
+            f"in one of CHAPTERS and uqharness alone: {sorted(placed ^ set(uqharness.__all__))}"
+        )
     parts = [INTRODUCTION]
     for title, names in CHAPTERS.items():
         parts += [f"## {title}\n\n", *(entry(f"uqharness.{name}") for name in names)]
     parts += ["## What they give\n\n", *(entry(path) for path in RESULTS)]
     for package, title in ((sensitivity, "uqharness.sensitivity"), (sysid, "sysid")):
-        names = [name for name in package.__all__ if callable(getattr(package, name)) and name not in ("LogError", "FlightRecord")]
+        names = [
+            name
+            for name in package.__all__
+            if callable(getattr(package, name)) and name not in ("LogError", "FlightRecord")
+        ]
         parts += [f"## {title}\n\n", *(entry(f"{package.__name__}.{name}") for name in names)]
     return "".join(parts)
 
@@ -52,6 +64,12 @@ def python() -> str:
 def entry(path: str) -> str:
     """What Sphinx is to write of one name."""
     kind = path.rpartition(".")[2]
-    what = "autoexception" if kind.endswith("Error") else "autoclass" if kind[0].isupper() else "autofunction"
+    what = (
+        "autoexception"
+        if kind.endswith("Error")
+        else "autoclass"
+        if kind[0].isupper()
+        else "autofunction"
+    )
     members = "   :members:\n" if what == "autoclass" else ""
     return f"```{{eval-rst}}\n.. {what}:: {path}\n{members}```\n\n"

@@ -287,4 +287,6 @@ def meaning(name: str, words: dict[str, str]) -> str:
     for pattern, text in words.items():
         if re.fullmatch(pattern, name):
             return text
-    raise KeyError(f"'{name}' is written by the code and described nowhere in docs/site/reference_words.py")
+    raise KeyError(
+        f"'{name}' is written by the code and described nowhere in docs/site/reference_words.py"
+    )

@@ -26,7 +26,14 @@ from scipy import fft
 
 from sysid.aerodynamics.coefficients import at_cg, half_width, kernel, smooth
 from sysid.aerodynamics.flight_equations import LENGTHS
-from sysid.aerodynamics.residuals import Cutoffs, Model, Passage, ResidualPiece, Residuals, steady_airspeed
+from sysid.aerodynamics.residuals import (
+    Cutoffs,
+    Model,
+    Passage,
+    ResidualPiece,
+    Residuals,
+    steady_airspeed,
+)
 from sysid.aerodynamics.segmentation import Piece
 from sysid.aerodynamics.sensor_noise import RATES
 from sysid.linalg.recursions import first_order
@@ -34,13 +41,25 @@ from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
 FloatArray = NDArray[np.float64]
-CHANNELS = ("V_mps", "alpha_rad", "beta_rad", *RATES, "phi_rad", "theta_rad", "ax_mps2", "ay_mps2", "az_mps2")
+CHANNELS = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    *RATES,
+    "phi_rad",
+    "theta_rad",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 ROLLING = "p_h"
 """Name of the rolling gusts among the channels of a piece's noise."""
 _SCALE_M = 100.0
 _SPREAD = 0.35
 """Of the rolling gusts' size: L from 20 to 533 m moves the root of (3) from 0.76 to 1.32 of that at 100 m; form not counted."""
-_BAND = 1.0 / 3.0  # of the cut-off: above it the vanes' noise, differentiated, outweighs light gusts
+_BAND = (
+    1.0 / 3.0
+)  # of the cut-off: above it the vanes' noise, differentiated, outweighs light gusts
 _OFFSET_RADPS = 1e-3
 
 
@@ -62,19 +81,26 @@ class AirFound:
     level: float
 
 
-def air_pieces(record: FlightRecord, pieces: Sequence[Piece], model: Model, airspeed_hz: float) -> list[AirPiece]:
+def air_pieces(
+    record: FlightRecord, pieces: Sequence[Piece], model: Model, airspeed_hz: float
+) -> list[AirPiece]:
     """What `without_air_rotation` needs of a flight: asks the model for its slopes with the rates."""
     record = steady_airspeed(record, airspeed_hz)
     out = []
     for piece in pieces:
         said = model(record, piece)
-        moved = [model(record.with_columns({c: record[c] + _OFFSET_RADPS}), piece).coefficients for c in RATES]
+        moved = [
+            model(record.with_columns({c: record[c] + _OFFSET_RADPS}), piece).coefficients
+            for c in RATES
+        ]
         slopes = np.stack([(m - said.coefficients) / _OFFSET_RADPS for m in moved], axis=1)
         out.append(AirPiece(_channels(record, piece), slopes, said.mass.b))
     return out
 
 
-def as_measured(air: Sequence[AirPiece], record: FlightRecord, pieces: Sequence[Piece], airspeed_hz: float) -> list[AirPiece]:
+def as_measured(
+    air: Sequence[AirPiece], record: FlightRecord, pieces: Sequence[Piece], airspeed_hz: float
+) -> list[AirPiece]:
     """The same pieces with another record's channels: a model's slopes hardly depend on noise."""
     record = steady_airspeed(record, airspeed_hz)
     return [replace(a, channels=_channels(record, p)) for a, p in zip(air, pieces, strict=True)]
@@ -102,18 +128,28 @@ def without_air_rotation(
         for a, g, p in zip(kept, gusts, residuals.pieces, strict=True)
     ]
     share, error = _share(residuals, rotations)
-    pieces = tuple(_corrected(p, share * r, a, level, residuals) for p, r, a in zip(residuals.pieces, rotations, kept, strict=True))
+    pieces = tuple(
+        _corrected(p, share * r, a, level, residuals)
+        for p, r, a in zip(residuals.pieces, rotations, kept, strict=True)
+    )
     return replace(residuals, pieces=pieces), AirFound(share, error, level)
 
 
-def _gust_rates(c: Mapping[str, FloatArray], arm: FloatArray, dt_s: float, cutoffs: Cutoffs) -> FloatArray:
+def _gust_rates(
+    c: Mapping[str, FloatArray], arm: FloatArray, dt_s: float, cutoffs: Cutoffs
+) -> FloatArray:
     """(N, 2) right sides of (1) and (2) without their lags, smoothed [rad/s]."""
     hz = cutoffs.all_hz
     V, alpha, beta = c["V_mps"], c["alpha_rad"], c["beta_rad"]
     rates = np.column_stack([c[n] for n in RATES])
     felt = np.column_stack([c["ax_mps2"], c["ay_mps2"], c["az_mps2"]])
     force = at_cg(felt, rates, smooth(rates, dt_s, hz, derivative=1), arm)
-    sp, cp, st, ct = np.sin(c["phi_rad"]), np.cos(c["phi_rad"]), np.sin(c["theta_rad"]), np.cos(c["theta_rad"])
+    sp, cp, st, ct = (
+        np.sin(c["phi_rad"]),
+        np.cos(c["phi_rad"]),
+        np.sin(c["theta_rad"]),
+        np.cos(c["theta_rad"]),
+    )
     weight = G0_MPS2 * np.column_stack([-st, ct * sp, ct * cp])
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     velocity = np.column_stack([u, v, w])
@@ -162,11 +198,19 @@ def _share(residuals: Residuals, rotations: Sequence[FloatArray]) -> tuple[float
 def _waves(x: FloatArray, residuals: Residuals) -> FloatArray:
     """Cosine waves of one piece's (n,) or (n, ...) samples within the band, without the mean."""
     n = len(x)
-    return np.asarray(fft.dct(x, axis=0, norm="ortho")[1 : int(2.0 * n * residuals.dt_s * _BAND * residuals.cutoffs.all_hz) + 1])
+    return np.asarray(
+        fft.dct(x, axis=0, norm="ortho")[
+            1 : int(2.0 * n * residuals.dt_s * _BAND * residuals.cutoffs.all_hz) + 1
+        ]
+    )
 
 
 def _level(
-    air: Sequence[AirPiece], gusts: Sequence[FloatArray], arm: FloatArray, residuals: Residuals, std: Mapping[str, float]
+    air: Sequence[AirPiece],
+    gusts: Sequence[FloatArray],
+    arm: FloatArray,
+    residuals: Residuals,
+    std: Mapping[str, float],
 ) -> tuple[float, float]:
     """Mean square of the gradient's waves beyond twice what sensors put there (their noise may be understated), and its share."""
     seen, noise = [], []
@@ -177,7 +221,12 @@ def _level(
         own = (2.0 * np.pi * hz * std.get("alpha_rad", 0.0)) ** 2
         for channel in (c for c in CHANNELS if c in std and c != "alpha_rad"):
             step = 1e-3 * max(1.0, float(np.abs(a.channels[channel]).max()))
-            moved = _gust_rates({**a.channels, channel: a.channels[channel] + step}, arm, residuals.dt_s, residuals.cutoffs)
+            moved = _gust_rates(
+                {**a.channels, channel: a.channels[channel] + step},
+                arm,
+                residuals.dt_s,
+                residuals.cutoffs,
+            )
             own = own + float(np.mean(((moved - g)[:, 0] / step * std[channel]) ** 2))
         noise.append(own)
     total = float(np.concatenate(seen).mean())
@@ -185,14 +234,22 @@ def _level(
     return level, level / total if total > 0.0 else 0.0
 
 
-def _corrected(piece: ResidualPiece, rotation: FloatArray, air: AirPiece, level: float, residuals: Residuals) -> ResidualPiece:
+def _corrected(
+    piece: ResidualPiece, rotation: FloatArray, air: AirPiece, level: float, residuals: Residuals
+) -> ResidualPiece:
     assert piece.noise is not None
     time_s = LENGTHS[0] * air.b / float(np.mean(air.channels["V_mps"]))
-    size = np.sqrt(0.8 * np.pi / 3.0 * (np.pi * _SCALE_M / (4.0 * air.b)) ** (1.0 / 3.0) * level)  # (3)
+    size = np.sqrt(
+        0.8 * np.pi / 3.0 * (np.pi * _SCALE_M / (4.0 * air.b)) ** (1.0 / 3.0) * level
+    )  # (3)
     weights = _rolling_weights(time_s, residuals.dt_s, residuals.cutoffs.all_hz)
-    rolling = Passage(ROLLING, "smoothed", -size * _inner(air.slopes[:, 0], len(piece)), weights, _SPREAD)
+    rolling = Passage(
+        ROLLING, "smoothed", -size * _inner(air.slopes[:, 0], len(piece)), weights, _SPREAD
+    )
     passages = (*piece.noise.passages, rolling) if level > 0.0 else piece.noise.passages
-    return replace(piece, delta=piece.delta - rotation, noise=replace(piece.noise, passages=passages))
+    return replace(
+        piece, delta=piece.delta - rotation, noise=replace(piece.noise, passages=passages)
+    )
 
 
 def _rolling_weights(time_s: float, dt_s: float, cutoff_hz: float) -> tuple[float, ...]:

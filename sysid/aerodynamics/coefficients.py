@@ -44,7 +44,9 @@ def half_width(dt_s: float, cutoff_hz: float = CUTOFF_HZ) -> int:
     return max(1, round(1.8 / (2.0 * np.pi * cutoff_hz * dt_s)))
 
 
-def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, derivative: int = 0) -> FloatArray:
+def smooth(
+    values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, derivative: int = 0
+) -> FloatArray:
     """(n, ...) smoothed values, or their time derivative, along axis 0; narrower fits towards the ends.
 
     The derivative is the slope of a straight line fitted to 2 m + 1 samples (Savitzky and Golay). It equals the true derivative
@@ -56,7 +58,9 @@ def smooth(values: FloatArray, dt_s: float, cutoff_hz: float = CUTOFF_HZ, deriva
     if n <= 2 * widest:
         return np.asarray(_narrowing(n, widest, dt_s, derivative) @ flat).reshape(np.shape(values))
     out, inner = np.empty(flat.shape), n - 2 * widest
-    out[widest : n - widest] = sum(w * flat[k : k + inner] for k, w in enumerate(kernel(widest, dt_s, derivative).tolist()))
+    out[widest : n - widest] = sum(
+        w * flat[k : k + inner] for k, w in enumerate(kernel(widest, dt_s, derivative).tolist())
+    )
     # What is nearer to an end than the fit is wide: as in a stretch of which the fits narrow from both ends.
     ends = _narrowing(2 * widest, widest, dt_s, derivative)
     out[:widest] = ends[:widest] @ flat[: 2 * widest]
@@ -93,7 +97,9 @@ def kernel(m: int, dt_s: float, derivative: int = 0) -> FloatArray:
     return np.asarray(weight / square)
 
 
-def at_cg(specific_force: FloatArray, rates: FloatArray, rates_dot: FloatArray, arm_m: FloatArray) -> FloatArray:
+def at_cg(
+    specific_force: FloatArray, rates: FloatArray, rates_dot: FloatArray, arm_m: FloatArray
+) -> FloatArray:
     """Specific force (n, 3) at the CG from that felt by a sensor ``arm_m`` (3,) away from it, rates (n, 3)."""
     if not np.any(arm_m):
         return specific_force
@@ -102,10 +108,16 @@ def at_cg(specific_force: FloatArray, rates: FloatArray, rates_dot: FloatArray, 
 
 
 def demanded(
-    specific_force: FloatArray, rates: FloatArray, qbar: FloatArray, mass: MassProperties,
-    other_force: FloatArray, other_moment: FloatArray, dt_s: float,
-    arm_m: FloatArray | None = None, cutoff_hz: float = CUTOFF_HZ,
-) -> FloatArray:  # fmt: skip
+    specific_force: FloatArray,
+    rates: FloatArray,
+    qbar: FloatArray,
+    mass: MassProperties,
+    other_force: FloatArray,
+    other_moment: FloatArray,
+    dt_s: float,
+    arm_m: FloatArray | None = None,
+    cutoff_hz: float = CUTOFF_HZ,
+) -> FloatArray:
     """(n, 6) CX CY CZ Cl Cm Cn of one piece without a gap.
 
     specific_force (n, 3) m/s2 at the sensor, rates (n, 3) rad/s, qbar (n,) Pa; other_force (n, 3) N, other_moment (n, 3) N m:
@@ -116,6 +128,10 @@ def demanded(
     force = at_cg(specific_force, omega, rates_dot, np.zeros(3) if arm_m is None else arm_m)
     force = smooth(mass.mass * force - other_force, dt_s, cutoff_hz)
     angular = omega @ mass.inertia.T
-    moment = rates_dot @ mass.inertia.T + np.cross(omega, angular) - smooth(other_moment, dt_s, cutoff_hz)
+    moment = (
+        rates_dot @ mass.inertia.T
+        + np.cross(omega, angular)
+        - smooth(other_moment, dt_s, cutoff_hz)
+    )
     pressure = smooth(qbar, dt_s, cutoff_hz)[:, None] * mass.S
     return np.hstack([force / pressure, moment / (pressure * mass.lengths)])

@@ -22,8 +22,15 @@ _ORDERS = 5
 def sines(x: Any) -> Trig:
     """sin and cos of phi, theta, alpha and beta of a state x: computed once, they serve every method."""
     return (
-        np.sin(x[6]), np.cos(x[6]), np.sin(x[7]), np.cos(x[7]), np.sin(x[1]), np.cos(x[1]), np.sin(x[2]), np.cos(x[2])
-    )  # fmt: skip
+        np.sin(x[6]),
+        np.cos(x[6]),
+        np.sin(x[7]),
+        np.cos(x[7]),
+        np.sin(x[1]),
+        np.cos(x[1]),
+        np.sin(x[2]),
+        np.cos(x[2]),
+    )
 
 
 def sines_near(own: Trig, x: Any) -> Trig:
@@ -31,9 +38,15 @@ def sines_near(own: Trig, x: Any) -> Trig:
     sf, cf, st, ct, sa, ca, sb, cb = own
     phi, theta, alpha, beta = x[6].imag, x[7].imag, x[1].imag, x[2].imag
     return (
-        complex(sf, cf * phi), complex(cf, -sf * phi), complex(st, ct * theta), complex(ct, -st * theta),
-        complex(sa, ca * alpha), complex(ca, -sa * alpha), complex(sb, cb * beta), complex(cb, -sb * beta),
-    )  # fmt: skip
+        complex(sf, cf * phi),
+        complex(cf, -sf * phi),
+        complex(st, ct * theta),
+        complex(ct, -st * theta),
+        complex(sa, ca * alpha),
+        complex(ca, -sa * alpha),
+        complex(sb, cb * beta),
+        complex(cb, -sb * beta),
+    )
 
 
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
@@ -50,7 +63,9 @@ def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     return ct * ahead + st * upright, cf * right - sf * below, ct * upright - st * ahead
 
 
-def heading_rates(x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
+def heading_rates(
+    x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig
+) -> tuple[Any, Any, Any]:
     """Rates of change of `heading` [m/s2], given those of V, alpha, beta, phi, theta."""
     dV, dalpha, dbeta, dphi, dtheta = rated
     sf, cf, st, ct, sa, ca, sb, cb = trig
@@ -66,7 +81,11 @@ def heading_rates(x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig) -> 
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     """p_h, q_h, r_h [rad/s], the air's rotation in heading axes, of a whole state x."""
     _, S, W = heading(x, trig)
-    return x[8], (x[9] + gusts.rotating * W) / (LENGTHS[1] * gusts.b), (x[10] - gusts.rotating * S) / (LENGTHS[2] * gusts.b)
+    return (
+        x[8],
+        (x[9] + gusts.rotating * W) / (LENGTHS[1] * gusts.b),
+        (x[10] - gusts.rotating * S) / (LENGTHS[2] * gusts.b),
+    )
 
 
 def rotation(levelled: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
@@ -86,16 +105,26 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     return ct * ahead, sf * st * ahead + cf * right, cf * st * ahead - sf * right
 
 
-def gust_rates(gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any, Any, Any]:
+def gust_rates(
+    gusts: Any, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig
+) -> tuple[Any, Any, Any, Any, Any]:
     """d/dt of the five states of the air, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
     dU, dS, dW = heading_rates(x, rated, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
     T_p, _, _ = gust_lags_s(gusts, x[0])
     passing = gusts.passing_mps or x[0]
-    return -p_h / T_p, -passing * q_h - gusts.rotating * dW, -passing * r_h + gusts.rotating * dS, dU, dS
+    return (
+        -p_h / T_p,
+        -passing * q_h - gusts.rotating * dW,
+        -passing * r_h + gusts.rotating * dS,
+        dU,
+        dS,
+    )
 
 
-def flow_rates(x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float) -> tuple[Any, Any, Any]:
+def flow_rates(
+    x: Any, felt: tuple[Any, Any, Any], trig: Trig, gravity: float
+) -> tuple[Any, Any, Any]:
     """Rates of V [m/s2], alpha and beta [rad/s] under a specific force [m/s2] in body axes, and weight."""
     V, p, q, r = x[0], x[3], x[4], x[5]
     sf, cf, st, ct, sa, ca, sb, cb = trig
@@ -132,7 +161,9 @@ class Along(NamedTuple):
     by_flow: Any
 
 
-def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any) -> None:
+def motion(
+    x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: Any, seen: Any
+) -> None:
     """dx/dt of one state into ``rate`` and the outputs into ``seen`` (11,); forces linear about the reference ``at``, whose own are
     ``load`` (6,). trig: `sines` of x; work (12,) is written over."""
     for i in range(6):
@@ -150,31 +181,57 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
         # Rates of alpha and beta are the motion's own: air that rotates, and attitudes, are not in the slopes as they act.
         zero = 0.0 * x[0]
         # A force that the model does not know of changes them, too.
-        unknown = ((load[0] - at.load[0]) / body.mass, (load[1] - at.load[1]) / body.mass, (load[2] - at.load[2]) / body.mass)
-        own = flow_rates(x, (unknown[0] + zero, unknown[1] + zero, unknown[2] + zero), trig, body.gravity)
+        unknown = (
+            (load[0] - at.load[0]) / body.mass,
+            (load[1] - at.load[1]) / body.mass,
+            (load[2] - at.load[2]) / body.mass,
+        )
+        own = flow_rates(
+            x, (unknown[0] + zero, unknown[1] + zero, unknown[2] + zero), trig, body.gravity
+        )
         for i in range(6):
             work[i] += at.x[i]
         there = (
-            np.sin(at.x[6]) + zero, np.cos(at.x[6]) + zero, np.sin(at.x[7]) + zero, np.cos(at.x[7]) + zero,
-            np.sin(work[1]), np.cos(work[1]), np.sin(work[2]), np.cos(work[2]),
-        )  # fmt: skip
+            np.sin(at.x[6]) + zero,
+            np.cos(at.x[6]) + zero,
+            np.sin(at.x[7]) + zero,
+            np.cos(at.x[7]) + zero,
+            np.sin(work[1]),
+            np.cos(work[1]),
+            np.sin(work[2]),
+            np.cos(work[2]),
+        )
         before = flow_rates(work, (zero, zero, zero), there, body.gravity)
         for i in range(6):
-            work[6 + i] += at.by_flow[i, 0] * (own[1] - before[1]) + at.by_flow[i, 1] * (own[2] - before[2])
+            work[6 + i] += at.by_flow[i, 0] * (own[1] - before[1]) + at.by_flow[i, 1] * (
+                own[2] - before[2]
+            )
     p, q, r = x[3], x[4], x[5]
     felt = (work[6] / body.mass, work[7] / body.mass, work[8] / body.mass)
     J, K = body.inertia, body.inverse
     h0 = J[0, 0] * p + J[0, 1] * q + J[0, 2] * r
     h1 = J[1, 0] * p + J[1, 1] * q + J[1, 2] * r
     h2 = J[2, 0] * p + J[2, 1] * q + J[2, 2] * r
-    m0, m1, m2 = work[9] - (q * h2 - r * h1), work[10] - (r * h0 - p * h2), work[11] - (p * h1 - q * h0)
+    m0, m1, m2 = (
+        work[9] - (q * h2 - r * h1),
+        work[10] - (r * h0 - p * h2),
+        work[11] - (p * h1 - q * h0),
+    )
     sf, cf, st, ct = trig[:4]
     phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
     if body.gusty:
         turned = turning(body.gusts, x, trig)
-        Vd, alphad, betad = flow_rates(x, (felt[0] + turned[0], felt[1] + turned[1], felt[2] + turned[2]), trig, body.gravity)
+        Vd, alphad, betad = flow_rates(
+            x, (felt[0] + turned[0], felt[1] + turned[1], felt[2] + turned[2]), trig, body.gravity
+        )
         of_air = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
-        rate[8], rate[9], rate[10], rate[11], rate[12] = of_air[0], of_air[1], of_air[2], of_air[3], of_air[4]
+        rate[8], rate[9], rate[10], rate[11], rate[12] = (
+            of_air[0],
+            of_air[1],
+            of_air[2],
+            of_air[3],
+            of_air[4],
+        )
     else:
         Vd, alphad, betad = flow_rates(x, felt, trig, body.gravity)
     rate[0], rate[1], rate[2] = Vd, alphad, betad
@@ -184,7 +241,16 @@ def motion(x: Any, trig: Trig, body: Any, at: Any, load: Any, work: Any, rate: A
     a, b, c = body.arm[0], body.arm[1], body.arm[2]
     pd, qd, rd = rate[3], rate[4], rate[5]
     # Felt at the arm: turning's rate times it, and what its turning itself adds.
-    seen[0], seen[1], seen[2], seen[3], seen[4], seen[5], seen[6], seen[7] = x[0], x[1], x[2], x[6], x[7], p, q, r
+    seen[0], seen[1], seen[2], seen[3], seen[4], seen[5], seen[6], seen[7] = (
+        x[0],
+        x[1],
+        x[2],
+        x[6],
+        x[7],
+        p,
+        q,
+        r,
+    )
     e0, e1, e2 = q * c - r * b, r * a - p * c, p * b - q * a
     seen[8] = felt[0] + qd * c - rd * b + q * e2 - r * e1
     seen[9] = felt[1] + rd * a - pd * c + r * e0 - p * e2
@@ -202,7 +268,11 @@ def _slopes(x, body, along, by_state, by_load):  # type: ignore[no-untyped-def]
     """Slopes of rates and outputs by the states (n, x + 11, x) and by force and moment (n, x + 11, 6), by complex steps: exact to
     rounding."""
     size = x.shape[1]
-    work, moved, load = np.empty(12, dtype=np.complex128), np.empty(size, dtype=np.complex128), np.empty(6, dtype=np.complex128)
+    work, moved, load = (
+        np.empty(12, dtype=np.complex128),
+        np.empty(size, dtype=np.complex128),
+        np.empty(6, dtype=np.complex128),
+    )
     rate, seen = np.empty(size, dtype=np.complex128), np.empty(11, dtype=np.complex128)
     for k in range(len(x)):
         at = Along(along.x[k], along.load[k], along.slopes[k], along.by_flow[k])
@@ -239,7 +309,11 @@ def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
                     for c in range(size):
                         next_[i, c] += a * A[k, c]
         factorial *= j
-        whole, first, last = 1.0 / factorial, h / (factorial * (j + 2)), h / (factorial * (j + 1) * (j + 2))
+        whole, first, last = (
+            1.0 / factorial,
+            h / (factorial * (j + 2)),
+            h / (factorial * (j + 1) * (j + 2)),
+        )
         for i in range(size):
             for c in range(size):
                 power[i, c] = next_[i, c]

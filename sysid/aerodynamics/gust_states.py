@@ -31,7 +31,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from sysid.aerodynamics.flight_equations import Trig, gust_lags_s, gust_rates, heading, level, rotation, sines, turning
+from sysid.aerodynamics.flight_equations import (
+    Trig,
+    gust_lags_s,
+    gust_rates,
+    heading,
+    level,
+    rotation,
+    sines,
+    turning,
+)
 
 
 class GustStates(NamedTuple):
@@ -70,6 +79,8 @@ class GustStates(NamedTuple):
         """What the turning of u, v with the heading adds to the acceleration relative to the air, in body axes [m/s2]."""
         return turning(self, x, trig or sines(x))
 
-    def rates(self, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None) -> tuple[Any, ...]:
+    def rates(
+        self, x: Any, rated: tuple[Any, Any, Any, Any, Any], trig: Trig | None = None
+    ) -> tuple[Any, ...]:
         """d/dt of the five states, given the deterministic rates of V, alpha, beta (`turning` included), phi and theta."""
         return gust_rates(self, x, rated, trig or sines(x))

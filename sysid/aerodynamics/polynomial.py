@@ -15,9 +15,19 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 STATES = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "elevator_pos_deg", "aileron_pos_deg", "rudder_pos_deg", "throttle_pct",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "elevator_pos_deg",
+    "aileron_pos_deg",
+    "rudder_pos_deg",
+    "throttle_pct",
+)
 """Flight states that a model form may depend on: measured in flight, known to a simulation at every step."""
 MAX_POWER = 4
 _FACTOR = re.compile(r"([A-Za-z_]+)(?:\^([1-9]))?")
@@ -38,10 +48,14 @@ def parse_term(name: str, states: Sequence[str]) -> Term:
     for factor in name.split("*"):
         match = _FACTOR.fullmatch(factor.strip())
         if match is None:
-            raise ValueError(f"term '{name}': '{factor.strip()}' is no state with a power, such as alpha_rad^2")
+            raise ValueError(
+                f"term '{name}': '{factor.strip()}' is no state with a power, such as alpha_rad^2"
+            )
         state, power = match.group(1), int(match.group(2) or 1)
         if state not in powers:
-            raise ValueError(f"term '{name}': '{state}' is not among the states {', '.join(states)}")
+            raise ValueError(
+                f"term '{name}': '{state}' is not among the states {', '.join(states)}"
+            )
         powers[state] += power
         if powers[state] > MAX_POWER:
             raise ValueError(f"term '{name}': powers up to {MAX_POWER} are allowed")

@@ -125,7 +125,9 @@ class Residuals:
     @property
     def states(self) -> dict[str, FloatArray]:
         """State name -> (n,) of all pieces, end to end."""
-        return {s: np.concatenate([p.states[s] for p in self.pieces]) for s in self.pieces[0].states}
+        return {
+            s: np.concatenate([p.states[s] for p in self.pieces]) for s in self.pieces[0].states
+        }
 
     @property
     def lengths(self) -> list[int]:
@@ -139,7 +141,9 @@ class Residuals:
 
     def only(self, labels: Collection[str]) -> Residuals:
         """The same with the pieces of these manoeuvres alone."""
-        return Residuals(tuple(p for p in self.pieces if p.label in labels), self.dt_s, self.cutoffs)
+        return Residuals(
+            tuple(p for p in self.pieces if p.label in labels), self.dt_s, self.cutoffs
+        )
 
     def columns(self, coefficient: str) -> list[FloatArray]:
         """[(n,)] of one coefficient, piece by piece."""
@@ -148,7 +152,11 @@ class Residuals:
 
 
 def residual_piece(
-    record: FlightRecord, piece: Piece, prediction: Prediction, arm_m: Sequence[float], cutoff_hz: float = CUTOFF_HZ
+    record: FlightRecord,
+    piece: Piece,
+    prediction: Prediction,
+    arm_m: Sequence[float],
+    cutoff_hz: float = CUTOFF_HZ,
 ) -> ResidualPiece | None:
     """Residual coefficients of one piece; None when it is shorter than the filter.
 
@@ -160,26 +168,43 @@ def residual_piece(
     dt_s, m = _filter_of(time, cutoff_hz)
     if len(time) < 2 * m + 3:
         return None
-    measured = {s: np.asarray(record[s][piece.rows], dtype=float) for s in STATES if s in record and "_pos_" not in s}
+    measured = {
+        s: np.asarray(record[s][piece.rows], dtype=float)
+        for s in STATES
+        if s in record and "_pos_" not in s
+    }
     states = {**measured, **prediction.positions}
     inner = slice(m, len(time) - m)
     return ResidualPiece(
-        piece.label, time[inner], residual_rows(record, piece, prediction, arm_m, cutoff_hz),
+        piece.label,
+        time[inner],
+        residual_rows(record, piece, prediction, arm_m, cutoff_hz),
         {s: smooth(v, dt_s, cutoff_hz)[inner] for s, v in states.items() if np.isfinite(v).all()},
-    )  # fmt: skip
+    )
 
 
 def residual_rows(
-    record: FlightRecord, piece: Piece, prediction: Prediction, arm_m: Sequence[float], cutoff_hz: float = CUTOFF_HZ
+    record: FlightRecord,
+    piece: Piece,
+    prediction: Prediction,
+    arm_m: Sequence[float],
+    cutoff_hz: float = CUTOFF_HZ,
 ) -> FloatArray:
     """(n, 6) residual coefficients of `residual_piece`, of a piece longer than the filter."""
     rows = piece.rows
     dt_s, m = _filter_of(record["time_s"][rows], cutoff_hz)
     rates = np.column_stack([record[f"{a}_radps"][rows] for a in "pqr"])
     flown = demanded(
-        np.column_stack([record[f"a{a}_mps2"][rows] for a in "xyz"]), rates, prediction.qbar, prediction.mass,
-        prediction.other_force, prediction.other_moment, dt_s, np.asarray(arm_m, dtype=float), cutoff_hz,
-    )  # fmt: skip
+        np.column_stack([record[f"a{a}_mps2"][rows] for a in "xyz"]),
+        rates,
+        prediction.qbar,
+        prediction.mass,
+        prediction.other_force,
+        prediction.other_moment,
+        dt_s,
+        np.asarray(arm_m, dtype=float),
+        cutoff_hz,
+    )
     delta = flown - smooth(prediction.coefficients, dt_s, cutoff_hz)  # (2.11)-(2.16)
     return np.asarray(delta[m : len(delta) - m])
 
@@ -191,16 +216,21 @@ def _filter_of(time: FloatArray, cutoff_hz: float) -> tuple[float, int]:
 
 
 def residual_coefficients(
-    record: FlightRecord, pieces: Sequence[Piece], model: Model, arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    record: FlightRecord,
+    pieces: Sequence[Piece],
+    model: Model,
+    arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     cutoffs: Cutoffs | None = None,
-) -> Residuals:  # fmt: skip
+) -> Residuals:
     """Residual coefficients of a flight's pieces. Raises ValueError when every piece is shorter than the filter."""
     cutoffs = cutoffs or Cutoffs()
     record = steady_airspeed(record, cutoffs.airspeed_hz)
     found = [residual_piece(record, p, model(record, p), arm_m, cutoffs.all_hz) for p in pieces]
     kept = tuple(f for f in found if f is not None)
     if not kept:
-        raise ValueError(f"no piece is longer than the filter at {cutoffs.all_hz:g} Hz; raise the cut-off")
+        raise ValueError(
+            f"no piece is longer than the filter at {cutoffs.all_hz:g} Hz; raise the cut-off"
+        )
     return Residuals(kept, record.dt_s, cutoffs)
 
 

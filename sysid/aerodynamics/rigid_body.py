@@ -26,8 +26,18 @@ STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "ph
 AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
 """States that forces depend on, in the order of the slopes; the rates are those relative to the air."""
 OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 NX = 13
 """States in turbulence."""
 
@@ -76,14 +86,21 @@ class Steps:
     start: FloatArray | None = None
 
 
-def linearise(reference: Reference, mass: MassProperties, gravity: float = G0_MPS2, gusts: GustStates | None = None) -> Steps:
+def linearise(
+    reference: Reference,
+    mass: MassProperties,
+    gravity: float = G0_MPS2,
+    gusts: GustStates | None = None,
+) -> Steps:
     """The linear system along a reference, outputs OUTPUTS; with gusts 13 states, about air at rest."""
     n, h = len(reference.x), reference.dt_s
     wide = whole_states(reference.x, gusts)
     size = wide.shape[1]
     model = _Rigid(reference, mass, gravity, gusts)
     by_state, by_load = model.slopes(wide)
-    by_load *= (reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b]))[:, None, :]
+    by_load *= (
+        reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
+    )[:, None, :]
     phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
     loops().stepped(by_state, by_load, h, phi, g0, g1)
     H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
@@ -108,7 +125,11 @@ def whole_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
 
 
 def rates(
-    reference: Reference, mass: MassProperties, x: FloatArray, gravity: float = G0_MPS2, gusts: GustStates | None = None
+    reference: Reference,
+    mass: MassProperties,
+    x: FloatArray,
+    gravity: float = G0_MPS2,
+    gusts: GustStates | None = None,
 ) -> FloatArray:
     """dx/dt (n, 8 or 13) at whole states x of the reference's times, but for what gusts will add: forces linear about the
     reference, surfaces where they stand there."""
@@ -119,24 +140,38 @@ def unforced(x: NDArray[Any], gravity: float = G0_MPS2) -> NDArray[Any]:
     """(n, 2) rates of alpha and beta [rad/s] at states x (n, 8 or more) without any force but weight."""
     states = x.T
     nothing = np.zeros(len(x))
-    return np.stack(flow_rates(states, (nothing, nothing, nothing), sines(states), gravity)[1:], axis=1)
+    return np.stack(
+        flow_rates(states, (nothing, nothing, nothing), sines(states), gravity)[1:], axis=1
+    )
 
 
 class _Rigid:
     """The equations of motion along a reference, forces linear about it."""
 
-    def __init__(self, reference: Reference, mass: MassProperties, gravity: float, gusts: GustStates | None) -> None:
+    def __init__(
+        self, reference: Reference, mass: MassProperties, gravity: float, gusts: GustStates | None
+    ) -> None:
         r = reference
         n = len(r.x)
         flow = r.by_flow is not None
         by_flow = np.zeros((n, 6, 2)) if r.by_flow is None else r.by_flow
         load = np.hstack([r.force, r.moment])
-        self.along = Along(*(np.ascontiguousarray(v, dtype=np.float64) for v in (r.x[:, :8], load, r.slopes, by_flow)))
-        J, K, arm = (np.ascontiguousarray(v, dtype=np.float64) for v in (mass.inertia, np.linalg.inv(mass.inertia), r.arm_m))
+        self.along = Along(
+            *(
+                np.ascontiguousarray(v, dtype=np.float64)
+                for v in (r.x[:, :8], load, r.slopes, by_flow)
+            )
+        )
+        J, K, arm = (
+            np.ascontiguousarray(v, dtype=np.float64)
+            for v in (mass.inertia, np.linalg.inv(mass.inertia), r.arm_m)
+        )
         air = GustStates(1.0) if gusts is None else gusts
         self.body = Body(float(mass.mass), J, K, arm, float(gravity), gusts is not None, air, flow)
 
-    def __call__(self, x: FloatArray, later: float, extra: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def __call__(
+        self, x: FloatArray, later: float, extra: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """dx/dt and outputs (n, 11) at states x (n, 8 or 13), the first at the reference's first sample, or a share of a step
         later; extra (n, 6) force and moment besides."""
         along = self.along
@@ -152,12 +187,17 @@ class _Rigid:
     def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Slopes of both, rates first, by the states (n, x + 11, x) and by force and moment (n, x + 11, 6)."""
         n, size = x.shape
-        by_state, by_load = np.empty((n, size + len(OUTPUTS), size)), np.empty((n, size + len(OUTPUTS), 6))
+        by_state, by_load = (
+            np.empty((n, size + len(OUTPUTS), size)),
+            np.empty((n, size + len(OUTPUTS), 6)),
+        )
         loops().slopes(np.ascontiguousarray(x), self.body, self.along, by_state, by_load)
         return by_state, by_load
 
 
-def _advance(model: _Rigid, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float) -> FloatArray:
+def _advance(
+    model: _Rigid, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
+) -> FloatArray:
     """(n - 1, 8 or 13) one Runge-Kutta step from every sample, whose rates are given."""
     start, k1 = x[:-1], rate[:-1]
     k2, _ = model(start + 0.5 * h * k1, 0.5, bend[0])

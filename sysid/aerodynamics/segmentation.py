@@ -15,7 +15,9 @@ from sysid.vocabulary import SURFACES
 FloatArray = NDArray[np.float64]
 MIN_S = 2.0
 MAX_S = 20.0
-_EXCITED_DEG = 1.5  # a surface this far from its median of the seconds around is being moved on purpose
+_EXCITED_DEG = (
+    1.5  # a surface this far from its median of the seconds around is being moved on purpose
+)
 _MEDIAN_S = 6.0
 _BEFORE_S, _AFTER_S = 1.0, 3.0
 
@@ -30,7 +32,9 @@ class Piece:
     end_s: float
 
 
-def cut(record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S) -> tuple[list[Piece], str]:
+def cut(
+    record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S
+) -> tuple[list[Piece], str]:
     """Pieces in order of time, and one sentence saying how they were found.
 
     needed  channels that must be finite throughout a piece; pieces shorter than ``min_s`` seconds are left out, longer ones
@@ -58,7 +62,14 @@ def cut(record: FlightRecord, needed: Sequence[str], min_s: float = MIN_S, max_s
             parts = max(1, int(np.ceil((b - a) * record.dt_s / max_s - 1e-6)))
             marks = np.linspace(whole.start + a, whole.start + b, parts + 1).astype(int)
             for first, last in itertools.pairwise(marks.tolist()):
-                pieces.append(Piece(str(inside[a]), slice(first, last), float(time[first]), float(time[last - 1])))
+                pieces.append(
+                    Piece(
+                        str(inside[a]),
+                        slice(first, last),
+                        float(time[first]),
+                        float(time[last - 1]),
+                    )
+                )
     return pieces, how
 
 
@@ -71,7 +82,10 @@ def _excited(record: FlightRecord) -> NDArray[np.bool_]:
         if name not in record:
             continue
         values = np.nan_to_num(record[name])
-        found |= np.abs(values - median_filter(values, size=min(width, len(values) | 1), mode="nearest")) > _EXCITED_DEG
+        found |= (
+            np.abs(values - median_filter(values, size=min(width, len(values) | 1), mode="nearest"))
+            > _EXCITED_DEG
+        )
     before, after = round(_BEFORE_S / record.dt_s), round(_AFTER_S / record.dt_s)
     at = np.flatnonzero(found)
     out = np.zeros(len(record), dtype=bool)

@@ -81,9 +81,14 @@ def cosine_variance(n: int, correlation: tuple[float, ...]) -> FloatArray:
 
 
 def with_sensor_noise(
-    residuals: Residuals, record: FlightRecord, pieces: Sequence[Piece], model: Model, arm_m: Sequence[float],
-    std: Mapping[str, float], spread: Mapping[str, float] | None = None,
-) -> Residuals:  # fmt: skip
+    residuals: Residuals,
+    record: FlightRecord,
+    pieces: Sequence[Piece],
+    model: Model,
+    arm_m: Sequence[float],
+    std: Mapping[str, float],
+    spread: Mapping[str, float] | None = None,
+) -> Residuals:
     """The residuals of a flight with the sensor noise of each piece; ``pieces`` and ``model`` as they were made with.
 
     std: channel -> standard deviation of its white noise, in the record's unit; channels without a figure are noise-free.
@@ -94,7 +99,9 @@ def with_sensor_noise(
     sizes = {c: s for c, s in std.items() if np.isfinite(s) and s > 0.0}
     found = (_of_piece(record, p, model, arm_m, cutoffs, sizes, dict(spread or {})) for p in pieces)
     of_pieces = [noise for noise in found if noise is not None]
-    with_noise = tuple(replace(p, noise=noise) for p, noise in zip(residuals.pieces, of_pieces, strict=True))
+    with_noise = tuple(
+        replace(p, noise=noise) for p, noise in zip(residuals.pieces, of_pieces, strict=True)
+    )
     return replace(residuals, pieces=with_noise)
 
 
@@ -109,9 +116,14 @@ def _offset(record: FlightRecord, channel: str) -> FlightRecord:
 
 
 def _of_piece(
-    record: FlightRecord, piece: Piece, model: Model, arm: Sequence[float], cutoffs: Cutoffs,
-    std: Mapping[str, float], spread: Mapping[str, float],
-) -> PieceNoise | None:  # fmt: skip
+    record: FlightRecord,
+    piece: Piece,
+    model: Model,
+    arm: Sequence[float],
+    cutoffs: Cutoffs,
+    std: Mapping[str, float],
+    spread: Mapping[str, float],
+) -> PieceNoise | None:
     prediction = model(record, piece)
     plain = residual_piece(record, piece, prediction, arm, cutoffs.all_hz)
     if plain is None:
@@ -124,10 +136,28 @@ def _of_piece(
         said = model(moved, piece) if channel in FORCED else prediction
         other = residual_rows(moved, piece, said, arm, cutoffs.all_hz)
         gain = std[channel] / offset * (other - plain.delta)
-        passages.append(Passage(channel, "smoothed", gain, filters.weights(channel, "smoothed"), spread.get(channel, 0.0)))
+        passages.append(
+            Passage(
+                channel,
+                "smoothed",
+                gain,
+                filters.weights(channel, "smoothed"),
+                spread.get(channel, 0.0),
+            )
+        )
     for channel in (c for c in RATES if c in std):
-        for way, gain in _differentiated(prediction, np.asarray(arm, dtype=float), slice(m, m + len(plain)), channel):
-            passages.append(Passage(channel, way, std[channel] * gain, filters.weights(channel, way), spread.get(channel, 0.0)))
+        for way, gain in _differentiated(
+            prediction, np.asarray(arm, dtype=float), slice(m, m + len(plain)), channel
+        ):
+            passages.append(
+                Passage(
+                    channel,
+                    way,
+                    std[channel] * gain,
+                    filters.weights(channel, way),
+                    spread.get(channel, 0.0),
+                )
+            )
     states = {c: (s, filters.weights(c, "smoothed")) for c, s in std.items() if c in plain.states}
     return PieceNoise(tuple(passages), states, len(plain))
 
@@ -149,7 +179,9 @@ class _Filters:
         return tuple(out.tolist())
 
 
-def _differentiated(prediction: Prediction, arm: FloatArray, inner: slice, channel: str) -> list[tuple[Way, FloatArray]]:
+def _differentiated(
+    prediction: Prediction, arm: FloatArray, inner: slice, channel: str
+) -> list[tuple[Way, FloatArray]]:
     """Gain (n, 6) of a rate's noise by way of its derivative: into moments, and into forces where the sensors have an arm."""
     mass = prediction.mass
     axis = RATES.index(channel)
@@ -175,12 +207,22 @@ def with_noise_of(residuals: Residuals, other: Residuals) -> Residuals:
     for piece, known in zip(residuals.pieces, other.pieces, strict=True):
         assert known.noise is not None
         more = (len(piece) - len(known)) // 2
-        filters = _Filters(other.dt_s, half_width(residuals.dt_s, residuals.cutoffs.all_hz), residuals.cutoffs.airspeed_hz)
+        filters = _Filters(
+            other.dt_s,
+            half_width(residuals.dt_s, residuals.cutoffs.all_hz),
+            residuals.cutoffs.airspeed_hz,
+        )
         passages = tuple(
-            replace(p, gain=_resized(p.gain, more, len(piece)), weights=filters.weights(p.channel, p.way))
+            replace(
+                p,
+                gain=_resized(p.gain, more, len(piece)),
+                weights=filters.weights(p.channel, p.way),
+            )
             for p in known.noise.passages
         )
-        states = {c: (s, filters.weights(c, "smoothed")) for c, (s, _) in known.noise.states.items()}
+        states = {
+            c: (s, filters.weights(c, "smoothed")) for c, (s, _) in known.noise.states.items()
+        }
         pieces.append(replace(piece, noise=PieceNoise(passages, states, len(piece))))
     return replace(residuals, pieces=tuple(pieces))
 
@@ -205,7 +247,9 @@ def noise_cosines(noise: PieceNoise) -> tuple[FloatArray, FloatArray]:
     out = np.zeros((noise.n, 6))
     spread: dict[str, FloatArray] = {}
     for p in noise.passages:
-        added = cosine_variance(noise.n, autocorrelation(p.weights))[:, None] * np.mean(p.gain**2, axis=0)
+        added = cosine_variance(noise.n, autocorrelation(p.weights))[:, None] * np.mean(
+            p.gain**2, axis=0
+        )
         out += added
         # One figure's error is common to all ways of its channel; a variance is off by twice what a standard deviation is.
         spread[p.channel] = spread.get(p.channel, np.zeros(6)) + 2.0 * p.spread * added.sum(axis=0)

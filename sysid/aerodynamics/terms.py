@@ -9,10 +9,22 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
-_POWERS = {"alpha2": ("alpha", 2), "beta2": ("beta", 2), "alpha3": ("alpha", 3), "beta3": ("beta", 3)}
+_POWERS = {
+    "alpha2": ("alpha", 2),
+    "beta2": ("beta", 2),
+    "alpha3": ("alpha", 3),
+    "beta3": ("beta", 3),
+}
 _VARIABLES = {
-    "alpha": "alpha", "beta": "beta", "p": "p_hat", "q": "q_hat", "r": "r_hat", "de": "de", "da": "da", "dr": "dr",
-}  # fmt: skip
+    "alpha": "alpha",
+    "beta": "beta",
+    "p": "p_hat",
+    "q": "q_hat",
+    "r": "r_hat",
+    "de": "de",
+    "da": "da",
+    "dr": "dr",
+}
 
 
 def split_name(name: str) -> tuple[str, str] | None:
@@ -37,12 +49,27 @@ def regressor(term: str, variables: Mapping[str, FloatArray]) -> FloatArray:
 
 
 def variables(
-    V: FloatArray, alpha: FloatArray, beta: FloatArray, p: FloatArray, q: FloatArray, r: FloatArray,
-    de: FloatArray, da: FloatArray, dr: FloatArray, b: float, c: float,
-) -> dict[str, FloatArray]:  # fmt: skip
+    V: FloatArray,
+    alpha: FloatArray,
+    beta: FloatArray,
+    p: FloatArray,
+    q: FloatArray,
+    r: FloatArray,
+    de: FloatArray,
+    da: FloatArray,
+    dr: FloatArray,
+    b: float,
+    c: float,
+) -> dict[str, FloatArray]:
     """The variables of `regressor` from V [m/s], angles [rad], rates [rad/s], deflections [deg], span and chord [m]."""
     half = 0.5 / V
     return {
-        "alpha": alpha, "beta": beta, "p_hat": p * b * half, "q_hat": q * c * half, "r_hat": r * b * half,
-        "de": de, "da": da, "dr": dr,
-    }  # fmt: skip
+        "alpha": alpha,
+        "beta": beta,
+        "p_hat": p * b * half,
+        "q_hat": q * c * half,
+        "r_hat": r * b * half,
+        "de": de,
+        "da": da,
+        "dr": dr,
+    }

@@ -16,7 +16,9 @@ _FAR = 40.0
 """Standard errors beyond which nothing is looked for."""
 
 
-def conditional_interval(value: float, std: float, limit: float, confidence: float = 0.95) -> tuple[float, float]:
+def conditional_interval(
+    value: float, std: float, limit: float, confidence: float = 0.95
+) -> tuple[float, float]:
     """Interval of an effect estimated at ``value`` +/- ``std`` and named because |value / std| is above ``limit``.
 
     Without a limit (NaN), or where |t| is not above it, the plain interval. NaN where std is no positive number.
@@ -31,9 +33,15 @@ def conditional_interval(value: float, std: float, limit: float, confidence: flo
 
     def excess(theta: float, share: float) -> float:
         # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are small.
-        above, beyond = special.ndtr(theta - t), special.ndtr(theta - limit) + special.ndtr(-limit - theta)
+        above, beyond = (
+            special.ndtr(theta - t),
+            special.ndtr(theta - limit) + special.ndtr(-limit - theta),
+        )
         return float(above / beyond) - share
 
-    ends = (optimize.brentq(excess, -min(_FAR, 8.0 + t), t + 8.0, (share,), xtol=1e-10) for share in (tail, 1.0 - tail))
+    ends = (
+        optimize.brentq(excess, -min(_FAR, 8.0 + t), t + 8.0, (share,), xtol=1e-10)
+        for share in (tail, 1.0 - tail)
+    )
     low, high = (theta * std for theta in ends)
     return (low, high) if value > 0.0 else (-high, -low)

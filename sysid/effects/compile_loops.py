@@ -22,7 +22,9 @@ def compile_loops() -> None:
     x = np.zeros((_ROWS, 8))
     x[:, 0] = _SPEED_MPS
     nothing, slopes = np.zeros((_ROWS, 3)), np.zeros((_ROWS, 6, 6))
-    reference = Reference(_DT_S, x, nothing, nothing, slopes, np.full(_ROWS, 200.0), np.zeros(3), False)
+    reference = Reference(
+        _DT_S, x, nothing, nothing, slopes, np.full(_ROWS, 200.0), np.zeros(3), False
+    )
     mass, gusts = MassProperties(1.0, np.eye(3), 1.0, 1.0, 1.0), GustStates(1.0)
     which, noise = range(len(OUTPUTS)), np.ones(len(OUTPUTS))
     measured = np.zeros((_ROWS, len(OUTPUTS)))

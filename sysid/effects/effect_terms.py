@@ -15,13 +15,26 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 VARIABLES: Mapping[str, str] = {
-    "alpha": "rad", "beta": "rad", "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V", "alphadot_hat": "alphadot c/2V",
-    "betadot_hat": "betadot b/2V", "de": "deg", "da": "deg", "dr": "deg", "dt": "throttle/100", "CT": "T/(qbar S)",
-    "V_rel": "V/22.2", "h_over_b": "h/b",
-}  # fmt: skip
+    "alpha": "rad",
+    "beta": "rad",
+    "p_hat": "pb/2V",
+    "q_hat": "qc/2V",
+    "r_hat": "rb/2V",
+    "alphadot_hat": "alphadot c/2V",
+    "betadot_hat": "betadot b/2V",
+    "de": "deg",
+    "da": "deg",
+    "dr": "deg",
+    "dt": "throttle/100",
+    "CT": "T/(qbar S)",
+    "V_rel": "V/22.2",
+    "h_over_b": "h/b",
+}
 """Variables of a term and their units, in the order in which a term's factors stand."""
 V_REFERENCE_MPS = 22.2
-_FACTOR = re.compile(r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?")
+_FACTOR = re.compile(
+    r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?"
+)
 
 
 @dataclass(frozen=True)
@@ -57,7 +70,10 @@ class Term:
         """What stands behind ``aero/Cm_`` in a property: letters, digits and underscores alone."""
         out = []
         for f in self.factors:
-            before, power = ("over" if f.power < 0 else "") + ("abs" if f.absolute else ""), abs(f.power)
+            before, power = (
+                ("over" if f.power < 0 else "") + ("abs" if f.absolute else ""),
+                abs(f.power),
+            )
             out.append(f"{before}{f.variable.removesuffix('_hat')}{power if power > 1 else ''}")
         return "_".join(out)
 
@@ -70,11 +86,16 @@ class Term:
     def odd_lateral(self) -> bool:
         """Whether the term changes sign when left and right are exchanged."""
         lateral = {"beta", "p_hat", "r_hat", "betadot_hat", "da", "dr"}
-        return sum(f.power for f in self.factors if f.variable in lateral and not f.absolute) % 2 == 1
+        return (
+            sum(f.power for f in self.factors if f.variable in lateral and not f.absolute) % 2 == 1
+        )
 
     def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
         """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
-        each = [(np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power) for f in self.factors]
+        each = [
+            (np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power)
+            for f in self.factors
+        ]
         return np.asarray(np.prod(each, axis=0), dtype=np.float64)
 
 
@@ -90,8 +111,16 @@ def parse(text: str) -> Term:
                 f"variable one of {', '.join(VARIABLES)}, joined by *"
             )
         key = (name, found["absolute"] is not None)
-        gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (-1 if found["inverse"] else 1)
-    factors = [Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power]
+        gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (
+            -1 if found["inverse"] else 1
+        )
+    factors = [
+        Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power
+    ]
     if not factors:
-        raise ValueError(f"term '{text}': the factors cancel; a constant is the coefficient's own _0")
-    return Term(tuple(sorted(factors, key=lambda f: ([*VARIABLES].index(f.variable), not f.absolute))))
+        raise ValueError(
+            f"term '{text}': the factors cancel; a constant is the coefficient's own _0"
+        )
+    return Term(
+        tuple(sorted(factors, key=lambda f: ([*VARIABLES].index(f.variable), not f.absolute)))
+    )

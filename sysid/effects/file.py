@@ -31,14 +31,19 @@ def read_effects(path: Path) -> list[Effect]:
         raise LogError("not a text file in UTF-8", path) from None
     rows = data.get("effect")
     if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
-        raise LogError(f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term", path)
+        raise LogError(
+            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term",
+            path,
+        )
     out: list[Effect] = []
     for number, row in enumerate(rows, 1):
         where = f"[[effect]] {number}"
         if not isinstance(row, dict) or {"coefficient", "term"} - set(row):
             raise LogError("needs coefficient and term", path, where)
         if unknown := sorted(set(row) - _KEYS):
-            raise LogError(f"unknown key '{unknown[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where)
+            raise LogError(
+                f"unknown key '{unknown[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where
+            )
         if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
         try:

@@ -51,21 +51,37 @@ class AirLikelihood:
     which: rows of OUTPUTS that ``measured`` [(n, m)] holds. Who does the work does not change a bit of it.
     """
 
-    def __init__(self, steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], by: Processes = ALONE) -> None:
+    def __init__(
+        self,
+        steps: Sequence[Steps],
+        measured: Sequence[FloatArray],
+        which: Sequence[int],
+        by: Processes = ALONE,
+    ) -> None:
         self._by = by
         order = sorted(range(len(measured)), key=lambda k: -len(measured[k]))
         count = min(by.count, len(order))
         self._groups = [order[k::count] for k in range(count)]
-        self._shared = [by.share([Seen.of(steps[k], measured[k], which) for k in group]) for group in self._groups]
+        self._shared = [
+            by.share([Seen.of(steps[k], measured[k], which) for k in group])
+            for group in self._groups
+        ]
 
     def __call__(self, noise: FloatArray, process: Process, slopes: bool = True) -> Score:
         """noise (m,) standard deviations of the sensors; without ``slopes`` they are zero."""
-        jobs = [(shared, noise, process.of(group), slopes) for shared, group in zip(self._shared, self._groups, strict=True)]
+        jobs = [
+            (shared, noise, process.of(group), slopes)
+            for shared, group in zip(self._shared, self._groups, strict=True)
+        ]
         found = [one for some in self._by(_scored, jobs) for one in some]
         order = np.argsort(np.concatenate(self._groups))
-        cost, by_noise, by_process, by_begin = (np.stack(part)[order] for part in zip(*found, strict=True))
+        cost, by_noise, by_process, by_begin = (
+            np.stack(part)[order] for part in zip(*found, strict=True)
+        )
         followed = float(np.isfinite(cost).all())
-        bent, square = ((by_noise[:, k].sum(axis=0), by_process[:, k], by_begin[:, k]) for k in (0, 1))
+        bent, square = (
+            (by_noise[:, k].sum(axis=0), by_process[:, k], by_begin[:, k]) for k in (0, 1)
+        )
         own, air, begin = (followed * (b - s) for b, s in zip(bent, square, strict=True))
         return Score(float(cost.sum()), own, air, begin, bent)
 
@@ -77,10 +93,15 @@ def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
     """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m), (2, x) and (2, x); infinite,
     its slopes zero, where no filter follows."""
     shared, noise, process, sloping = job
-    return [_one(seen, noise, (q, p), sloping) for seen, q, p in zip(shared.value, process.noise, process.begin, strict=True)]
+    return [
+        _one(seen, noise, (q, p), sloping)
+        for seen, q, p in zip(shared.value, process.noise, process.begin, strict=True)
+    ]
 
 
-def _one(seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool) -> _Slopes:
+def _one(
+    seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
+) -> _Slopes:
     flat = np.zeros((2, len(noise))), np.zeros((2, len(air[0]))), np.zeros((2, len(air[0])))
     try:
         found = gains(seen, noise, air, every=False)

@@ -47,7 +47,9 @@ class MadeColumns(Sequence[Columns]):
     """Columns of segments that are made as often as they are asked for, all by the same ``names``: those of a flight's candidates
     take as much memory as what is computed from them. make: those of a segment that are among some names."""
 
-    def __init__(self, names: Sequence[str], make: Callable[[int, Collection[str]], Columns], count: int) -> None:
+    def __init__(
+        self, names: Sequence[str], make: Callable[[int, Collection[str]], Columns], count: int
+    ) -> None:
         self.names, self._make, self._count = tuple(names), make, count
 
     def __len__(self) -> int:
@@ -100,24 +102,43 @@ class Followed:
 
     def carried(self, own: Columns) -> Whitened:
         """The same with columns."""
-        return carried(self.seen, self.gains, own.names, own.inputs, own.outputs, own.ends, own.felt, self.alone)
+        return carried(
+            self.seen,
+            self.gains,
+            own.names,
+            own.inputs,
+            own.outputs,
+            own.ends,
+            own.felt,
+            self.alone,
+        )
 
 
 def follow(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, process: Process | None = None
+    steps: Sequence[Steps],
+    measured: Sequence[FloatArray],
+    which: Sequence[int],
+    noise: FloatArray,
+    process: Process | None = None,
 ) -> Iterator[Followed]:
     """Filter every segment, one after the other; arguments of `whiten`, which makes columns white by what is given here. Raises
     LinAlgError where no filter follows."""
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
         seen = Seen.of(system, z, which)
-        found = gains(seen, noise, None if process is None else (process.noise[k], process.begin[k]))
+        found = gains(
+            seen, noise, None if process is None else (process.noise[k], process.begin[k])
+        )
         yield Followed(seen, found, carried(seen, found))
 
 
 def whiten(
-    steps: Sequence[Steps], measured: Sequence[FloatArray], columns: Sequence[Columns], which: Sequence[int],
-    noise: FloatArray, process: Process | None = None,
-) -> list[White]:  # fmt: skip
+    steps: Sequence[Steps],
+    measured: Sequence[FloatArray],
+    columns: Sequence[Columns],
+    which: Sequence[int],
+    noise: FloatArray,
+    process: Process | None = None,
+) -> list[White]:
     """Filter every segment.
 
     which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
@@ -143,7 +164,9 @@ class _Again:
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """(n, m, C) in single precision, the start state fitted."""
         if missing := [n for n in names if n not in self.made]:
-            left, _ = _without_start(self.one.carried(self.columns.some(self.k, missing)).columns, self.q)
+            left, _ = _without_start(
+                self.one.carried(self.columns.some(self.k, missing)).columns, self.q
+            )
             self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
         out = np.stack([self.made[n] for n in names], axis=2)
         last = [*(n for n in self.made if n not in names), *names][-_REMEMBERED:]
@@ -159,7 +182,9 @@ def whitened(followed: Iterable[Followed], columns: Sequence[Columns]) -> list[W
 def _whitened(one: Followed, own: Columns) -> White:
     """The segment with its start state fitted and taken out of everything."""
     there = one.seen.there
-    deviation = np.sqrt(np.where(there, one.gains.whole, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+    deviation = np.sqrt(
+        np.where(there, one.gains.whole, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+    )
     found = one.carried(own)
     residual, q, r = start_fitted(found.innovations, found.starts)
     left, inside = _without_start(found.columns, q)
@@ -169,7 +194,9 @@ def _whitened(one: Followed, own: Columns) -> White:
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0]
     fitted[:, 1:] *= -1.0
-    return White(residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation)
+    return White(
+        residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation
+    )
 
 
 def minus_twice_log(white: Sequence[White]) -> float:
@@ -177,7 +204,9 @@ def minus_twice_log(white: Sequence[White]) -> float:
     return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
 
 
-def start_fitted(innovations: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def start_fitted(
+    innovations: FloatArray, starts: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Whitened innovations (n, m) with the start fitted, starts (n, m, 8) being what its states do to them; and q (n m, 8), r (8,
     8) of the starts, in units of the states."""
     flat = starts.reshape(-1, STARTS)
@@ -188,7 +217,9 @@ def start_fitted(innovations: FloatArray, starts: FloatArray) -> tuple[FloatArra
     return np.asarray((left - q @ (q.T @ left)).reshape(innovations.shape)), q, r * scale
 
 
-def _without_start(columns: NDArray[np.float32], q: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
+def _without_start(
+    columns: NDArray[np.float32], q: FloatArray
+) -> tuple[NDArray[np.float32], FloatArray]:
     """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
     flat = columns.reshape(len(q), columns.shape[2])
     inside, left = np.zeros((STARTS, flat.shape[1])), np.empty_like(flat)

@@ -111,13 +111,18 @@ class Evidence:
         v = np.zeros(len(self.names))
         v[self.index(values)] = [*values.values()]
         used = np.flatnonzero(v)
-        white = [replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white]
+        white = [
+            replace(w, residual=w.residual + self.series(w, used) @ v[used]) for w in self.white
+        ]
         return replace(self, score=self.score + self.gram @ v, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
         """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
         used = np.flatnonzero(delta)
-        return [np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan) for w in self.white]
+        return [
+            np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan)
+            for w in self.white
+        ]
 
 
 def gather(
@@ -143,7 +148,9 @@ def gather(
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
         kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
     known = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
-    return Evidence(tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held))
+    return Evidence(
+        tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held)
+    )
 
 
 def solve(G: FloatArray, right: FloatArray) -> FloatArray:
@@ -155,16 +162,24 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(G / np.outer(scale, scale))
     kept = values > 1e-9 * max(values[-1], 1e-300)
     basis = vectors[:, kept]
-    return np.asarray((basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None])
+    return np.asarray(
+        (basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None]
+    )
 
 
-def projected(G: FloatArray, u: FloatArray, free: Index, some: Index) -> tuple[FloatArray, FloatArray]:
+def projected(
+    G: FloatArray, u: FloatArray, free: Index, some: Index
+) -> tuple[FloatArray, FloatArray]:
     """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out, as in (LM)."""
     x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
-    return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[np.ix_(some, free)] @ x[:, -1]
+    return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[
+        np.ix_(some, free)
+    ] @ x[:, -1]
 
 
-def shared(evidence: Evidence, names: Sequence[str], at: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def shared(
+    evidence: Evidence, names: Sequence[str], at: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
     """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that times their values there (n,):
     what evidence of other flights adds to. at: values about which the columns are."""
     G, u = evidence.everything
@@ -185,7 +200,12 @@ class Scores:
     share: FloatArray
 
 
-def scores(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], segments: NDArray[np.bool_] | None = None) -> Scores:
+def scores(
+    evidence: Evidence,
+    free: Sequence[str],
+    candidates: Sequence[str],
+    segments: NDArray[np.bool_] | None = None,
+) -> Scores:
     """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free columns do not."""
     G, u = evidence.part(segments)
     b, c = evidence.index(free), evidence.index(candidates)
@@ -204,16 +224,24 @@ def corrected(evidence: Evidence, free: Sequence[str], candidate: str) -> Estima
     return corrected_each(evidence, [*free, candidate], [candidate])[candidate]
 
 
-def corrected_each(evidence: Evidence, names: Sequence[str], wanted: Sequence[str]) -> dict[str, Estimate]:
+def corrected_each(
+    evidence: Evidence, names: Sequence[str], wanted: Sequence[str]
+) -> dict[str, Estimate]:
     """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
     colour, is the same for all of them and computed once."""
     known = evidence.remembered.setdefault(frozenset(names), {})
     if not known.keys() >= {*wanted}:
-        known |= _corrected(evidence, names, [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)])
+        known |= _corrected(
+            evidence,
+            names,
+            [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)],
+        )
     return {n: known[n] for n in wanted}
 
 
-def _corrected(evidence: Evidence, names: Sequence[str], wanted: Sequence[str]) -> dict[str, Estimate]:
+def _corrected(
+    evidence: Evidence, names: Sequence[str], wanted: Sequence[str]
+) -> dict[str, Estimate]:
     names, some = list(names), evidence.index(names)
     G = evidence.everything[0][np.ix_(some, some)]
     delta = evidence.fitted(some)[some]
@@ -234,10 +262,15 @@ def _corrected(evidence: Evidence, names: Sequence[str], wanted: Sequence[str]) 
     with np.errstate(invalid="ignore", divide="ignore"):
         plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
         std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
-    return {n: (float(delta[c]), float(std[k]), float(plain[k])) for k, (n, c) in enumerate(zip(wanted, places, strict=True))}
+    return {
+        n: (float(delta[c]), float(std[k]), float(plain[k]))
+        for k, (n, c) in enumerate(zip(wanted, places, strict=True))
+    }
 
 
-def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]) -> tuple[float, float]:
+def agreement(
+    evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
+) -> tuple[float, float]:
     """(gain on the other segments of the value estimated on ``part``, difference of the two estimates in standard errors).
 
     The free columns are fitted anew on either side: only the effect itself is carried over.
@@ -248,9 +281,13 @@ def agreement(evidence: Evidence, free: Sequence[str], candidate: str, part: NDA
     return gain, (a - b) / math.sqrt(1.0 / ga + 1.0 / gb)
 
 
-def likeness(evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]) -> FloatArray:
+def likeness(
+    evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]
+) -> FloatArray:
     """Correlation (C,) of what is left of a column with what is left of others, the free columns taken out."""
-    left, _ = projected(*evidence.everything, evidence.index(free), evidence.index([first, *others]))
+    left, _ = projected(
+        *evidence.everything, evidence.index(free), evidence.index([first, *others])
+    )
     size = np.sqrt(np.maximum(np.diagonal(left), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(left[0, 1:] / (size[0] * size[1:]))

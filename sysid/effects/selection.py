@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
 from sysid.effects.catalogue import TWINS
-from sysid.effects.score import DEPENDENT, Evidence, agreement, corrected, corrected_each, likeness, projected, scores
+from sysid.effects.score import (
+    DEPENDENT,
+    Evidence,
+    agreement,
+    corrected,
+    corrected_each,
+    likeness,
+    projected,
+    scores,
+)
 from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
 FloatArray = NDArray[np.float64]
@@ -87,13 +96,19 @@ def threshold(candidates: int, family: float = FAMILY) -> float:
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
 
-def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY) -> float:
+def chance_limit(
+    evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
+) -> float:
     """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is there.
 
     Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their own correlation, what the free
     columns take up removed. Never above Sidak's limit, which is for candidates that have nothing in common.
     """
-    known = [k for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True) if share > DEPENDENT]
+    known = [
+        k
+        for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True)
+        if share > DEPENDENT
+    ]
     if len(known) < 2:
         return threshold(len(known), family)
     left, _ = projected(*evidence.everything, evidence.index(free), evidence.index(known))
@@ -101,15 +116,24 @@ def chance_limit(evidence: Evidence, free: Sequence[str], candidates: Sequence[s
     values, vectors = np.linalg.eigh(left / np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).astype(np.float32)
     rng = np.random.default_rng(len(known))
-    parts = (rng.standard_normal((DRAWS // DRAWN_IN, len(known)), np.float32) @ root.T for _ in range(DRAWN_IN))
+    parts = (
+        rng.standard_normal((DRAWS // DRAWN_IN, len(known)), np.float32) @ root.T
+        for _ in range(DRAWN_IN)
+    )
     largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
     return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
 
 
 def select(
-    evidence: Evidence, free: Sequence[str], candidates: Mapping[str, float], chosen: Sequence[str] = (), most: int = 6,
-    limit: float | None = None, empirical: bool = False, alone: float = np.inf,
-) -> Selection:  # fmt: skip
+    evidence: Evidence,
+    free: Sequence[str],
+    candidates: Mapping[str, float],
+    chosen: Sequence[str] = (),
+    most: int = 6,
+    limit: float | None = None,
+    empirical: bool = False,
+    alone: float = np.inf,
+) -> Selection:
     """Choose effects.
 
     free        columns that are estimated in any case; candidates: key -> odds
@@ -143,7 +167,9 @@ def select(
     return Selection(judged(evidence, free, here, list(candidates)), refused, tuple(trail))
 
 
-def judged(evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str]) -> tuple[Choice, ...]:
+def judged(
+    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str]
+) -> tuple[Choice, ...]:
     """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
     open_ = [k for k in candidates if k not in here]
     out = []
@@ -164,7 +190,12 @@ def _judged(evidence: Evidence, free: Sequence[str], key: str) -> Choice:
 
 
 def _entering(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool
+    evidence: Evidence,
+    free: Sequence[str],
+    open_: Sequence[str],
+    odds: Mapping[str, float],
+    limit: float,
+    empirical: bool,
 ) -> Choice | Refusal | None:
     """The candidate to enter. One in which the flights contradict each other may be disturbed by another that is missing as
     well: those that do not resemble it are then asked; it comes to its turn again beside them."""
@@ -175,19 +206,30 @@ def _entering(
             return found if isinstance(found, Choice) else first or found
         first = first or found
         alike = likeness(evidence, free, found.key, open_)
-        open_ = [k for k, a in zip(open_, alike, strict=True) if k != found.key and abs(np.nan_to_num(a)) < UNLIKE]
+        open_ = [
+            k
+            for k, a in zip(open_, alike, strict=True)
+            if k != found.key and abs(np.nan_to_num(a)) < UNLIKE
+        ]
     return first
 
 
 def _best(
-    evidence: Evidence, free: Sequence[str], open_: Sequence[str], odds: Mapping[str, float], limit: float, empirical: bool
+    evidence: Evidence,
+    free: Sequence[str],
+    open_: Sequence[str],
+    odds: Mapping[str, float],
+    limit: float,
+    empirical: bool,
 ) -> Choice | Refusal | None:
     found = scores(evidence, free, open_)
     merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
     if not np.isfinite(merit).any():
         return None
     # A candidate that is really there moves few of the others: their median does not know of it.
-    spread = max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
+    spread = (
+        max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
+    )
     best, *next_ = np.argsort(-merit)[:LOOKED_AT].tolist()
     choice = _judged(evidence, free, open_[best])
     if not abs(choice.t) > limit:
@@ -195,33 +237,60 @@ def _best(
         others = (_judged(evidence, free, open_[k]) for k in next_ if merit[k] >= limit**2)
         choice = next((c for c in others if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
-            return Refusal(choice.key, choice.t, choice.gain, f"|t| {abs(choice.t):.1f} is not above {limit:.1f}")
+            return Refusal(
+                choice.key,
+                choice.t,
+                choice.gain,
+                f"|t| {abs(choice.t):.1f} is not above {limit:.1f}",
+            )
     if not np.sqrt(choice.gain) > limit * spread:
         why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
         return Refusal(choice.key, choice.t, choice.gain, why)
     if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
         # Where the parts agree, all that they say of it together is in its t; one that fits both is somewhat off, being alone.
-        why = f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
-        return Refusal(choice.key, choice.t, choice.gain, why, not empirical and abs(choice.t) > limit + DIFFERENT, True)
+        why = (
+            f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
+        )
+        return Refusal(
+            choice.key,
+            choice.t,
+            choice.gain,
+            why,
+            not empirical and abs(choice.t) > limit + DIFFERENT,
+            True,
+        )
     return choice
 
 
-def _exchange(evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], here: list[str], trail: list[str]) -> None:
+def _exchange(
+    evidence: Evidence,
+    free: Sequence[str],
+    odds: Mapping[str, float],
+    here: list[str],
+    trail: list[str],
+) -> None:
     """Every chosen effect against every other candidate in its place."""
     for k, key in enumerate(here):
         others = [*free, *here[:k], *here[k + 1 :]]
         open_ = [c for c in odds if c not in here or c == key]
-        merit = np.nan_to_num(scores(evidence, others, open_).gain - np.array([odds[c] for c in open_]), nan=-np.inf)
+        merit = np.nan_to_num(
+            scores(evidence, others, open_).gain - np.array([odds[c] for c in open_]), nan=-np.inf
+        )
         best = int(np.argmax(merit))
         if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
             here[k] = open_[best]
             trail.append(f"{key} -> {open_[best]}")
 
 
-def _prune(evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float) -> None:
+def _prune(
+    evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
+) -> None:
     """The weakest effect below the limit taken out, again and again; one that is alone stays."""
     while len(here) > 1:
-        t = [abs(value / std) for value, std, _ in corrected_each(evidence, [*free, *here], here).values()]
+        t = [
+            abs(value / std)
+            for value, std, _ in corrected_each(evidence, [*free, *here], here).values()
+        ]
         worst = int(np.argmin(t))
         if t[worst] >= limit:
             break
@@ -238,7 +307,9 @@ def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str])
     return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
 
 
-def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str]) -> Choice:
+def _with_alternatives(
+    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str]
+) -> Choice:
     """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
     if not open_:
         return choice
@@ -246,20 +317,38 @@ def _with_alternatives(evidence: Evidence, others: Sequence[str], choice: Choice
     alone = float(scores(evidence, others, [choice.key]).information[0])
     least = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
     near = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least]
-    near += [i for i, k in enumerate(open_) if (choice.key, k) in TWINS and i not in near and np.isfinite(gains[i])]
+    near += [
+        i
+        for i, k in enumerate(open_)
+        if (choice.key, k) in TWINS and i not in near and np.isfinite(gains[i])
+    ]
     rows = []
-    for i, same in zip(near, likeness(evidence, others, choice.key, [open_[i] for i in near]), strict=True):
+    for i, same in zip(
+        near, likeness(evidence, others, choice.key, [open_[i] for i in near]), strict=True
+    ):
         key = open_[i]
         companions = _companions(evidence, others, TWINS.get((choice.key, key), ()))
         beside = scores(evidence, [*others, key, *companions], [choice.key])
         # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
-        t = float(np.nan_to_num(beside.t[0])) * (abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0)
+        t = float(np.nan_to_num(beside.t[0])) * (
+            abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
+        )
         kept = float(np.nan_to_num(beside.information[0])) / alone
         inseparable = abs(t) < DIFFERENT or (bool(companions) and kept < INSEPARABLE_SHARE)
-        rows.append(Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions)))
+        rows.append(
+            Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
+        )
     # Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative.
     kin = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
     nearest = next((a.key for a in alike if a.key not in kin), "")
-    together = sorted(alike, key=lambda a: 0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in TWINS else 3)
-    return replace(choice, alternatives=(*together[: MOST_ALTERNATIVES - 1], *[r for r in rows if r.separable][:1]))
+    together = sorted(
+        alike,
+        key=lambda a: (
+            0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in TWINS else 3
+        ),
+    )
+    return replace(
+        choice,
+        alternatives=(*together[: MOST_ALTERNATIVES - 1], *[r for r in rows if r.separable][:1]),
+    )

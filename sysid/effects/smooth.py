@@ -58,7 +58,9 @@ class Smooth:
     @property
     def label(self) -> str:
         """``Cm_of_alpha``, ``CY_of_alpha_times_dr``: letters, digits and underscores alone."""
-        return f"{self.coefficient}_of_{self.state}" + (f"_times_{self.times}" if self.times else "")
+        return f"{self.coefficient}_of_{self.state}" + (
+            f"_times_{self.times}" if self.times else ""
+        )
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -89,10 +91,15 @@ class Smooth:
     def inputs(self, found: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
         """Columns along a flight, as `prediction.Columns` has them; found: values (n,) of the variables."""
         rows = self.at(found[self.state]) * (found[self.times][:, None] if self.times else 1.0)
-        return {n: (COEFFICIENTS.index(self.coefficient), rows[:, k]) for k, n in enumerate(self.columns)}
+        return {
+            n: (COEFFICIENTS.index(self.coefficient), rows[:, k])
+            for k, n in enumerate(self.columns)
+        }
 
 
-def smooth_term(coefficient: str, state: str, times: str | None, found: Mapping[str, FloatArray]) -> Smooth | None:
+def smooth_term(
+    coefficient: str, state: str, times: str | None, found: Mapping[str, FloatArray]
+) -> Smooth | None:
     """The functions over the range of the data, by values (n,) of the variables; None where the state does not vary."""
     x = found[state]
     low, high = float(x.min()), float(x.max())
@@ -103,7 +110,9 @@ def smooth_term(coefficient: str, state: str, times: str | None, found: Mapping[
     knots = np.concatenate([low + step * np.arange(-3, 0), inner, high + step * np.arange(1, 4)])
     # The product of second derivatives is a square in each span, which two points integrate exactly (Gauss).
     middle = 0.5 * (inner[1:] + inner[:-1])
-    bend = _splines(np.concatenate([middle - step / math.sqrt(12.0), middle + step / math.sqrt(12.0)]), knots, 2)
+    bend = _splines(
+        np.concatenate([middle - step / math.sqrt(12.0), middle + step / math.sqrt(12.0)]), knots, 2
+    )
     values, vectors = np.linalg.eigh(0.5 * step * bend.T @ bend)
     free = vectors[:, _LINE:] / np.sqrt(values[_LINE:])
     # A straight line in B-splines has the knots' own means for coefficients.
@@ -119,7 +128,9 @@ def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArra
     # Takes a tenth of a second to load, and few flights ask for a smooth term.
     from scipy.interpolate import BSpline
 
-    return np.asarray(BSpline(knots, np.eye(len(knots) - 4), 3)(np.clip(x, knots[3], knots[-4]), derivative))
+    return np.asarray(
+        BSpline(knots, np.eye(len(knots) - 4), 3)(np.clip(x, knots[3], knots[-4]), derivative)
+    )
 
 
 @dataclass(frozen=True)
@@ -162,17 +173,25 @@ class SmoothFit:
         return self.p * tried < FAMILY
 
 
-def fit_smooth(evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth], dispersion: float = 1.0) -> list[SmoothFit]:
+def fit_smooth(
+    evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth], dispersion: float = 1.0
+) -> list[SmoothFit]:
     """Each of the terms alone beside the ``free`` columns."""
     G, u = evidence.everything
     c = evidence.index([n for t in terms for n in t.columns])
-    g, left, own = (part / dispersion for part in (*projected(G, u, evidence.index(free), c), np.diagonal(G)[c]))
+    g, left, own = (
+        part / dispersion for part in (*projected(G, u, evidence.index(free), c), np.diagonal(G)[c])
+    )
     edges = np.cumsum([0, *(len(t.columns) for t in terms)]).tolist()
     parts = (slice(*ends) for ends in pairwise(edges))
-    return [_fitted(t, g[k, k], left[k], own[k], dispersion) for t, k in zip(terms, parts, strict=True)]
+    return [
+        _fitted(t, g[k, k], left[k], own[k], dispersion) for t, k in zip(terms, parts, strict=True)
+    ]
 
 
-def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispersion: float) -> SmoothFit:
+def _fitted(
+    term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispersion: float
+) -> SmoothFit:
     known = np.diagonal(G) > DEPENDENT * own
     line, bends = np.flatnonzero(known[:_LINE]), _LINE + np.flatnonzero(known[_LINE:])
     ratio, precision = 0.0, np.zeros(len(u))
@@ -188,15 +207,21 @@ def _fitted(term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispers
         precision[bends] = 1.0 / taus[int(np.argmax(risen))]
     some = np.concatenate([line, bends]) if ratio > 0.0 else line
     cov = np.zeros((len(u), len(u)))
-    cov[np.ix_(some, some)] = solve(G[np.ix_(some, some)] + np.diag(precision[some]), np.eye(len(some)))
+    cov[np.ix_(some, some)] = solve(
+        G[np.ix_(some, some)] + np.diag(precision[some]), np.eye(len(some))
+    )
     mine = np.isin(np.arange(len(u)), some)
     edf, total, count = float(np.sum(cov * G)), ratio + gained, len(line)
     # A variance that may be zero at the least counts half (Self and Liang, JASA 82, 1987).
     p = float(special.chdtrc(count + 1, total)) if count else 0.5 * float(special.chdtrc(1, total))
-    return SmoothFit(term, cov @ u, cov, mine, edf, total, total - 2.0 * (count + 1), p, precision, dispersion)
+    return SmoothFit(
+        term, cov @ u, cov, mine, edf, total, total - 2.0 * (count + 1), p, precision, dispersion
+    )
 
 
-def colour_dispersion(evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]) -> float:
+def colour_dispersion(
+    evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]
+) -> float:
     """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of coloured.py) over that of a white
     one, each direction by how much of it the smoothing lets through; 1 at the least."""
     G, _ = evidence.everything
@@ -205,13 +230,22 @@ def colour_dispersion(evidence: Evidence, free: Sequence[str], fit: SmoothFit, r
     alone = [evidence.series(w, c) - evidence.series(w, b) @ part for w in evidence.white]
     weight = fit.cov[np.ix_(fit.known, fit.known)]
     white = sum(np.einsum("nmk,nml->kl", a, a) for a in alone)
-    return max(1.0, float(np.sum(weight * coloured_information(alone, list(residual))) / np.sum(weight * white)))
+    return max(
+        1.0,
+        float(
+            np.sum(weight * coloured_information(alone, list(residual))) / np.sum(weight * white)
+        ),
+    )
 
 
-def held_out_gain(evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]) -> float:
+def held_out_gain(
+    evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]
+) -> float:
     """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the others: `score.agreement`."""
     b, c = evidence.index(free), evidence.index(fit.own)
-    (G, u), (other, score) = (projected(*evidence.part(segments), b, c) for segments in (part, ~part))
+    (G, u), (other, score) = (
+        projected(*evidence.part(segments), b, c) for segments in (part, ~part)
+    )
     v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.known]), u)
     return float(2.0 * v @ score - v @ other @ v)
 
@@ -235,7 +269,9 @@ def known_forms(knots: FloatArray) -> dict[str, Form]:
     """Forms that physics has names for, as functions of the state: powers, and kinks, steps, humps and dead zones at each knot."""
     places, wide = knots[4:-4], float(knots[4] - knots[3])
     placed = {
-        f"{n} {a if n.endswith('at') else abs(a):.3g}": partial(f, a, wide) for n, f in _PLACED.items() for a in places.tolist()
+        f"{n} {a if n.endswith('at') else abs(a):.3g}": partial(f, a, wide)
+        for n, f in _PLACED.items()
+        for a in places.tolist()
     }
     return {**_POWERS, **placed}
 
@@ -253,7 +289,10 @@ def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[
         return left / size if size > 1e-6 * float(np.linalg.norm(y)) else np.zeros_like(left)
 
     own = bent(fit.curve(x)[0])
-    every = sorted(((n, float(own @ bent(f(x)))) for n, f in known_forms(fit.term.knots).items()), key=lambda r: -abs(r[1]))
+    every = sorted(
+        ((n, float(own @ bent(f(x)))) for n, f in known_forms(fit.term.knots).items()),
+        key=lambda r: -abs(r[1]),
+    )
     best: dict[str, tuple[str, float]] = {}
     for name, correlation in every:
         best.setdefault(next((k for k in _PLACED if name.startswith(k)), name), (name, correlation))

@@ -94,11 +94,20 @@ class Gusts:
         """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
         gusts that pass at one speed pass at their mean airspeed."""
         first = self.states[0]
-        passing = {f: bool(first.passing_mps) * float(np.mean([V[k] for k in part])) for f, part in _members(flights).items()}
+        passing = {
+            f: bool(first.passing_mps) * float(np.mean([V[k] for k in part]))
+            for f, part in _members(flights).items()
+        }
         passing |= self.passing
         own = {f: self.own.get(f, self.values) for f in flights}
         states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
-        return replace(self, states=states, own=own, passing=passing, process=_process([own[f] for f in flights], V, states))
+        return replace(
+            self,
+            states=states,
+            own=own,
+            passing=passing,
+            process=_process([own[f] for f in flights], V, states),
+        )
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -121,20 +130,33 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
-    noise[0], noise[1], noise[2] = values[0] * faster, *(faster * values[1:3] * (V_REFERENCE / V) ** 2)
+    noise[0], noise[1], noise[2] = (
+        values[0] * faster,
+        *(faster * values[1:3] * (V_REFERENCE / V) ** 2),
+    )
     # A coefficient's noise is a moment's by dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
     # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are velocities.
-    begin[8:11] = 0.5 * np.array(states.lags_s(V)) * [noise[8], *(states.rotating * V**2 * noise[1:3])]
+    begin[8:11] = (
+        0.5 * np.array(states.lags_s(V)) * [noise[8], *(states.rotating * V**2 * noise[1:3])]
+    )
     begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]] * [1.0, V**2]
     return noise, begin
 
 
 def gust_intensity(
-    linear: Linear, measured: Sequence[FloatArray], which: Sequence[int], noise: FloatArray, V: Sequence[float],
-    flights: Sequence[str], states: GustStates, near: Gusts | None = None, by: Processes = ALONE, kinds: Sequence[str] = (),
-) -> tuple[Gusts, FloatArray]:  # fmt: skip
+    linear: Linear,
+    measured: Sequence[FloatArray],
+    which: Sequence[int],
+    noise: FloatArray,
+    V: Sequence[float],
+    flights: Sequence[str],
+    states: GustStates,
+    near: Gusts | None = None,
+    by: Processes = ALONE,
+    kinds: Sequence[str] = (),
+) -> tuple[Gusts, FloatArray]:
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
     flight on at most six. And (m,) factors by which the sensors' noise changes.
 
@@ -150,17 +172,31 @@ def gust_intensity(
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if near is None:
-        last = search.best(some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS])
+        last = search.best(
+            some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS]
+        )
     else:
         near = near.in_other(V, flights)
         last = _Point(near.states, near.values, known).with_own(near.own, flights)
         # Far from what is stated no slope may lead back.
         far = len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR
-        last = search.best(some, [last, *([replace(last, factors=np.ones(len(noise)))] if far else [])])
+        last = search.best(
+            some, [last, *([replace(last, factors=np.ones(len(noise)))] if far else [])]
+        )
     here = search.descend(some, last, kinds)
     if near is None or last.cost - here.cost > DIFFERENT**2:
         # What gusts do, an effect that is missing or a sensor that is off may have decided before.
-        other = search.best(some, [here, *(here.acting(rotating=r, turning_with=t) for r, t in _ACTING if (r, t) != here.kind)])
+        other = search.best(
+            some,
+            [
+                here,
+                *(
+                    here.acting(rotating=r, turning_with=t)
+                    for r, t in _ACTING
+                    if (r, t) != here.kind
+                ),
+            ],
+        )
         here = search.descend(some, other, kinds) if other.kind != here.kind else here
         if near is None:
             # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
@@ -172,14 +208,20 @@ def gust_intensity(
         here = search.own(of, here, flights)
     # What is lost counts from this air, which was found flight by flight.
     here = search.best(some, [here])
-    gain, across = (search.lost(some, here, left) for left in (0.0, _ALONG)) if near is None else (near.gain, near.across)
+    gain, across = (
+        (search.lost(some, here, left) for left in (0.0, _ALONG))
+        if near is None
+        else (near.gain, near.across)
+    )
     without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
     lost = np.array([search.lost(some, here, left) for left in without])
     moments = np.where(np.isfinite(lost), lost, np.nan)
     own = {f: here.of(members[0]) for f, members in of.items()}
     passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
     process = search.process(range(len(measured)), here)
-    return Gusts(here.states, here.values, own, passing, process, gain, across, moments, here.factors), here.factors / known
+    return Gusts(
+        here.states, here.values, own, passing, process, gain, across, moments, here.factors
+    ), here.factors / known
 
 
 @dataclass(frozen=True)
@@ -223,7 +265,9 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(default_factory=lambda: LRUCache(REMEMBERED_AIRS))
+    asked: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(
+        default_factory=lambda: LRUCache(REMEMBERED_AIRS)
+    )
 
     def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
         """That of the segments ``some``."""
@@ -236,15 +280,29 @@ class _Search:
 
     def process(self, some: Sequence[int], point: _Point) -> Process:
         """Noise that gusts make in the segments ``some``."""
-        return _process([point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some])
+        return _process(
+            [point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some]
+        )
 
-    def own(self, of: Mapping[str, Sequence[int]], point: _Point, flights: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
+    def own(
+        self,
+        of: Mapping[str, Sequence[int]],
+        point: _Point,
+        flights: Sequence[str],
+        most: int = _MOST_DESCENTS,
+    ) -> _Point:
         """The point with each flight's own intensities, sought from those that it has there; of: flight -> its segments; flights:
         whose each segment is."""
         if len(of) == 1:
             return point
-        alone = {f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(_START)))) for f, part in of.items()}
-        own = {f: self.descend(_spread(of[f], _OF_A_FLIGHT), one, (), most).values for f, one in alone.items()}
+        alone = {
+            f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(_START))))
+            for f, part in of.items()
+        }
+        own = {
+            f: self.descend(_spread(of[f], _OF_A_FLIGHT), one, (), most).values
+            for f, one in alone.items()
+        }
         return point.with_own(own, flights)
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
@@ -267,24 +325,40 @@ class _Search:
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
         """The likeliest of points."""
-        return min((replace(p, cost=self.score(some, p, slopes=False).cost) for p in points), key=lambda p: p.cost)
+        return min(
+            (replace(p, cost=self.score(some, p, slopes=False).cost) for p in points),
+            key=lambda p: p.cost,
+        )
 
     def lost(self, some: Sequence[int], point: _Point, left: FloatArray | float) -> float:
         """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a point found."""
-        return self.score(some, replace(point, values=left * point.values), slopes=False).cost - point.cost
+        return (
+            self.score(some, replace(point, values=left * point.values), slopes=False).cost
+            - point.cost
+        )
 
-    def descend(self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS) -> _Point:
+    def descend(
+        self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS
+    ) -> _Point:
         """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a quasi-Newton search in the
         logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995)."""
         unlike = list(dict.fromkeys(kinds))
-        shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(len(unlike), len(point.factors))
+        shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(
+            len(unlike), len(point.factors)
+        )
         at, sizes = len(point.values), (len(point.values), len(unlike))
         each = [self.process(some, replace(point, values=alone)) for alone in np.diag(point.values)]
 
         def here(x: FloatArray) -> _Point:
-            return replace(point, values=point.values * np.exp(x[:at]), factors=point.factors * np.exp(x[at:] @ shared))
+            return replace(
+                point,
+                values=point.values * np.exp(x[:at]),
+                factors=point.factors * np.exp(x[at:] @ shared),
+            )
 
-        def by_each(x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray) -> FloatArray:
+        def by_each(
+            x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray
+        ) -> FloatArray:
             # The noise of a step, and the air at the start, go with each intensity in a straight line.
             air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
             return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
@@ -292,10 +366,14 @@ class _Search:
         prior = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
         none = np.zeros(len(prior))
         # From what the sensors are said to have to where the search begins.
-        off = np.concatenate([np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)])
+        off = np.concatenate(
+            [np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)]
+        )
         first = self.score(some, point)
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
-        scale = np.sqrt(np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT))
+        scale = np.sqrt(
+            np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
+        )
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             x = y / scale
@@ -318,12 +396,21 @@ def _members(flights: Sequence[str]) -> dict[str, list[int]]:
     return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
 
 
-def _process(values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]) -> Process:
+def _process(
+    values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]
+) -> Process:
     """Of segments with such values and airspeeds."""
-    noise, begin = zip(*(process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)), strict=True)
+    noise, begin = zip(
+        *(process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)), strict=True
+    )
     return Process(np.stack(noise), np.stack(begin))
 
 
 def _spread(members: Sequence[int], most: int) -> list[int]:
     """At most so many of them, from the first to the last."""
-    return [members[k] for k in np.unique(np.linspace(0, len(members) - 1, min(len(members), most)).astype(int)).tolist()]
+    return [
+        members[k]
+        for k in np.unique(
+            np.linspace(0, len(members) - 1, min(len(members), most)).astype(int)
+        ).tolist()
+    ]

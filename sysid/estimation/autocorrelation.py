@@ -19,7 +19,11 @@ def integral_time(pieces: Sequence[FloatArray]) -> float:
     total, longest = 1.0, max(len(e) for e in pieces) // 3
     power = sum(float(e @ e) for e in pieces)
     for lag in range(1, longest):
-        r = sum(float(e[lag:] @ e[:-lag]) for e in pieces if len(e) > lag) / power if power > 0 else 0.0
+        r = (
+            sum(float(e[lag:] @ e[:-lag]) for e in pieces if len(e) > lag) / power
+            if power > 0
+            else 0.0
+        )
         if r <= 0.0:
             break
         total += 2.0 * r

@@ -21,7 +21,9 @@ from scipy import fft
 from sysid.arrays import Array
 from sysid.linalg.blocks import Blocks
 
-CROSS_LAGS = 40  # longest lag, in samples, at which one output's innovation is looked for in another's
+CROSS_LAGS = (
+    40  # longest lag, in samples, at which one output's innovation is looked for in another's
+)
 
 
 def autocovariance(segments: list[Array], max_lag: int) -> Array:
@@ -106,7 +108,9 @@ def residual_models(residual: list[Array]) -> tuple[list[Array], Array]:
         series = [part[:, channel] for part in residual]
         count = int(sum(np.isfinite(part).sum() for part in series))
         longest = max(part.size for part in series)
-        model, variance = autoregression(autocovariance(series, min(max_order(count), longest - 1)), max(count, 2))
+        model, variance = autoregression(
+            autocovariance(series, min(max_order(count), longest - 1)), max(count, 2)
+        )
         models.append(model)
         variances.append(variance)
     return models, np.array(variances)
@@ -135,16 +139,22 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
         total, pairs = _cross_covariance([_innovations(part, models) for part in residual], lags)
         own = np.sqrt(np.diagonal(total[0] / np.maximum(pairs[0], 1.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
-            correlation = np.where(pairs > 20, total / np.maximum(pairs, 1.0) / np.outer(own, own), 0.0)
+            correlation = np.where(
+                pairs > 20, total / np.maximum(pairs, 1.0) / np.outer(own, own), 0.0
+            )
         correlation[~np.isfinite(correlation)] = 0.0
         off = ~np.eye(m, dtype=bool)
         strong = np.abs(correlation[:, off]) * np.sqrt(np.maximum(pairs[:, off], 1.0)) > 4.0
         if strong.any():
             last = int(np.flatnonzero(strong.any(axis=1))[-1])
-            lags = min(lags, 2 * last)  # kept in full up to the last significant lag, then let go linearly
+            lags = min(
+                lags, 2 * last
+            )  # kept in full up to the last significant lag, then let go linearly
             deviation = np.sqrt(variances)
             omega = np.exp(-2j * np.pi * np.arange(frequencies) / size)
-            gamma = np.repeat((correlation[0] * np.outer(deviation, deviation))[None], frequencies, axis=0).astype(complex)
+            gamma = np.repeat(
+                (correlation[0] * np.outer(deviation, deviation))[None], frequencies, axis=0
+            ).astype(complex)
             gamma[:, np.arange(m), np.arange(m)] = variances
             for lag in range(1, lags + 1):
                 taper = min(1.0, (lags + 1.0 - lag) / (lags + 1.0 - last))
@@ -166,11 +176,15 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
         wave = fft.rfft(part, size, axis=0)
         wave *= shape[:, :, None]
         flat = (wave if root is None else root @ wave).reshape(frequencies * m, columns.size)
-        bracket[np.ix_(columns, columns)] += sum(np.dot(half.T, half) for half in (flat.real.copy(), flat.imag.copy()))
+        bracket[np.ix_(columns, columns)] += sum(
+            np.dot(half.T, half) for half in (flat.real.copy(), flat.imag.copy())
+        )
     return bracket
 
 
 def _root(spectrum: Array) -> Array:
     """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra may stray below zero."""
     values, vectors = np.linalg.eigh(spectrum)
-    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.conj(np.swapaxes(vectors, 1, 2)))
+    return np.asarray(
+        np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.conj(np.swapaxes(vectors, 1, 2))
+    )

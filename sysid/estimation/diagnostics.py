@@ -10,8 +10,12 @@ from sysid.arrays import Array
 from sysid.distributions import chi2_tail
 from sysid.estimation.coloured import autocovariance, residual_models
 
-WHITENESS_LEVEL = 1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
-STRONG_SHARE = 0.15  # share of an output's residual predictable from its own past that counts as process noise
+WHITENESS_LEVEL = (
+    1e-4  # p-value, shared out over the outputs; rejects a white record once in 10 000
+)
+STRONG_SHARE = (
+    0.15  # share of an output's residual predictable from its own past that counts as process noise
+)
 MOTION_SHARE = 0.6  # share of a residual that follows the simulated motion above which the model's form is suspected first
 STRONG_RATIO = 1.7  # coloured over Cramer-Rao standard error, median, that counts as process noise
 
@@ -74,7 +78,9 @@ def _explained(residual: list[Array], motion: list[Array]) -> Array:
 def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
     """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs, same shapes."""
     m = residual[0].shape[1]
-    n = min(int(np.isfinite(np.concatenate([part[:, c] for part in residual])).sum()) for c in range(m))
+    n = min(
+        int(np.isfinite(np.concatenate([part[:, c] for part in residual])).sum()) for c in range(m)
+    )
     lags = max(1, min(20, n // 5, max(part.shape[0] for part in residual) - 1))
     _models, innovation = residual_models(residual)
     variance = np.array([autocovariance([part[:, c] for part in residual], 0)[0] for c in range(m)])

@@ -43,7 +43,9 @@ class Model:
             return np.asarray(function(x, u, theta), dtype=float)
         out = np.empty((rows, x.shape[1]))
         for lane in range(x.shape[1]):
-            out[:, lane] = np.asarray(function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float).ravel()
+            out[:, lane] = np.asarray(
+                function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float
+            ).ravel()
         return out
 
     def step(self, x: Array, k1: Array, middle: Array, u1: Array, theta: Array, dt: Array) -> Array:
@@ -54,7 +56,9 @@ class Model:
         return np.asarray(x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
 
-def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Array, outputs: int) -> Model:
+def make_model(
+    f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Array, outputs: int
+) -> Model:
     """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
 
     Raises ValueError when f or g fail on single vectors, or return the wrong length or values that are not finite.
@@ -68,22 +72,40 @@ def make_model(f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Ar
                 f"theta of {theta.size} elements at the first sample; it must accept these"
             ) from error
         if value.size != rows:
-            raise ValueError(f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}")
+            raise ValueError(
+                f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}"
+            )
         if not np.isfinite(value).all():
-            raise ValueError(f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start")
-    lanes = next(size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs))
+            raise ValueError(
+                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
+            )
+    lanes = next(
+        size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs)
+    )
     shift = 1.0 + 1e-3 * np.arange(lanes)
-    xs, us, thetas = x[:, None] * shift + 1e-4 * np.arange(lanes), u[:, None] * shift, theta[:, None] * shift
+    xs, us, thetas = (
+        x[:, None] * shift + 1e-4 * np.arange(lanes),
+        u[:, None] * shift,
+        theta[:, None] * shift,
+    )
     looped = Model(f, g, x.size, outputs, False)
     together = Model(f, g, x.size, outputs, True)
     try:
         with np.errstate(all="ignore"):
             same = all(
                 np.shape(whole := getattr(together, kind)(xs, us, thetas)) == (rows, lanes)
-                and np.allclose(whole, getattr(looped, kind)(xs, us, thetas), rtol=1e-10, atol=1e-13, equal_nan=True)
+                and np.allclose(
+                    whole,
+                    getattr(looped, kind)(xs, us, thetas),
+                    rtol=1e-10,
+                    atol=1e-13,
+                    equal_nan=True,
+                )
                 for kind, rows in (("rate", x.size), ("output", outputs))
             )
-    except Exception:  # whatever a function written for vectors does with a lane axis, it means: not vectorised
+    except (
+        Exception
+    ):  # whatever a function written for vectors does with a lane axis, it means: not vectorised
         same = False
     return together if same else looped
 
@@ -115,7 +137,15 @@ class Innovations:
 
 
 def run_filter(
-    model: Model, record: Record, theta: Array, q: Array, r: Array, x0: Array, p0: Array, difference: Array, every: int
+    model: Model,
+    record: Record,
+    theta: Array,
+    q: Array,
+    r: Array,
+    x0: Array,
+    p0: Array,
+    difference: Array,
+    every: int,
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
 
@@ -164,7 +194,11 @@ def run_filter(
                 if not complete[k, j]:
                     # A missing output: no innovation, no gain, unit variance: it adds nothing to the likelihood.
                     missing = np.isnan(raw[k, j])
-                    e, s, gain = np.where(missing, 0.0, e), np.where(missing, 1.0, s), np.where(missing, 0.0, gain)
+                    e, s, gain = (
+                        np.where(missing, 0.0, e),
+                        np.where(missing, 1.0, s),
+                        np.where(missing, 0.0, gain),
+                    )
                 e_all[k, j], s_all[k, j] = e, s
                 moved += gain * e
                 P -= np.multiply(gain[:, None], PH[None], out=work)
@@ -191,7 +225,12 @@ def run_filter(
             P[diagonal, diagonal] += third
             if k % 100 == 0 and not (np.abs(x) < 1e100).all():
                 return None
-    if not (np.isfinite(e_all).all() and (np.abs(e_all) < 1e100).all() and np.isfinite(s_all).all() and (s_all > 0).all()):
+    if not (
+        np.isfinite(e_all).all()
+        and (np.abs(e_all) < 1e100).all()
+        and np.isfinite(s_all).all()
+        and (s_all > 0).all()
+    ):
         return None
     return Innovations(raw, e_all, s_all)
 

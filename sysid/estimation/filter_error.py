@@ -22,7 +22,14 @@ from numpy.typing import ArrayLike
 
 from sysid.arrays import Array, as_bounds, as_free, as_names, as_parameters, is_many
 from sysid.estimation.ekf import ModelFunction, make_model
-from sysid.estimation.filter_input import measurement_noise, noisy_states, output_spread, positive_vector, read_record, state_scale
+from sysid.estimation.filter_input import (
+    measurement_noise,
+    noisy_states,
+    output_spread,
+    positive_vector,
+    read_record,
+    state_scale,
+)
 from sysid.estimation.filter_layout import Layout
 from sysid.estimation.filter_report import assemble
 from sysid.estimation.gauss_newton import Minimum, Told, minimise
@@ -30,7 +37,12 @@ from sysid.estimation.innovations import FilterProblem
 from sysid.estimation.result import FilterErrorFit
 
 NEAR_NOISE = 0.1  # how far the logarithm of R may move while theta is far off
-FIRST_NOISE = (1e-3, 1e-2, 1e-1, 1.0)  # first guesses of process noise, in the states' scale per sqrt(s)
+FIRST_NOISE = (
+    1e-3,
+    1e-2,
+    1e-1,
+    1.0,
+)  # first guesses of process noise, in the states' scale per sqrt(s)
 
 
 def filter_error(
@@ -124,7 +136,9 @@ def filter_error(
     lower, upper = as_bounds(bounds, theta, labels)
     columns = np.flatnonzero(as_free(free, labels))
     if not isinstance(jacobian_every, int) or jacobian_every < 1:
-        raise ValueError(f"jacobian_every is {jacobian_every!r}; give a whole number of samples, 1 or more")
+        raise ValueError(
+            f"jacobian_every is {jacobian_every!r}; give a whole number of samples, 1 or more"
+        )
     if hold not in ("linear", "zoh"):
         raise ValueError(f'hold is {hold!r}; allowed are "linear" and "zoh"')
     record, initial = read_record(x0, u, z, t, hold == "zoh", u_middle)
@@ -132,42 +146,74 @@ def filter_error(
     nx = initial.shape[0]
     counts = np.isfinite(record.z).sum(axis=(0, 2))
     if (counts == 0).any():
-        raise ValueError(f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out")
+        raise ValueError(
+            f"z output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+        )
     if counts.sum() <= columns.size:
-        raise ValueError(f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer")
+        raise ValueError(
+            f"{int(counts.sum())} measured values for {columns.size} parameters; measure more or free fewer"
+        )
     model = make_model(f, g, initial[:, 0], record.u[0, :, 0], theta, m)
     noisy = noisy_states(process_noise, nx)
 
     spread = output_spread(record)
-    measurement = positive_vector(noise_start, m, "noise_start") if noise_start is not None else measurement_noise(record)
+    measurement = (
+        positive_vector(noise_start, m, "noise_start")
+        if noise_start is not None
+        else measurement_noise(record)
+    )
     scale = state_scale(model, record, theta, initial, spread)
-    deviation = positive_vector(x0_std, nx, "x0_std") if x0_std is not None else scale * (1e-3 if estimate_x0 else 1.0)
+    deviation = (
+        positive_vector(x0_std, nx, "x0_std")
+        if x0_std is not None
+        else scale * (1e-3 if estimate_x0 else 1.0)
+    )
     layout = Layout(theta, columns, noisy, m, nx, segments, estimate_x0)
     problem = FilterProblem(
-        model=model, record=record, layout=layout, initial=initial, p0=np.diag(deviation**2),
+        model=model,
+        record=record,
+        layout=layout,
+        initial=initial,
+        p0=np.diag(deviation**2),
         difference=1e-5 * np.maximum(scale, np.abs(initial).max(axis=1)),
         every=jacobian_every,
-        state_scale=scale, told=told,
-    )  # fmt: skip
-    process = positive_vector(process_noise_start, nx, "process_noise_start") if process_noise_start is not None else None
+        state_scale=scale,
+        told=told,
+    )
+    process = (
+        positive_vector(process_noise_start, nx, "process_noise_start")
+        if process_noise_start is not None
+        else None
+    )
     tried = [(factor * scale) ** 2 for factor in FIRST_NOISE]
     q = process**2 if process is not None else problem.best_process_noise(theta, tried, measurement)
     start_point = layout.pack(theta, q, measurement, initial)
     low, high = layout.limits(lower, upper, scale, spread)
     start_point = np.clip(start_point, low, high)
     if problem.evaluate(start_point) is None:
-        raise ValueError("the filter diverges at theta0; start from other values, or from a larger noise_start")
+        raise ValueError(
+            "the filter diverges at theta0; start from other values, or from a larger noise_start"
+        )
     best = _from(problem, start_point, low, high, tolerance, max_iterations)
     fit = assemble(problem, best, labels, low, high, record, is_many(z))
     if best.converged and not any(text.startswith("coloured") for text in fit.warnings):
         return fit
     other = _from_high_gain(problem, start_point, low, high, tried[-1], tolerance, max_iterations)
-    return fit if other is None or not other.cost < best.cost else assemble(
-        problem, other, labels, low, high, record, is_many(z)
-    )  # fmt: skip
+    return (
+        fit
+        if other is None or not other.cost < best.cost
+        else assemble(problem, other, labels, low, high, record, is_many(z))
+    )
 
 
-def _from(problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int) -> Minimum:
+def _from(
+    problem: FilterProblem,
+    point: Array,
+    low: Array,
+    high: Array,
+    tolerance: float,
+    max_iterations: int,
+) -> Minimum:
     """The minimum reached from a packed point at which the filter works.
 
     Far from the answer a likelihood gains most by calling the model's errors measurement noise, and then looks no further.
@@ -179,11 +225,21 @@ def _from(problem: FilterProblem, point: Array, low: Array, high: Array, toleran
     near_high[logs] = np.minimum(high[logs], point[logs] + NEAR_NOISE)
     first = _descend(problem, point, near_low, near_high, 0.3, max_iterations)
     best = _descend(problem, first.theta, low, high, tolerance, max_iterations)
-    return replace(best, iterations=first.iterations + best.iterations, cost_history=first.cost_history + best.cost_history[1:])
+    return replace(
+        best,
+        iterations=first.iterations + best.iterations,
+        cost_history=first.cost_history + best.cost_history[1:],
+    )
 
 
 def _from_high_gain(
-    problem: FilterProblem, point: Array, low: Array, high: Array, q: Array, tolerance: float, max_iterations: int
+    problem: FilterProblem,
+    point: Array,
+    low: Array,
+    high: Array,
+    q: Array,
+    tolerance: float,
+    max_iterations: int,
 ) -> Minimum | None:
     """The minimum reached with theta from one-step predictions: so much process noise q (nx,) that every step starts from the data.
 
@@ -201,7 +257,23 @@ def _from_high_gain(
     return _from(problem, near, low, high, tolerance, max_iterations)
 
 
-def _descend(problem: FilterProblem, point: Array, low: Array, high: Array, tolerance: float, max_iterations: int) -> Minimum:
+def _descend(
+    problem: FilterProblem,
+    point: Array,
+    low: Array,
+    high: Array,
+    tolerance: float,
+    max_iterations: int,
+) -> Minimum:
     start = problem.evaluate(point)
     assert start is not None
-    return minimise(problem, point, start, low, high, tolerance=tolerance, max_iterations=max_iterations, always_central=False)
+    return minimise(
+        problem,
+        point,
+        start,
+        low,
+        high,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        always_central=False,
+    )

@@ -11,7 +11,9 @@ from sysid.arrays import Array, as_array, as_free, as_parameters, as_segments, i
 from sysid.estimation.ekf import Model, Record
 
 
-def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None) -> tuple[Record, Array]:
+def read_record(
+    x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None
+) -> tuple[Record, Array]:
     """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
     outputs = as_segments(z, "z", dropouts=True)
     times = [part[:, 0] for part in as_segments(t, "t", dropouts=False)]
@@ -25,11 +27,17 @@ def read_record(x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = Non
         )
     for number, time in enumerate(times):
         if time.size < 2 or not (np.diff(time) > 0.0).all():
-            raise ValueError(f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it")
-    each = is_many(x0) or np.ndim(x0) == 2  # a vector a segment, be they arrays, lists or the rows of one array
+            raise ValueError(
+                f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
+            )
+    each = (
+        is_many(x0) or np.ndim(x0) == 2
+    )  # a vector a segment, be they arrays, lists or the rows of one array
     starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
     if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
-        raise ValueError(f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them")
+        raise ValueError(
+            f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them"
+        )
     longest, s = max(lengths), len(lengths)
     U = np.zeros((longest, inputs[0].shape[1], s))
     Z = np.full((longest, outputs[0].shape[1], s), np.nan)
@@ -63,7 +71,11 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
     if chosen is None:
         return np.arange(nx)
     try:
-        return np.flatnonzero(as_free(list(chosen), tuple(f"x{i}" for i in range(nx)))) if len(list(chosen)) else np.arange(0)
+        return (
+            np.flatnonzero(as_free(list(chosen), tuple(f"x{i}" for i in range(nx))))
+            if len(list(chosen))
+            else np.arange(0)
+        )
     except ValueError as error:
         raise ValueError(f"process_noise: {error}") from None
 
@@ -90,7 +102,9 @@ def measurement_noise(record: Record) -> Array:
     for channel in range(out.size):
         rough = np.diff(record.z[:, channel, :], n=3, axis=0)
         rough = rough[np.isfinite(rough)]
-        out[channel] = np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * spread[channel]
+        out[channel] = (
+            np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * spread[channel]
+        )
     return np.maximum(out, 1e-4 * spread)
 
 
@@ -105,6 +119,8 @@ def state_scale(model: Model, record: Record, theta: Array, initial: Array, spre
         shifted = x.copy()
         shifted[index] += 1e-4 * size
         slope = np.abs(model.output(shifted, u, theta[:, None])[:, 0] - base) / (1e-4 * size)
-        reach = [spread[c] / slope[c] for c in range(base.size) if slope[c] * size > 1e-9 * spread[c]]
+        reach = [
+            spread[c] / slope[c] for c in range(base.size) if slope[c] * size > 1e-9 * spread[c]
+        ]
         scale[index] = min(reach) if reach else max(float(np.abs(initial[index]).max()), 1.0)
     return scale

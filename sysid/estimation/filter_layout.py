@@ -52,7 +52,9 @@ class Layout:
             x0 = vector[b + self.outputs :].reshape(self.segments, self.states).T
         return theta, q, r, x0
 
-    def limits(self, lower: Array, upper: Array, scale: Array, spread: Array) -> tuple[Array, Array]:
+    def limits(
+        self, lower: Array, upper: Array, scale: Array, spread: Array
+    ) -> tuple[Array, Array]:
         """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
         low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
         high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
@@ -64,5 +66,7 @@ class Layout:
         out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
         out += [f"ln r of output {i}" for i in range(self.outputs)]
         if self.with_x0:
-            out += [f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)]
+            out += [
+                f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)
+            ]
         return out

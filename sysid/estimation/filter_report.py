@@ -16,7 +16,13 @@ from sysid.estimation.result import FilterErrorFit
 
 
 def assemble(
-    problem: FilterProblem, best: Minimum, labels: tuple[str, ...], low: Array, high: Array, record: Record, many: bool
+    problem: FilterProblem,
+    best: Minimum,
+    labels: tuple[str, ...],
+    low: Array,
+    high: Array,
+    record: Record,
+    many: bool,
 ) -> FilterErrorFit:
     """Bounds, gate and warnings at the optimum."""
     layout = problem.layout
@@ -34,9 +40,17 @@ def assemble(
     for piece in sensitivities:
         flat = np.nan_to_num(piece).reshape(-1, inside.size)
         plain += flat.T @ flat
-    bracket = coloured_information(sensitivities, whites) + line.information[np.ix_(inside, inside)] - plain
+    bracket = (
+        coloured_information(sensitivities, whites)
+        + line.information[np.ix_(inside, inside)]
+        - plain
+    )
     total, k_free = best.theta.size, layout.columns.size
-    cov, crb, vif = np.full((total, total), np.nan), np.full((total, total), np.nan), np.full(total, np.inf)
+    cov, crb, vif = (
+        np.full((total, total), np.nan),
+        np.full((total, total), np.nan),
+        np.full(total, np.inf),
+    )
     at = np.ix_(inside, inside)
     cov[at] = masked_covariance(gate.inverse @ bracket @ gate.inverse, gate.identified)
     crb[at] = masked_covariance(gate.inverse, gate.identified)
@@ -47,13 +61,19 @@ def assemble(
     for index in np.flatnonzero(held).tolist():
         reason[index] = at_bound(best.theta[index], low[index], high[index])
     for index in range(k_free):
-        reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), high[index] - low[index])
+        reason[index] = reason[index] or idle_bound(
+            float(np.sqrt(cov[index, index])), high[index] - low[index]
+        )
     identified = np.array([not text for text in reason])
     cov, crb = masked_covariance(cov, identified), masked_covariance(crb, identified)
 
     theta, q, r, x0 = layout.unpack(best.theta, problem.initial)
     k = theta.size
-    spread_cov, spread_crb, spread_vif = np.full((k, k), np.nan), np.full((k, k), np.nan), np.full(k, np.inf)
+    spread_cov, spread_crb, spread_vif = (
+        np.full((k, k), np.nan),
+        np.full((k, k), np.nan),
+        np.full(k, np.inf),
+    )
     block = np.ix_(layout.columns, layout.columns)
     spread_cov[block], spread_crb[block] = cov[:k_free, :k_free], crb[:k_free, :k_free]
     spread_vif[layout.columns] = vif[:k_free]
@@ -73,10 +93,25 @@ def assemble(
     q_std = np.full(q.size, np.nan)
     q_std[layout.noisy] = np.sqrt(np.diagonal(cov)[k_free : k_free + layout.noisy.size])
     return FilterErrorFit(
-        names=labels, theta=theta, std=np.sqrt(np.diagonal(spread_cov)), std_crb=np.sqrt(np.diagonal(spread_crb)),
-        cov=spread_cov, cov_crb=spread_crb, status=status, reason=why, vif=spread_vif, noise_cov=np.diag(r**2),
-        residual=innovation if many else innovation[0], whiteness=found.p_value, converged=best.converged,
-        warnings=warnings, iterations=best.iterations, n_simulations=problem.runs, cost=best.cost,
-        cost_history=np.array(best.cost_history), process_noise_cov=np.diag(q), process_noise_std=q_std,
+        names=labels,
+        theta=theta,
+        std=np.sqrt(np.diagonal(spread_cov)),
+        std_crb=np.sqrt(np.diagonal(spread_crb)),
+        cov=spread_cov,
+        cov_crb=spread_crb,
+        status=status,
+        reason=why,
+        vif=spread_vif,
+        noise_cov=np.diag(r**2),
+        residual=innovation if many else innovation[0],
+        whiteness=found.p_value,
+        converged=best.converged,
+        warnings=warnings,
+        iterations=best.iterations,
+        n_simulations=problem.runs,
+        cost=best.cost,
+        cost_history=np.array(best.cost_history),
+        process_noise_cov=np.diag(q),
+        process_noise_std=q_std,
         x0=[x0[:, s] for s in range(x0.shape[1])],
-    )  # fmt: skip
+    )

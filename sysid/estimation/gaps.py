@@ -49,11 +49,15 @@ def quantum(pieces: Sequence[FloatArray]) -> float:
     return float(np.quantile(moving, 0.01))
 
 
-_REPEATS = 0.9  # share of samples that differ from the one before, above which a channel is not coarse
+_REPEATS = (
+    0.9  # share of samples that differ from the one before, above which a channel is not coarse
+)
 _RESOLUTION = 1e-6  # of a channel's size: what a record's numbers tell at best
 
 
-def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]) -> dict[str, float]:
+def channel_noise(
+    data: Sequence[FloatArray], channels: Sequence[str], card: Mapping[str, float]
+) -> dict[str, float]:
     """Noise of each channel: what its own samples show, what the card says of the sensor, and what its steps hide: the largest.
 
     Attitudes of an autopilot are filtered and look cleaner than they are true; there the card's figure counts. Steps of size q
@@ -68,7 +72,9 @@ def channel_noise(data: Sequence[FloatArray], channels: Sequence[str], card: Map
             out[name] = float("nan")
             continue
         floor = max(quantum(pieces) / np.sqrt(12.0), _RESOLUTION * max([*sizes, _SMALLEST]))
-        out[name] = max(v for v in (white_noise(pieces), card.get(name, float("nan")), floor) if np.isfinite(v))
+        out[name] = max(
+            v for v in (white_noise(pieces), card.get(name, float("nan")), floor) if np.isfinite(v)
+        )
     return out
 
 
@@ -76,7 +82,9 @@ _SMALLEST = 1e-2
 """Size of a channel that stands at zero: of angles in rad, rates in rad/s and speeds in m/s alike."""
 
 
-def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> FloatArray:
+def quiet_share(
+    residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
+) -> FloatArray:
     """(m,) power beyond noise (m,) of each residual while the aircraft moves little, over that while it moves much.
 
     1 is what turbulence gives, which does not wait for manoeuvres; 0 what a wrong model or a late surface gives. The halves
@@ -84,22 +92,30 @@ def quiet_share(residual: Sequence[FloatArray], motion: Sequence[FloatArray], no
     """
     spread = np.concatenate(list(motion)).std(axis=0)
     spread = np.where(spread > 0.0, spread, 1.0)
-    speed = np.concatenate([np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion])
+    speed = np.concatenate(
+        [np.sqrt(np.mean((np.gradient(y, axis=0) / spread) ** 2, axis=1)) for y in motion]
+    )
     quiet = speed <= np.median(speed)
     stacked = np.concatenate(list(residual))
     with np.errstate(invalid="ignore", divide="ignore"):
-        still, moving = (np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet))
+        still, moving = (
+            np.nanmean(stacked[part] ** 2, axis=0) - noise**2 for part in (quiet, ~quiet)
+        )
         return np.asarray(np.where(moving > 0.2 * noise**2, np.maximum(still, 0.0) / moving, 0.0))
 
 
-def process_noise_shown(residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray) -> bool:
+def process_noise_shown(
+    residual: Sequence[FloatArray], motion: Sequence[FloatArray], noise: FloatArray
+) -> bool:
     """True when residuals are coloured, are no function of the simulated motion and are there in quiet flight too: turbulence.
 
     One channel may be a function of the motion in gusty air as well, where a sensor's scale is wrong, or a force is: then half of
     all channels must be as turbulence leaves them.
     """
     found = colour(list(residual), list(motion))
-    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (found.predictable > STRONG_SHARE)
+    strong = (found.p_value < WHITENESS_LEVEL / len(found.p_value)) & (
+        found.predictable > STRONG_SHARE
+    )
     formed = strong & (found.explained > FORM_SHARE)
     gusty = strong & ~formed & (quiet_share(residual, motion, noise) > QUIET_SHARE)
     return bool(gusty.any() if not formed.any() else 2 * np.count_nonzero(gusty) >= gusty.size)
@@ -136,7 +152,12 @@ class Shift:
     std: float
 
 
-def time_shift(measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float, at_most_s: float = 0.2) -> Shift:
+def time_shift(
+    measured: Sequence[FloatArray],
+    modelled: Sequence[FloatArray],
+    dt_s: float,
+    at_most_s: float = 0.2,
+) -> Shift:
     """Delay tau that makes modelled(t - tau) fit measured(t) best, by Gauss-Newton on the model's slope, offset left free.
 
     The standard error allows for coloured residuals by their integral time. NaN when the model does not move.
@@ -171,7 +192,9 @@ def time_shift(measured: Sequence[FloatArray], modelled: Sequence[FloatArray], d
     return Shift(tau, float(np.sqrt(variance * integral_time(left) / bottom)))
 
 
-def worst(residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float) -> list[tuple[float, float]]:
+def worst(
+    residual: FloatArray, time_s: FloatArray, noise: float, count: int, apart_s: float
+) -> list[tuple[float, float]]:
     """(time, residual) of the ``count`` largest residuals in units of noise, at least ``apart_s`` from one another."""
     size = np.where(np.isfinite(residual), np.abs(residual), -1.0) / (noise if noise > 0 else 1.0)
     out: list[tuple[float, float]] = []

@@ -22,7 +22,9 @@ LOST = 1e-10  # eigenvalues of the scaled information below this share of the la
 DAMPING = 1e-4  # first lambda: nearly Gauss-Newton
 NEAR = 0.05  # standard errors: as near as an imprecise or slowly settling likelihood need be called
 TRIALS = 14  # rejected steps in one iteration before giving up
-TRIALS_CARRIED = 2  # the same with sensitivities carried on from another point: they may be what is wrong
+TRIALS_CARRIED = (
+    2  # the same with sensitivities carried on from another point: they may be what is wrong
+)
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,14 @@ class Minimum:
     message: str
 
 
-def damped_step(gradient: Array, information: Array, damping: float, down: Array, up: Array, allowed: NDArray[np.bool_]) -> Array:
+def damped_step(
+    gradient: Array,
+    information: Array,
+    damping: float,
+    down: Array,
+    up: Array,
+    allowed: NDArray[np.bool_],
+) -> Array:
     """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
@@ -123,13 +132,25 @@ def minimise(
         gradient, information = line.gradient, line.information
         outward = ((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0))
         allowed = ~outward
-        free_step = damped_step(gradient, information, 0.0, np.full(theta.size, np.inf), np.full(theta.size, np.inf), allowed)
+        free_step = damped_step(
+            gradient,
+            information,
+            0.0,
+            np.full(theta.size, np.inf),
+            np.full(theta.size, np.inf),
+            allowed,
+        )
         decrement = float(np.sqrt(np.maximum(free_step @ information @ free_step, 0.0)))
         if told is not None:
             told(iteration, decrement)
         if decrement < tolerance and line.exact:
-            converged, message = True, f"the next step would be {decrement:.1e} standard errors long"
-            last = np.clip(theta + free_step, lower, upper)  # taken all the same, if it does no harm: it is nearly free
+            converged, message = (
+                True,
+                f"the next step would be {decrement:.1e} standard errors long",
+            )
+            last = np.clip(
+                theta + free_step, lower, upper
+            )  # taken all the same, if it does no harm: it is nearly free
             answer = problem.evaluate(last)
             if answer is not None and answer[0] <= cost:
                 theta, (cost, state) = last, answer
@@ -137,7 +158,9 @@ def minimise(
             break
         accepted = False
         for _ in range(TRIALS if line.fresh else TRIALS_CARRIED):
-            step = damped_step(gradient, information, damping, theta - lower, upper - theta, allowed)
+            step = damped_step(
+                gradient, information, damping, theta - lower, upper - theta, allowed
+            )
             trial = np.asarray(np.clip(theta + step, lower, upper))
             if np.array_equal(trial, theta):
                 break
@@ -147,7 +170,9 @@ def minimise(
             elif np.isfinite(answer[0]) and answer[0] < cost:
                 expected = cost - line.predict(trial - theta)
                 gain = (cost - answer[0]) / expected if expected > 0.0 else 0.5
-                damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12)  # Nielsen eq. (2.21)
+                damping = max(
+                    damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-12
+                )  # Nielsen eq. (2.21)
                 growth = 2.0
                 stalled = stalled + 1 if cost - answer[0] < 1e-12 * max(1.0, abs(cost)) else 0
                 theta, (cost, state) = trial, answer
@@ -159,11 +184,18 @@ def minimise(
             growth *= 2.0
         if not accepted or stalled >= 3:
             if not line.fresh or not (central or always_central):
-                central, damping, growth, stalled = True, DAMPING, 2.0, 0  # forward differences may be what failed
+                central, damping, growth, stalled = (
+                    True,
+                    DAMPING,
+                    2.0,
+                    0,
+                )  # forward differences may be what failed
                 continue
             # With an imprecise simulation the slope never vanishes: close enough in standard errors is converged.
             converged = decrement < NEAR
-            message = f"no lower cost found; the next step would be {decrement:.1e} standard errors long"
+            message = (
+                f"no lower cost found; the next step would be {decrement:.1e} standard errors long"
+            )
             break
         central = decrement < 0.5
     else:

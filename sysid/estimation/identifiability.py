@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from sysid.arrays import Array
 
-RANK_TOLERANCE = 1e-9  # of the scaled information matrix's eigenvalues, against finite-difference error
+RANK_TOLERANCE = (
+    1e-9  # of the scaled information matrix's eigenvalues, against finite-difference error
+)
 PARTICIPATION = 1e-2  # share of a parameter in a lost direction above which it is lost itself
 INFLATION_WARNING = 1e4  # variance inflation worth a sentence
 
@@ -31,7 +33,9 @@ class Identifiability:
     notes: tuple[str, ...]
 
 
-def assess(information: Array, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE) -> Identifiability:
+def assess(
+    information: Array, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE
+) -> Identifiability:
     """Judge the (k, k) information matrix of the parameters `names` (any units; it is scaled here)."""
     k = len(names)
     length = np.sqrt(np.maximum(np.diagonal(information), 0.0))
@@ -54,19 +58,32 @@ def assess(information: Array, names: tuple[str, ...], tolerance: float = RANK_T
             group = np.flatnonzero(share > PARTICIPATION)
             for member in group:
                 others = [names[index[other]] for other in group if other != member]
-                reason[index[member]] = f"collinear with {', '.join(others)}: only a combination can be estimated"
+                reason[index[member]] = (
+                    f"collinear with {', '.join(others)}: only a combination can be estimated"
+                )
         vif[[i for i in range(k) if reason[i]]] = np.inf
-        notes += _inflation_notes(values[~lost], vectors[:, ~lost], part, [names[i] for i in index], reason, index)
+        notes += _inflation_notes(
+            values[~lost], vectors[:, ~lost], part, [names[i] for i in index], reason, index
+        )
     identified = np.array([not text for text in reason])
     return Identifiability(identified, tuple(reason), vif, inverse, tuple(notes))
 
 
 def _inflation_notes(
-    values: Array, vectors: Array, inverse: Array, names: list[str], reason: list[str], index: NDArray[np.intp]
+    values: Array,
+    vectors: Array,
+    inverse: Array,
+    names: list[str],
+    reason: list[str],
+    index: NDArray[np.intp],
 ) -> list[str]:
     """One sentence if variance inflation exceeds the limit: by how much, and the weakest direction's members."""
     inflation = np.diagonal(inverse)
-    worst = [i for i in np.argsort(-inflation) if inflation[i] > INFLATION_WARNING and not reason[index[i]]]
+    worst = [
+        i
+        for i in np.argsort(-inflation)
+        if inflation[i] > INFLATION_WARNING and not reason[index[i]]
+    ]
     if not worst:
         return []
     share = np.abs(vectors[:, 0]) / np.abs(vectors[:, 0]).max()

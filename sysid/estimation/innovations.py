@@ -16,7 +16,10 @@ LANES = 600  # points x segments filtered side by side, bounded for memory
 CARRIED = 8  # secant updates before derivatives are differenced anew
 NEARBY = 0.1  # standard errors within which they need no renewal
 TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
-ROUGHLY = (1e-7, 0.1)  # a change outside this range is repeated with another step: a filter pass is dear
+ROUGHLY = (
+    1e-7,
+    0.1,
+)  # a change outside this range is repeated with another step: a filter pass is dear
 LOG_STEP = 1e-3
 
 
@@ -97,7 +100,11 @@ class FilterProblem:
     def _rows(self, values: Array, point: int) -> Array:
         """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
         n, m, segments = self.record.z.shape
-        return values[:, :, point * segments : (point + 1) * segments].transpose(2, 0, 1).reshape(n * segments, m)
+        return (
+            values[:, :, point * segments : (point + 1) * segments]
+            .transpose(2, 0, 1)
+            .reshape(n * segments, m)
+        )
 
     def evaluate(self, vector: Array) -> tuple[float, State] | None:
         """J of filtererror.py, None where the filter fails."""
@@ -128,7 +135,9 @@ class FilterProblem:
 
     def _first_steps(self, vector: Array) -> Array:
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
-        step[self.layout.process] = 1e-3 * np.maximum(vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2)
+        step[self.layout.process] = 1e-3 * np.maximum(
+            vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
+        )
         step[self.layout.logs] = LOG_STEP
         if self.layout.with_x0:
             step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
@@ -201,7 +210,13 @@ class FilterProblem:
         if self.step is None:
             self.step = self._first_steps(vector)
         size = vector.size
-        new = Sensitivities(vector.copy(), state.e, state.s, np.zeros((*state.e.shape, size)), np.zeros((*state.e.shape, size)))
+        new = Sensitivities(
+            vector.copy(),
+            state.e,
+            state.s,
+            np.zeros((*state.e.shape, size)),
+            np.zeros((*state.e.shape, size)),
+        )
         pending = list(range(size))
         for attempt in range(4):
             again: list[int] = []
@@ -214,14 +229,20 @@ class FilterProblem:
                 break
         self._last, self._updates = new, 0
 
-    def _differences(self, new: Sensitivities, some: list[int], central: bool, last: bool) -> list[int]:
+    def _differences(
+        self, new: Sensitivities, some: list[int], central: bool, last: bool
+    ) -> list[int]:
         """Fill the derivatives by the parameters `some`; return those whose step was bad."""
         assert self.step is not None
         found = self._filter(self._points(new.vector, some, central))
         if found is None:
             if len(some) > 1:  # one bad point spoils the batch: find it
                 half = len(some) // 2
-                return [index for part in (some[:half], some[half:]) for index in self._differences(new, part, central, last)]
+                return [
+                    index
+                    for part in (some[:half], some[half:])
+                    for index in self._differences(new, part, central, last)
+                ]
             self.step[some[0]] *= 0.03
             return list(some)
         again = []
@@ -230,15 +251,24 @@ class FilterProblem:
         for place, index in enumerate(some):
             up, down = self._shifts(new.vector, index)
             if central:
-                above, below = (tuple(self._rows(v, 2 * place + k) for v in (found.e, found.s)) for k in (0, 1))
+                above, below = (
+                    tuple(self._rows(v, 2 * place + k) for v in (found.e, found.s)) for k in (0, 1)
+                )
             else:
-                above, below, down = (self._rows(found.e, place), self._rows(found.s, place)), (new.e, new.s), 0.0
+                above, below, down = (
+                    (self._rows(found.e, place), self._rows(found.s, place)),
+                    (new.e, new.s),
+                    0.0,
+                )
             new.dE[:, :, index] = (above[0] - below[0]) / (up - down)
             new.dS[:, :, index] = (above[1] - below[1]) / (up - down)
             if index in logs:
                 continue
             change = self.step[index] * float(
-                np.sqrt(np.mean((new.dE[:, :, index] / deviation) ** 2) + np.mean((new.dS[:, :, index] / new.s) ** 2))
+                np.sqrt(
+                    np.mean((new.dE[:, :, index] / deviation) ** 2)
+                    + np.mean((new.dS[:, :, index] / new.s) ** 2)
+                )
             )
             if change <= 1e-11:
                 limit = 1e2 * max(abs(new.vector[index]), 1.0)

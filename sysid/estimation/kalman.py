@@ -39,7 +39,9 @@ class Process:
         return Process(self.noise[list(segments)], self.begin[list(segments)])
 
 
-def gains(seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray] | None, every: bool = True) -> Gains:
+def gains(
+    seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray] | None, every: bool = True
+) -> Gains:
     """Gains of a flight in an air.
 
     noise (m,) standard deviations of the sensors; air: variances (13,) per second of the states' noise, and (13,) of the air at the
@@ -58,13 +60,17 @@ def gains(seen: Seen, noise: FloatArray, air: tuple[FloatArray, FloatArray] | No
     return found
 
 
-def slopes(seen: Seen, by: Gains, innovations: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def slopes(
+    seen: Seen, by: Gains, innovations: FloatArray, variances: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slopes of minus twice the log likelihood with variances: of the sensors (2, m), of the states' noise per second (2, 13), zero
     where there is none, and of the start (2, 13); first those of its logarithm, then what its sum of squares takes away.
 
     innovations (n, m), whitened, the start fitted; by and variances (13,) of `gains`.
     """
-    found: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(seen, by, innovations * np.sqrt(by.spread), variances)
+    found: tuple[FloatArray, FloatArray, FloatArray] = _loops().backward(
+        seen, by, innovations * np.sqrt(by.spread), variances
+    )
     return found
 
 
@@ -88,10 +94,15 @@ class Whitened:
 
 
 def carried(
-    seen: Seen, by: Gains, names: Sequence[str] = (), inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
-    outputs: Mapping[str, FloatArray] | None = None, ends: Mapping[str, FloatArray] | None = None,
-    felt: Mapping[str, FloatArray] | None = None, alone: Whitened | None = None,
-) -> Whitened:  # fmt: skip
+    seen: Seen,
+    by: Gains,
+    names: Sequence[str] = (),
+    inputs: Mapping[str, tuple[int, FloatArray]] | None = None,
+    outputs: Mapping[str, FloatArray] | None = None,
+    ends: Mapping[str, FloatArray] | None = None,
+    felt: Mapping[str, FloatArray] | None = None,
+    alone: Whitened | None = None,
+) -> Whitened:
     """What was measured, and the columns ``names``, through the gains.
 
     inputs, outputs, ends, felt: of `Acting.of`; alone: the same without columns, where it is known.
@@ -99,7 +110,14 @@ def carried(
     n, m, size = seen.H.shape
     if alone is None:
         path, first = np.zeros((n, size)), np.zeros((n, m, 1 + STARTS))
-        _through(seen, by, np.hstack([np.zeros((size, 1)), seen.start]), Acting.of((), {}, {}, n, m), first, path)
+        _through(
+            seen,
+            by,
+            np.hstack([np.zeros((size, 1)), seen.start]),
+            Acting.of((), {}, {}, n, m),
+            first,
+            path,
+        )
         alone = Whitened(first[..., 0], first[..., 1:], np.zeros((n, m, 0), dtype=np.float32), path)
     if not names:
         return alone
@@ -122,5 +140,12 @@ def path_from(seen: Seen, by: Gains, begin: FloatArray) -> FloatArray:
     return path
 
 
-def _through(seen: Seen, by: Gains, X: FloatArray, acting: Acting, out: NDArray[np.floating], path: FloatArray) -> None:
+def _through(
+    seen: Seen,
+    by: Gains,
+    X: FloatArray,
+    acting: Acting,
+    out: NDArray[np.floating],
+    path: FloatArray,
+) -> None:
     _loops().carry(seen, by.gain, 1.0 / np.sqrt(by.spread), X, acting, out, path)

@@ -37,7 +37,15 @@ class Seen(NamedTuple):
         there = np.isfinite(measured)
         z = np.where(there, measured - steps.y_ref[:, rows], 0.0)
         H, D, phi, defect, g0, g1 = (
-            np.ascontiguousarray(part) for part in (steps.H[:, rows], steps.D[:, rows], steps.phi, steps.defect, steps.g0, steps.g1)
+            np.ascontiguousarray(part)
+            for part in (
+                steps.H[:, rows],
+                steps.D[:, rows],
+                steps.phi,
+                steps.defect,
+                steps.g0,
+                steps.g1,
+            )
         )
         start = np.eye(H.shape[2], STARTS) if steps.start is None else steps.start
         return cls(there, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
@@ -72,9 +80,15 @@ class Acting(NamedTuple):
 
     @classmethod
     def of(
-        cls, names: Sequence[str], inputs: Mapping[str, tuple[int, FloatArray]], outputs: Mapping[str, FloatArray], n: int, m: int,
-        ends: Mapping[str, FloatArray] | None = None, felt: Mapping[str, FloatArray] | None = None,
-    ) -> Acting:  # fmt: skip
+        cls,
+        names: Sequence[str],
+        inputs: Mapping[str, tuple[int, FloatArray]],
+        outputs: Mapping[str, FloatArray],
+        n: int,
+        m: int,
+        ends: Mapping[str, FloatArray] | None = None,
+        felt: Mapping[str, FloatArray] | None = None,
+    ) -> Acting:
         """inputs: column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six; outputs: column ->
         (n, m) added to the measured channels; ends, felt: column -> the values just before each row, and what the row's channels
         have seen of them, of the same shape, where these are others than the values themselves."""
@@ -92,8 +106,17 @@ class Acting(NamedTuple):
                 for made, given in zip(others, (ends, felt), strict=True):
                     made.append(np.reshape((given or {}).get(name, found), values[-1].shape))
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
-        added = np.stack([outputs[names[k - 1]] for k in direct], axis=2) if direct else np.zeros((n, m, 0))
+        added = (
+            np.stack([outputs[names[k - 1]] for k in direct], axis=2)
+            if direct
+            else np.zeros((n, m, 0))
+        )
         places = [np.array(some, dtype=np.intp) for some in (own, coefficient, direct)]
         at_rows = np.hstack(values)
-        before, seen = (np.hstack(made) if given else at_rows for made, given in zip(others, (ends, felt), strict=True))
-        return cls(places[0], places[1], at_rows, before, seen, places[2], np.ascontiguousarray(added))
+        before, seen = (
+            np.hstack(made) if given else at_rows
+            for made, given in zip(others, (ends, felt), strict=True)
+        )
+        return cls(
+            places[0], places[1], at_rows, before, seen, places[2], np.ascontiguousarray(added)
+        )

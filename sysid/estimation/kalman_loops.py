@@ -205,7 +205,9 @@ def _next(seen, acting, k, X, Y):  # type: ignore[no-untyped-def]  # pragma: no 
             # What the air does goes on from the air alone.
             if p != 0.0 or q != 0.0 or r != 0.0 or s != 0.0:
                 for c in range(X.shape[1]):
-                    Y[i, c] = Y[i, c] + p * X[e, c] + q * X[e + 1, c] + r * X[e + 2, c] + s * X[e + 3, c]
+                    Y[i, c] = (
+                        Y[i, c] + p * X[e, c] + q * X[e + 1, c] + r * X[e + 2, c] + s * X[e + 3, c]
+                    )
             e += 4
         while e < size:
             for c in range(X.shape[1]):

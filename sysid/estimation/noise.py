@@ -16,7 +16,9 @@ class Noise:
     cov: Array
     full: bool
 
-    def whiten(self, residual: Array, sensitivity: Array | None = None) -> tuple[Array, Array | None]:
+    def whiten(
+        self, residual: Array, sensitivity: Array | None = None
+    ) -> tuple[Array, Array | None]:
         """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with those rows zero."""
         there = np.isfinite(residual)
         if not self.full:

@@ -26,8 +26,12 @@ PRIOR_SPREAD = float(np.log(2.0))
 _KEPT = 64  # channels of flights whose sizes are remembered
 _LEAST = 16  # frequencies below which a channel shows nothing of its noise
 _MULTIPLIED = 8  # frequencies whose variances are multiplied before their logarithm is taken
-_SIZES = np.concatenate([np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)])  # logarithm, about what is shown
-_SIGNALS = np.exp(np.linspace(-12.0, 1.0, 41))  # of a piece's mean power, equally likely in the logarithm
+_SIZES = np.concatenate(
+    [np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)]
+)  # logarithm, about what is shown
+_SIGNALS = np.exp(
+    np.linspace(-12.0, 1.0, 41)
+)  # of a piece's mean power, equally likely in the logarithm
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,9 @@ class NoiseSize:
     spread: float
 
 
-def noise_size(pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None) -> NoiseSize | None:
+def noise_size(
+    pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None
+) -> NoiseSize | None:
     """Size of white noise in a channel.
 
     pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own motion lies below
@@ -49,13 +55,23 @@ def noise_size(pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated
 
 
 @lru_cache(_KEPT)
-def _size(pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None) -> NoiseSize | None:
+def _size(
+    pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None
+) -> NoiseSize | None:
     """`noise_size` of the pieces' bytes: several models are held against the same flights."""
-    spectra = [found for x in pieces if (found := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None]
+    spectra = [
+        found
+        for x in pieces
+        if (found := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None
+    ]
     known = stated is not None and np.isfinite(stated) and stated > 0.0
-    if sum(len(power) for power, _ in spectra) < _LEAST or not any(np.any(power > 0.0) for power, _ in spectra):
+    if sum(len(power) for power, _ in spectra) < _LEAST or not any(
+        np.any(power > 0.0) for power, _ in spectra
+    ):
         return NoiseSize(float(stated), PRIOR_SPREAD) if known and stated is not None else None
-    shown = np.sqrt(min(np.sum(power) / np.sum(shape) for power, shape in spectra if np.any(power > 0.0)))
+    shown = np.sqrt(
+        min(np.sum(power) / np.sum(shape) for power, shape in spectra if np.any(power > 0.0))
+    )
     size = np.log(shown) + _SIZES
     likelihood = np.zeros(len(size))
     for power, shape in spectra:
@@ -91,7 +107,9 @@ def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float
     return out
 
 
-def _periodogram(x: FloatArray, dt_s: float, from_hz: float) -> tuple[FloatArray, FloatArray] | None:
+def _periodogram(
+    x: FloatArray, dt_s: float, from_hz: float
+) -> tuple[FloatArray, FloatArray] | None:
     """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the piece is too short."""
     steps = np.diff(np.asarray(x, dtype=float))
     n = len(steps)

@@ -115,20 +115,28 @@ def output_error(
     if noise not in ("diagonal", "full"):
         raise ValueError(f'noise is {noise!r}; allowed are "diagonal" and "full"')
     if differences not in ("auto", "central", "secant"):
-        raise ValueError(f'differences is {differences!r}; allowed are "auto", "central" and "secant"')
+        raise ValueError(
+            f'differences is {differences!r}; allowed are "auto", "central" and "secant"'
+        )
     stacked = np.concatenate(segments)
     counts = np.isfinite(stacked).sum(axis=0)
     if (counts == 0).any():
-        raise ValueError(f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out")
+        raise ValueError(
+            f"measured output(s) {np.flatnonzero(counts == 0).tolist()} hold no sample at all; leave them out"
+        )
     columns = [int(index) for index in np.flatnonzero(mask)]
     if counts.sum() <= len(columns):
-        raise ValueError(f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer")
+        raise ValueError(
+            f"{int(counts.sum())} measured values for {len(columns)} parameters; measure more or free fewer"
+        )
     with np.errstate(invalid="ignore"):
         spread = np.nanstd(stacked, axis=0)
     size = np.nanmax(np.abs(stacked), axis=0)
     spread = np.where(spread > 1e-12 * size, spread, np.where(size > 0.0, size, 1.0))
 
-    simulation = SafeSimulation(simulate, tuple(part.shape[0] for part in segments), stacked.shape[1])
+    simulation = SafeSimulation(
+        simulate, tuple(part.shape[0] for part in segments), stacked.shape[1]
+    )
     problem = OutputErrorProblem(
         simulation,
         stacked,
@@ -144,19 +152,30 @@ def output_error(
     )
     start = problem.evaluate(theta[columns])
     if start is None:
-        raise ValueError(f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated")
+        raise ValueError(
+            f"the simulation fails at theta0: {problem.last_failure}; start from values that can be simulated"
+        )
     edges = [0, *np.cumsum([part.shape[0] for part in segments]).tolist()]
     limits = (lower[columns], upper[columns])
 
-    def descend(point: Array, state: tuple[float, Array], iterations: int, length: float) -> Minimum:
+    def descend(
+        point: Array, state: tuple[float, Array], iterations: int, length: float
+    ) -> Minimum:
         return minimise(
-            problem, point, state, *limits,
-            tolerance=length, max_iterations=iterations, always_central=differences == "central",
-        )  # fmt: skip
+            problem,
+            point,
+            state,
+            *limits,
+            tolerance=length,
+            max_iterations=iterations,
+            always_central=differences == "central",
+        )
 
     best = descend(theta[columns], start, max_iterations, tolerance)
     if _lost(problem, best, edges):
-        other = _from_short_horizons(problem, theta[columns], edges, descend, max_iterations, tolerance)
+        other = _from_short_horizons(
+            problem, theta[columns], edges, descend, max_iterations, tolerance
+        )
         best = other if other is not None and other.cost < best.cost else best
 
     again = problem.evaluate(best.theta)
@@ -164,7 +183,9 @@ def output_error(
     residual = stacked - again[1]
     if not errors:
         said = unjudged(problem.noise(again[1]), len(columns))
-        return _assemble(theta, columns, labels, best, problem, said, split(residual, edges), is_many(measured))
+        return _assemble(
+            theta, columns, labels, best, problem, said, split(residual, edges), is_many(measured)
+        )
     line = problem.settle(best.theta, again[1])
     findings = judge(
         theta=best.theta,
@@ -179,7 +200,9 @@ def output_error(
         full=problem.full,
         method="output error",
     )
-    return _assemble(theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured))
+    return _assemble(
+        theta, columns, labels, best, problem, findings, split(residual, edges), is_many(measured)
+    )
 
 
 def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
@@ -194,18 +217,25 @@ def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
     if problem.secant:
         share = left / problem.spread**2
         return bool((share.min() if best.converged else share.max()) > POORLY)
-    noise = np.array([
-        white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)]) for k in range(residual.shape[1])
-    ])  # fmt: skip
+    noise = np.array(
+        [
+            white_noise([problem.measured[a:b, k] for a, b in pairwise(edges)])
+            for k in range(residual.shape[1])
+        ]
+    )
     with np.errstate(invalid="ignore"):
         far = (left > FAR_OFF**2 * noise**2) & (left > WORTH * problem.spread**2)
     return bool((left / problem.spread**2).min() > POORLY or far.any())
 
 
 def _from_short_horizons(
-    problem: OutputErrorProblem, theta: Array, edges: list[int], descend: Callable[..., Minimum],
-    max_iterations: int, tolerance: float,
-) -> Minimum | None:  # fmt: skip
+    problem: OutputErrorProblem,
+    theta: Array,
+    edges: list[int],
+    descend: Callable[..., Minimum],
+    max_iterations: int,
+    tolerance: float,
+) -> Minimum | None:
     """The minimum reached from theta (k,) by way of the first tenth, third and whole of every segment.
 
     Far from the truth a long simulation says little about where to go: it diverges, or swings out of phase. Its
@@ -230,9 +260,15 @@ def _from_short_horizons(
 
 
 def _assemble(
-    theta: Array, columns: list[int], labels: tuple[str, ...], best: Any, problem: OutputErrorProblem,
-    findings: Findings, residual: list[Array], many: bool,
-) -> OutputErrorFit:  # fmt: skip
+    theta: Array,
+    columns: list[int],
+    labels: tuple[str, ...],
+    best: Any,
+    problem: OutputErrorProblem,
+    findings: Findings,
+    residual: list[Array],
+    many: bool,
+) -> OutputErrorFit:
     """The findings over the free parameters, spread over all of them."""
     k = theta.size
     out = theta.copy()
@@ -250,9 +286,13 @@ def _assemble(
     if not best.converged:
         warnings.insert(0, f"not converged: {best.message}")
     elif not converged:
-        warnings.insert(0, "not converged: no parameter is identified at the point reached; try another start")
+        warnings.insert(
+            0, "not converged: no parameter is identified at the point reached; try another start"
+        )
     if best.failed:
-        warnings.append(f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}")
+        warnings.append(
+            f"{best.failed} trial point(s) could not be simulated and were rejected: {problem.last_failure}"
+        )
     return OutputErrorFit(
         names=labels,
         theta=out,

@@ -10,7 +10,14 @@ import numpy as np
 from sysid.arrays import Array
 from sysid.estimation.gauss_newton import Linearisation, Told
 from sysid.estimation.noise import Noise, concentrated, residual_noise
-from sysid.estimation.sensitivities import TARGET, MapLike, SafeSimulation, roughness, sensitivities, target_for
+from sysid.estimation.sensitivities import (
+    TARGET,
+    MapLike,
+    SafeSimulation,
+    roughness,
+    sensitivities,
+    target_for,
+)
 from sysid.linalg.blocks import Blocks, Index
 
 CARRIED = 8  # secant updates before sensitivities are differenced anew
@@ -130,17 +137,37 @@ class OutputErrorProblem:
         if self._begun and self._target is None:
             small = np.zeros_like(self.step)
             small[self.columns] = 1e-3 * self.step[self.columns]
-            rough, runs = roughness(self.simulation, self.whole(theta), outputs, small, self.limits, self.spread, self.map_)
+            rough, runs = roughness(
+                self.simulation,
+                self.whole(theta),
+                outputs,
+                small,
+                self.limits,
+                self.spread,
+                self.map_,
+            )
             self._target, self.runs = target_for(rough), self.runs + runs
         found = sensitivities(
-            self.simulation, self.whole(theta), outputs, self.step, self.columns, self.limits, self.spread,
-            central=central, map_=self.map_, target=self._target or TARGET,
-        )  # fmt: skip
+            self.simulation,
+            self.whole(theta),
+            outputs,
+            self.step,
+            self.columns,
+            self.limits,
+            self.spread,
+            central=central,
+            map_=self.map_,
+            target=self._target or TARGET,
+        )
         self.step, self.runs, self._begun = found.step, self.runs + found.runs, True
         self.sensitivity, self._updates = found.sensitivity, 0
 
     def _line(self, outputs: Array) -> Linearisation:
-        sensitivity, residual, noise = self.sensitivity, self.measured - outputs, self.noise(outputs)
+        sensitivity, residual, noise = (
+            self.sensitivity,
+            self.measured - outputs,
+            self.noise(outputs),
+        )
         k = len(self.columns)
         gradient, information = np.zeros(k), np.zeros((k, k))
         for (a, b), (part, columns) in zip(pairwise(self.edges), sensitivity, strict=True):

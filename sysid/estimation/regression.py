@@ -30,7 +30,9 @@ def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     if regressors.ndim != 2 or regressors.shape[1] == 0:
         raise ValueError(f"X has shape {regressors.shape}; give (n samples, k regressors)")
     if response.shape != (regressors.shape[0],):
-        raise ValueError(f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X")
+        raise ValueError(
+            f"y has shape {response.shape}, X has {regressors.shape[0]} rows; give one y for each row of X"
+        )
     bad = ~np.isfinite(regressors).all(axis=1) | ~np.isfinite(response)
     if bad.any():
         raise ValueError(
@@ -50,12 +52,18 @@ def segment_edges(segments: Sequence[int] | None, n: int) -> list[int]:
         return [0, n]
     lengths = [int(length) for length in segments]
     if not lengths or min(lengths) < 1 or sum(lengths) != n:
-        raise ValueError(f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}")
+        raise ValueError(
+            f"segments has lengths {lengths} summing to {sum(lengths)}; they must be positive and sum to {n}"
+        )
     return [0, *np.cumsum(lengths).tolist()]
 
 
 def equation_error(
-    X: ArrayLike, y: ArrayLike, *, names: Sequence[str] | None = None, segments: Sequence[int] | None = None
+    X: ArrayLike,
+    y: ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    segments: Sequence[int] | None = None,
 ) -> Regression:
     """Least squares of y on the columns of X; a constant term is a column of ones, none is added.
 
@@ -104,7 +112,9 @@ def equation_error(
     with np.errstate(over="raise"):
         largest = np.abs(regressors).max(axis=0)
     unit = np.where(largest > 0.0, largest, 1.0)
-    length = unit * np.linalg.norm(regressors / unit, axis=0)  # scaled first: no overflow, no underflow
+    length = unit * np.linalg.norm(
+        regressors / unit, axis=0
+    )  # scaled first: no overflow, no underflow
     scale = np.where(length > 0.0, length, 1.0)
     left, values, right = np.linalg.svd(regressors / scale, full_matrices=False)
     kept = values > RANK * values[0] if values[0] > 0.0 else np.zeros(values.size, dtype=bool)
@@ -125,7 +135,9 @@ def equation_error(
     identified = np.array([not text for text in reason])
     vif[~identified] = np.inf
     white = masked_covariance(s2 * inverse, identified)
-    cov = masked_covariance(_coloured(left[:, kept], weights / scale[:, None], residual, s2, edges), identified)
+    cov = masked_covariance(
+        _coloured(left[:, kept], weights / scale[:, None], residual, s2, edges), identified
+    )
     r2 = _r_squared(regressors, scale, response, residual, left[:, kept])
     std, std_white = np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(white))
     return Regression(
@@ -134,7 +146,10 @@ def equation_error(
         std=std,
         std_white=std_white,
         cov=cov,
-        status={name: "identified" if ok else "not-identified" for name, ok in zip(labels, identified, strict=True)},
+        status={
+            name: "identified" if ok else "not-identified"
+            for name, ok in zip(labels, identified, strict=True)
+        },
         reason=dict(zip(labels, reason, strict=True)),
         vif=vif,
         r2=r2,
@@ -150,7 +165,9 @@ def _coloured(left: Array, weights: Array, residual: Array, s2: float, edges: li
         return np.zeros((weights.shape[0], weights.shape[0]))
     pieces = [(left[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)]
     deviation = float(np.sqrt(residual @ residual / residual.size))
-    bracket = coloured_information([piece[0] for piece in pieces], [piece[1] / deviation for piece in pieces])
+    bracket = coloured_information(
+        [piece[0] for piece in pieces], [piece[1] / deviation for piece in pieces]
+    )
     return np.asarray(s2 * weights @ bracket @ weights.T)
 
 
@@ -162,10 +179,14 @@ def _r_squared(X: Array, scale: Array, y: Array, residual: Array, left: Array) -
     return 1.0 - float(residual @ residual) / total if total > 0.0 else float("nan")
 
 
-def _reasons(right: Array, kept: NDArray[np.bool_], names: tuple[str, ...], length: Array) -> list[str]:
+def _reasons(
+    right: Array, kept: NDArray[np.bool_], names: tuple[str, ...], length: Array
+) -> list[str]:
     reason = ["" if size > 0.0 else "the regressor is zero throughout" for size in length]
     for row in right[~kept]:
-        group = [index for index in np.flatnonzero(np.abs(row) > PARTICIPATION) if length[index] > 0.0]
+        group = [
+            index for index in np.flatnonzero(np.abs(row) > PARTICIPATION) if length[index] > 0.0
+        ]
         for member in group:
             others = ", ".join(names[index] for index in group if index != member)
             if others:
@@ -174,11 +195,24 @@ def _reasons(right: Array, kept: NDArray[np.bool_], names: tuple[str, ...], leng
 
 
 def _warnings(
-    names: tuple[str, ...], reason: list[str], vif: Array, right: Array, kept: NDArray[np.bool_], residual: Array,
-    edges: list[int], std: Array, std_white: Array,
-) -> list[str]:  # fmt: skip
-    out = [f"{name} not identified: {text}" for name, text in zip(names, reason, strict=True) if text]
-    high = [index for index in np.argsort(-vif) if np.isfinite(vif[index]) and vif[index] > INFLATION_WARNING]
+    names: tuple[str, ...],
+    reason: list[str],
+    vif: Array,
+    right: Array,
+    kept: NDArray[np.bool_],
+    residual: Array,
+    edges: list[int],
+    std: Array,
+    std_white: Array,
+) -> list[str]:
+    out = [
+        f"{name} not identified: {text}" for name, text in zip(names, reason, strict=True) if text
+    ]
+    high = [
+        index
+        for index in np.argsort(-vif)
+        if np.isfinite(vif[index]) and vif[index] > INFLATION_WARNING
+    ]
     if high:
         weakest = np.abs(right[kept][-1])
         group = [names[i] for i in np.argsort(-weakest) if weakest[i] > 0.2 * weakest.max()]
@@ -187,8 +221,12 @@ def _warnings(
             "their bounds are wide for that reason"
         )
     n = residual.size
-    p_value = ljung_box([residual[a:b] for a, b in itertools.pairwise(edges)], max(1, min(20, n // 5)))
-    ratio = np.divide(std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0)  # zero: y is met exactly
+    p_value = ljung_box(
+        [residual[a:b] for a, b in itertools.pairwise(edges)], max(1, min(20, n // 5))
+    )
+    ratio = np.divide(
+        std, std_white, out=np.full(std.shape, np.nan), where=std_white > 0.0
+    )  # zero: y is met exactly
     ratio = ratio[np.isfinite(ratio)]
     if p_value < WHITENESS_LEVEL and ratio.size and not 0.8 < float(np.median(ratio)) < 1.25:
         out.append(

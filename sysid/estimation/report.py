@@ -90,7 +90,16 @@ def unjudged(noise: Noise, free: int) -> Findings:
     """What is said of ``free`` parameters whose estimates alone were asked for: nothing, as NaN; all count as identified."""
     unknown, outputs = np.full((free, free), np.nan), np.full(len(noise.cov), np.nan)
     colour_ = Colour(outputs, outputs, outputs, outputs)
-    return Findings(unknown, unknown, np.ones(free, dtype=bool), ("",) * free, np.full(free, np.nan), noise, colour_, [])
+    return Findings(
+        unknown,
+        unknown,
+        np.ones(free, dtype=bool),
+        ("",) * free,
+        np.full(free, np.nan),
+        noise,
+        colour_,
+        [],
+    )
 
 
 def judge(
@@ -113,7 +122,9 @@ def judge(
     held = outward(theta, gradient, lower, upper)
     inside = np.flatnonzero(~held)
     there = np.isfinite(residual)
-    sensitivity = sensitivity.taken(inside).each(lambda part, _, rows: np.where(there[rows, :, None], part, 0.0))
+    sensitivity = sensitivity.taken(inside).each(
+        lambda part, _, rows: np.where(there[rows, :, None], part, 0.0)
+    )
 
     # Degrees of freedom: each output has spent its share of the leverage, sum_i S_a D S_a'/R_aa; one output: k.
     noise = residual_noise(residual, floor, full)
@@ -126,7 +137,9 @@ def judge(
     white, _ = noise.whiten(residual)
     marked = np.where(there, white, np.nan)
     counts = there.sum(axis=0)
-    inflate = np.sqrt(counts / np.maximum(counts - spent, 1.0))  # the autocovariance divides by N, R by N minus the share
+    inflate = np.sqrt(
+        counts / np.maximum(counts - spent, 1.0)
+    )  # the autocovariance divides by N, R by N minus the share
     bracket = coloured_information(scaled, split(marked * inflate, edges))
     crb, coloured = gate.inverse, gate.inverse @ bracket @ gate.inverse  # (MK) in coloured.py
 
@@ -143,7 +156,9 @@ def judge(
         if held[index]:
             reason[index] = at_bound(theta[index], lower[index], upper[index])
         else:
-            reason[index] = reason[index] or idle_bound(float(np.sqrt(cov[index, index])), upper[index] - lower[index])
+            reason[index] = reason[index] or idle_bound(
+                float(np.sqrt(cov[index, index])), upper[index] - lower[index]
+            )
     with np.errstate(invalid="ignore"):
         spread = np.nanmax(np.abs(np.where(there, residual + motion, np.nan)), axis=0)
     diverges = unresolved(theta[inside], sensitivity.largest(), spread)
@@ -157,7 +172,9 @@ def judge(
     warnings += [f"{names[i]} not identified: {reason[i]}" for i in range(k) if reason[i]]
 
     found = colour(split(residual, edges), split(motion, edges))
-    warnings += colour_warnings(found, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method)
+    warnings += colour_warnings(
+        found, np.sqrt(np.diagonal(cov)), np.sqrt(np.diagonal(cov_crb)), method
+    )
     return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, found, warnings)
 
 

@@ -21,7 +21,10 @@ from sysid.estimation.together import Answer, Shift, answers, rows_moved
 from sysid.linalg.blocks import Blocks
 
 TARGET = 3e-4  # first wanted change of the most affected output, in its spread; then `target_for` its roughness
-TARGETS = (3e-5, 3e-2)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
+TARGETS = (
+    3e-5,
+    3e-2,
+)  # range of wanted changes: truncation ~ target^2, rounding ~ roughness / target
 WITHIN = (3e-3, 30.0)  # a change outside this range of the wanted one is repeated with another step
 NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not an effect
 SMALLEST = 1e-12  # of a parameter's value: the shortest step
@@ -52,11 +55,16 @@ class SafeSimulation:
     def stacked(self, value: Any) -> Array | str:
         """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
         try:
-            parts = [np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])]
+            parts = [
+                np.asarray(part, dtype=float) for part in (value if is_many(value) else [value])
+            ]
         except (TypeError, ValueError) as error:
             return f"simulate returned something not numeric: {error}"
         parts = [part[:, None] if part.ndim == 1 else part for part in parts]
-        shapes, wanted = [part.shape for part in parts], [(length, self.outputs) for length in self.lengths]
+        shapes, wanted = (
+            [part.shape for part in parts],
+            [(length, self.outputs) for length in self.lengths],
+        )
         if shapes != wanted:
             return f"simulate returned shapes {shapes}, measured has {wanted}; return the outputs at the measured samples"
         out = np.concatenate(parts)
@@ -67,7 +75,9 @@ class SafeSimulation:
         return out
 
 
-def run_all(simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None) -> Iterator[Array | str]:
+def run_all(
+    simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None
+) -> Iterator[Array | str]:
     """Every theta simulated, in order, through the injected map if there is one; one after the other, where that is how it gives
     them."""
     yield from (map_ or map)(simulation, thetas)
@@ -125,11 +135,17 @@ def sensitivities(
     for attempt in range(6):
         # Below this a step is lost in the parameter's own rounding, and shrinking it further would never find an effect again.
         step = np.maximum(step, SMALLEST * np.abs(theta))
-        shifts = [s for k in pending for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])]
+        shifts = [
+            s
+            for k in pending
+            for s in _shifts(k, columns[k], theta, step, limits, central, rows[k])
+        ]
         again = []
         for position, sides in _by_position(answers(run, theta, shifts), shifts):
             j = columns[position]
-            sound = [(by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0]
+            sound = [
+                (by, answer) for by, answer in sides if not isinstance(answer, str) and by != 0.0
+            ]
             if not sound:
                 step[j] *= 0.03
                 again.append(position)
@@ -144,8 +160,14 @@ def sensitivities(
                 again.append(position)
                 continue
             effect[position] = change > NO_EFFECT
-            out[position] = _by_segment(column, rows[position], edges) if effect[position] else [None] * (len(edges) - 1)
-            step[j], repeated = _next_step(step[j], change, target, max(abs(theta[j]), 1.0), upper[j] - lower[j], attempt == 5)
+            out[position] = (
+                _by_segment(column, rows[position], edges)
+                if effect[position]
+                else [None] * (len(edges) - 1)
+            )
+            step[j], repeated = _next_step(
+                step[j], change, target, max(abs(theta[j]), 1.0), upper[j] - lower[j], attempt == 5
+            )
             if repeated:
                 again.append(position)
         pending = sorted(again)
@@ -155,7 +177,11 @@ def sensitivities(
 
 
 def forward_differences(
-    simulate: Callable[[Array], Any], theta: Array, steps: Array, shape: tuple[Sequence[int], int], map_: MapLike | None = None
+    simulate: Callable[[Array], Any],
+    theta: Array,
+    steps: Array,
+    shape: tuple[Sequence[int], int],
+    map_: MapLike | None = None,
 ) -> Blocks | None:
     """d(outputs)/d(theta) (N, m, k) by one step of each parameter, ``steps`` (k,); None where a simulation fails.
 
@@ -168,16 +194,28 @@ def forward_differences(
         return None
     edges = [0, *np.cumsum(lengths).tolist()]
     out: list[list[Array | None]] = [[None] * len(lengths) for _ in theta]
-    shifts = [Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)]
-    for shift, _, answer in answers(lambda points: run_all(simulation, points, map_), theta, shifts):
+    shifts = [
+        Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)
+    ]
+    for shift, _, answer in answers(
+        lambda points: run_all(simulation, points, map_), theta, shifts
+    ):
         if isinstance(answer, str):
             return None
-        out[shift.position] = _by_segment(_column([(shift.by, answer)], base, shift.rows), shift.rows, edges)
+        out[shift.position] = _by_segment(
+            _column([(shift.by, answer)], base, shift.rows), shift.rows, edges
+        )
     return Blocks.gathered(out, outputs, edges)
 
 
 def _shifts(
-    position: int, j: int, theta: Array, step: Array, limits: tuple[Array, Array], central: bool, rows: tuple[slice, ...]
+    position: int,
+    j: int,
+    theta: Array,
+    step: Array,
+    limits: tuple[Array, Array],
+    central: bool,
+    rows: tuple[slice, ...],
 ) -> Iterator[Shift]:
     """A step up, and one down where both are asked for or there is no room above."""
     lower, upper = limits
@@ -203,7 +241,9 @@ def _by_position(
             yield shift.position, sorted(sides.pop(shift.position), key=lambda side: -side[0])
 
 
-def _column(sides: Sequence[tuple[float, Any]], base: Array, rows: tuple[slice, ...]) -> list[Array]:
+def _column(
+    sides: Sequence[tuple[float, Any]], base: Array, rows: tuple[slice, ...]
+) -> list[Array]:
     """Differences (n, m) over one step or two, of each of the rows."""
     (by, first), *others = sides
     if others:
@@ -212,18 +252,32 @@ def _column(sides: Sequence[tuple[float, Any]], base: Array, rows: tuple[slice, 
     return [(part - base[own]) / by for part, own in zip(first, rows, strict=True)]
 
 
-def _by_segment(column: Sequence[Array], rows: tuple[slice, ...], edges: Sequence[int]) -> list[Array | None]:
+def _by_segment(
+    column: Sequence[Array], rows: tuple[slice, ...], edges: Sequence[int]
+) -> list[Array | None]:
     """Of each segment what moves in it, None where nothing does."""
-    cut = {own.start + a: part[a:b] for part, own in zip(column, rows, strict=True) for a, b in _inside(own, edges)}
-    return [part.copy() if (part := cut.get(a)) is not None and part.any() else None for a in edges[:-1]]
+    cut = {
+        own.start + a: part[a:b]
+        for part, own in zip(column, rows, strict=True)
+        for a, b in _inside(own, edges)
+    }
+    return [
+        part.copy() if (part := cut.get(a)) is not None and part.any() else None for a in edges[:-1]
+    ]
 
 
 def _inside(own: slice, edges: Sequence[int]) -> Iterator[tuple[int, int]]:
     """Where segments begin and end, counted from the first of the rows ``own``."""
-    return ((a - own.start, b - own.start) for a, b in pairwise(edges) if own.start <= a and b <= own.stop)
+    return (
+        (a - own.start, b - own.start)
+        for a, b in pairwise(edges)
+        if own.start <= a and b <= own.stop
+    )
 
 
-def _next_step(step: float, change: float, target: float, unit: float, room: float, last: bool) -> tuple[float, bool]:
+def _next_step(
+    step: float, change: float, target: float, unit: float, room: float, last: bool
+) -> tuple[float, bool]:
     """The step for the next difference, and whether this one is repeated with it."""
     if change <= NO_EFFECT:
         if step < 99.0 * unit and not last:
@@ -237,9 +291,14 @@ def _next_step(step: float, change: float, target: float, unit: float, room: flo
 
 
 def roughness(
-    simulation: SafeSimulation, theta: Array, base: Array, small: Array, limits: tuple[Array, Array], spread: Array,
+    simulation: SafeSimulation,
+    theta: Array,
+    base: Array,
+    small: Array,
+    limits: tuple[Array, Array],
+    spread: Array,
     map_: MapLike | None,
-) -> tuple[float, int]:  # fmt: skip
+) -> tuple[float, int]:
     """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.
 
     Six points along small (k,) steps away from theta: a smooth function leaves nothing in high differences, rounding,

@@ -88,7 +88,9 @@ def stepwise(
     if any(not 0 <= index < k for index in keep):
         raise ValueError(f"keep holds {list(keep)}; allowed are indices 0 to {k - 1}")
     if f_enter is not None and f_remove is not None and f_remove > f_enter:
-        raise ValueError(f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it")
+        raise ValueError(
+            f"f_remove {f_remove} exceeds f_enter {f_enter}: terms would enter and leave for ever; lower it"
+        )
     data = _Data(regressors, response, labels, segments)
     candidates = max(k - len(set(keep)), 1)
     chosen, history = sorted(set(keep)), list[SelectionStep]()
@@ -96,8 +98,16 @@ def stepwise(
     limit = min(max_terms if max_terms is not None else k, n - 1)
     while True:
         freedom = max(n - len(chosen) - 1, 1)
-        enter = f_enter if f_enter is not None else float(f_upper_quantile(ALPHA_ENTER / candidates, 1, freedom))
-        remove = f_remove if f_remove is not None else min(enter, float(f_upper_quantile(ALPHA_REMOVE / candidates, 1, freedom)))
+        enter = (
+            f_enter
+            if f_enter is not None
+            else float(f_upper_quantile(ALPHA_ENTER / candidates, 1, freedom))
+        )
+        remove = (
+            f_remove
+            if f_remove is not None
+            else min(enter, float(f_upper_quantile(ALPHA_REMOVE / candidates, 1, freedom)))
+        )
         entering = data.best_entry(chosen, enter) if len(chosen) < limit else None
         if entering is None:
             break
@@ -139,7 +149,9 @@ class _Data:
     segments: Sequence[int] | None
 
     def fit(self, chosen: list[int]) -> Regression:
-        return equation_error(self.X[:, chosen], self.y, names=[self.names[i] for i in chosen], segments=self.segments)
+        return equation_error(
+            self.X[:, chosen], self.y, names=[self.names[i] for i in chosen], segments=self.segments
+        )
 
     def basis(self, chosen: list[int]) -> Array:
         """Orthonormal columns (n, p) of the chosen regressors' span."""
@@ -170,7 +182,9 @@ class _Data:
                 continue
             gain = float(own @ rest / length) ** 2
             partial[index] = gain * (self.y.size - len(chosen) - 1) / max(ssr - gain, 1e-30 * ssr)
-        order = [int(i) for i in np.argsort(-partial, kind="stable") if np.isfinite(partial[i])][:SHORTLIST]
+        order = [int(i) for i in np.argsort(-partial, kind="stable") if np.isfinite(partial[i])][
+            :SHORTLIST
+        ]
         first: tuple[int, float, float] | None = None
         for index in order:
             judged = (index, float(partial[index]), self.effective([*chosen, index], index))
@@ -185,7 +199,11 @@ class _Data:
         position = sorted(chosen).index(index)
         if not np.isfinite(fit.std[position]):
             return 0.0
-        return float((fit.theta[position] / fit.std[position]) ** 2) if fit.std[position] > 0.0 else np.inf
+        return (
+            float((fit.theta[position] / fit.std[position]) ** 2)
+            if fit.std[position] > 0.0
+            else np.inf
+        )
 
     def weakest(self, chosen: list[int], protected: set[int]) -> tuple[int, float, float]:
         """The chosen regressor with the smallest effective F, (-1, ...) if all are protected."""
@@ -198,7 +216,15 @@ class _Data:
             return -1, np.inf, np.inf
         return chosen[order[0]], float(partial[order[0]]), float(effective[order[0]])
 
-    def step(self, action: str, index: int, partial: float, effective: float, threshold: float, chosen: list[int]) -> SelectionStep:
+    def step(
+        self,
+        action: str,
+        index: int,
+        partial: float,
+        effective: float,
+        threshold: float,
+        chosen: list[int],
+    ) -> SelectionStep:
         """The record of one decision with the resulting model's R2, PRESS and PSE."""
         n, p = self.y.size, len(chosen)
         q = self.basis(chosen)
@@ -209,4 +235,6 @@ class _Data:
         # PSE = SSR/n + sigma_max^2 p/n with sigma_max^2 the variance about the mean (Klein and Morelli, ch. 5)
         pse = mean_square + float(np.var(self.y, ddof=1)) * p / n
         r2 = self.fit(chosen).r2 if chosen else 0.0
-        return SelectionStep(action, self.names[index], index, partial, effective, threshold, r2, press, pse)
+        return SelectionStep(
+            action, self.names[index], index, partial, effective, threshold, r2, press, pse
+        )

@@ -58,16 +58,22 @@ def grouped(shifts: Sequence[Shift]) -> list[list[Shift]]:
     return groups
 
 
-def answers(run: Run, theta: Array, shifts: Sequence[Shift]) -> Iterator[tuple[Shift, float, Answer]]:
+def answers(
+    run: Run, theta: Array, shifts: Sequence[Shift]
+) -> Iterator[tuple[Shift, float, Answer]]:
     """Each shift, as the machine has it, and what it gives; those of a group that fails together are run again one by one."""
     alone: list[Shift] = []
     groups = grouped(shifts)
-    for members, found in zip(groups, run([_moved(theta, members) for members in groups]), strict=True):
+    for members, found in zip(
+        groups, run([_moved(theta, members) for members in groups]), strict=True
+    ):
         if isinstance(found, str) and len(members) > 1:
             alone += members
         else:
             yield from _shared_out(theta, members, found)
-    for shift, found in zip(alone, run([_moved(theta, [shift]) for shift in alone]) if alone else (), strict=True):
+    for shift, found in zip(
+        alone, run([_moved(theta, [shift]) for shift in alone]) if alone else (), strict=True
+    ):
         yield from _shared_out(theta, [shift], found)
 
 
@@ -78,7 +84,9 @@ def _moved(theta: Array, members: Sequence[Shift]) -> Array:
     return out
 
 
-def _shared_out(theta: Array, members: Sequence[Shift], found: Array | str) -> Iterator[tuple[Shift, float, Answer]]:
+def _shared_out(
+    theta: Array, members: Sequence[Shift], found: Array | str
+) -> Iterator[tuple[Shift, float, Answer]]:
     for shift in members:
         # The step as the machine sees it: (theta + h) - theta.
         by = float((theta[shift.index] + shift.by) - theta[shift.index])
@@ -86,4 +94,8 @@ def _shared_out(theta: Array, members: Sequence[Shift], found: Array | str) -> I
             yield shift, by, found
         else:
             # Copies where several share: a view would keep all rows in memory.
-            yield shift, by, [found[rows] if len(members) == 1 else found[rows].copy() for rows in shift.rows]
+            yield (
+                shift,
+                by,
+                [found[rows] if len(members) == 1 else found[rows].copy() for rows in shift.rows],
+            )

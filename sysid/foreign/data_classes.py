@@ -59,7 +59,9 @@ def find_class(name: Any, fields: Any) -> OwnClass:
     module = parts[1] + parts[2]
     above = module.rpartition(".")[0]
     # A folder without __init__.py is data, such as the campaigns and what reproduces them.
-    if any(not _is_package(".".join(above.split(".")[: n + 1])) for n in range(above.count(".") + 1)):
+    if any(
+        not _is_package(".".join(above.split(".")[: n + 1])) for n in range(above.count(".") + 1)
+    ):
         raise ValueError(f"no class of this program: {name}")
     found = vars(importlib.import_module(module)).get(parts[3])
     own = own_class(found) if isinstance(found, type) else None
@@ -72,7 +74,9 @@ def find_class(name: Any, fields: Any) -> OwnClass:
 
 def _is_package(name: str) -> bool:
     spec = importlib.util.find_spec(name)
-    return spec is not None and spec.origin is not None and spec.submodule_search_locations is not None
+    return (
+        spec is not None and spec.origin is not None and spec.submodule_search_locations is not None
+    )
 
 
 @cache
@@ -91,10 +95,16 @@ def own_class(kind: type) -> OwnClass | None:
         # Annotated with what is imported for type checkers alone.
         return None
     named: Any = kind
-    fields = tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
+    fields = (
+        tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
+    )
     return OwnClass(kind, name, fields, tuple(hints[field] for field in fields))
 
 
 def _is_named_tuple(kind: type) -> bool:
     fields = getattr(kind, "_fields", None)
-    return kind.__bases__ == (tuple,) and isinstance(fields, tuple) and all(name in kind.__annotations__ for name in fields)
+    return (
+        kind.__bases__ == (tuple,)
+        and isinstance(fields, tuple)
+        and all(name in kind.__annotations__ for name in fields)
+    )

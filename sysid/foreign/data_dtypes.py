@@ -34,7 +34,11 @@ def dtype_from(description: Any) -> np.dtype[Any]:
 
 
 def _listed(description: Any) -> Any:
-    return [_listed(item) for item in description] if isinstance(description, list | tuple) else description
+    return (
+        [_listed(item) for item in description]
+        if isinstance(description, list | tuple)
+        else description
+    )
 
 
 def _checked(description: Any, depth: int) -> Any:
@@ -47,7 +51,9 @@ def _checked(description: Any, depth: int) -> Any:
         raise ValueError("types of items are nested too deep")
     fields = []
     for name, kind, *shape in description:
-        if not isinstance(name, str) or not all(type(n) is int and n > 0 for part in shape for n in part):
+        if not isinstance(name, str) or not all(
+            type(n) is int and n > 0 for part in shape for n in part
+        ):
             raise ValueError("a field of an array's items has no name or no shape")
         fields.append((name, _checked(kind, depth + 1), *(tuple(part) for part in shape)))
     return fields

@@ -68,7 +68,9 @@ def load(data: bytes, kind: Any = Any) -> Any:
         raise DataFileError("malformed: its header is longer than allowed")
     try:
         header = json.loads(bytes(content[8 : 8 + length]))
-        found = Reader(header["classes"], _buffers(header["buffers"], content[8 + length :])).values(header["nodes"])
+        found = Reader(
+            header["classes"], _buffers(header["buffers"], content[8 + length :])
+        ).values(header["nodes"])
     except DataFileError:
         raise
     except MALFORMED as error:
@@ -107,9 +109,13 @@ class _Writer:
 
     def parts(self) -> list[bytes | memoryview]:
         lengths = [len(buffer) for buffer in self._buffers]
-        header = (f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}').encode()
+        header = (
+            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}'
+        ).encode()
         if len(header) > HEADER_MOST:
-            raise DataFileError(f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}")
+            raise DataFileError(
+                f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}"
+            )
         parts = [len(header).to_bytes(8, "little"), header]
         for buffer in self._buffers:
             parts += [buffer, bytes(_padding(len(buffer)))]
@@ -121,7 +127,9 @@ class _Writer:
         if key in self._known:
             return self._known[key][0]
         if len(self._trail) > DEEPEST:
-            raise DataFileError(f"values are nested more than {DEEPEST} deep, or one is inside itself")
+            raise DataFileError(
+                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+            )
         node, children = self._node(value)
         self._sizes.note(children)
         self._nodes.append(_json(node))
@@ -159,7 +167,9 @@ class _Writer:
             return ["scalar", self._dtype(alone.dtype), alone.tobytes().hex()], []
         own = own_class(kind)
         if own is None:
-            raise DataFileError(f"a data file cannot hold a {kind.__module__}.{kind.__qualname__}{self._place()}")
+            raise DataFileError(
+                f"a data file cannot hold a {kind.__module__}.{kind.__qualname__}{self._place()}"
+            )
         return self._object(own, value)
 
     def _object(self, own: OwnClass, value: Any) -> tuple[list[Any], list[int]]:
@@ -181,7 +191,9 @@ class _Writer:
         if not value.dtype.hasobject:
             dtype = self._dtype(value.dtype)
             if value.dtype.itemsize == 0 and value.size:
-                raise DataFileError(f"a data file cannot hold an array of items without bytes{self._place()}")
+                raise DataFileError(
+                    f"a data file cannot hold an array of items without bytes{self._place()}"
+                )
             # Not all types offer their memory as it is; bytes do.
             raw = np.ascontiguousarray(flat).view(np.uint8).data if value.size else b""
             return ["array", *about, dtype, self._buffer(raw)], []

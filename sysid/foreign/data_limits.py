@@ -14,8 +14,15 @@ _KEY_PARTS = 1000
 # Parts looked at for hashes and for types, each as often as it is.
 _MOST_LOOKS = 20_000_000
 MALFORMED = (
-    ArithmeticError, AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError, struct.error
-)  # fmt: skip
+    ArithmeticError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
 """What content that `dump` did not write may raise while it is read."""
 
 
@@ -38,7 +45,9 @@ class Sizes:
             height = max(height, self.height[child])
             parts += self.parts[child]
         if height >= DEEPEST:
-            raise DataFileError(f"values are nested more than {DEEPEST} deep, or one is inside itself")
+            raise DataFileError(
+                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+            )
         if parts > _MOST_VALUES:
             raise DataFileError(f"it holds more than {_MOST_VALUES} values")
         self.height.append(height + 1)

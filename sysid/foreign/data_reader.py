@@ -40,7 +40,9 @@ class Reader:
         return self._values[-1]
 
     def _at(self, numbers: Any) -> list[Any]:
-        if type(numbers) is not list or not all(type(n) is int and 0 <= n < len(self._values) for n in numbers):
+        if type(numbers) is not list or not all(
+            type(n) is int and 0 <= n < len(self._values) for n in numbers
+        ):
             raise ValueError("it refers to values that do not come before it")
         return [self._values[n] for n in numbers]
 
@@ -62,7 +64,11 @@ class Reader:
         return (int(value, 16) if type(value) is str else _of(int, value)), ()
 
     def _float(self, value: Any) -> tuple[Any, Sequence[int]]:
-        return (struct.unpack(">d", bytes.fromhex(value))[0] if type(value) is str else _of(float, value)), ()
+        return (
+            struct.unpack(">d", bytes.fromhex(value))[0]
+            if type(value) is str
+            else _of(float, value)
+        ), ()
 
     def _str(self, value: Any) -> tuple[Any, Sequence[int]]:
         return _untext(value), ()
@@ -113,7 +119,9 @@ class Reader:
             raise ValueError(wrong)
         return own.made(values), numbers
 
-    def _array(self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any) -> tuple[Any, Sequence[int]]:
+    def _array(
+        self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any
+    ) -> tuple[Any, Sequence[int]]:
         kind, content = dtype_from(dtype), self._buffer(number)
         if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
             raise ValueError("an array's bytes are not those of its shape and type")
@@ -121,9 +129,15 @@ class Reader:
         # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and may differ in the last digit.
         return _shaped(flat.copy(), shape, order, writeable), ()
 
-    def _texts(self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any) -> tuple[Any, Sequence[int]]:
+    def _texts(
+        self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any
+    ) -> tuple[Any, Sequence[int]]:
         sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(joined)
-        if _count(shape) != len(sizes) or (sizes < -1).any() or int(np.maximum(sizes, 0).sum()) != len(content):
+        if (
+            _count(shape) != len(sizes)
+            or (sizes < -1).any()
+            or int(np.maximum(sizes, 0).sum()) != len(content)
+        ):
             raise ValueError("an array's texts are not as long as it says")
         flat = np.empty(len(sizes), dtype=object)
         # Labels repeat: the same text is one object.
@@ -133,11 +147,17 @@ class Reader:
             if size >= 0:
                 raw = bytes(content[begin : begin + size])
                 text = known.get(raw)
-                flat[i] = known.setdefault(raw, raw.decode("utf-8", "surrogatepass")) if text is None else text
+                flat[i] = (
+                    known.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
+                    if text is None
+                    else text
+                )
                 begin += size
         return _shaped(flat, shape, order, writeable), ()
 
-    def _objects(self, shape: Any, order: Any, writeable: Any, numbers: Any) -> tuple[Any, Sequence[int]]:
+    def _objects(
+        self, shape: Any, order: Any, writeable: Any, numbers: Any
+    ) -> tuple[Any, Sequence[int]]:
         values = self._at(numbers)
         if _count(shape) != len(values):
             raise ValueError("an array has not as many values as its shape says")
@@ -200,7 +220,11 @@ def _all_of(found: Any, numbers: Any) -> Any:
 
 def _count(shape: Any) -> int:
     """Items of an array of this shape."""
-    if type(shape) is not list or len(shape) > 32 or not all(type(n) is int and 0 <= n < 2**48 for n in shape):
+    if (
+        type(shape) is not list
+        or len(shape) > 32
+        or not all(type(n) is int and 0 <= n < 2**48 for n in shape)
+    ):
         raise ValueError("an array has no shape")
     count = 1
     for n in shape:

@@ -37,12 +37,16 @@ _BEGIN = (
 )
 
 
-def read_raw(path: Path, dialect: str, wanted: Wanted | None, progress: Progress | None = None) -> RawLog:
+def read_raw(
+    path: Path, dialect: str, wanted: Wanted | None, progress: Progress | None = None
+) -> RawLog:
     """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` as in the importers.
 
     Raises LogError for what cannot be read, and for what takes more time or memory than a file of its size should.
     """
-    names = None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
+    names = (
+        None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
+    )
     messages: dict[tuple[str, int], MessageTable] = {}
     about: dict[str, Any] = {}
     for kind, *content in _ask(path, dialect, {"wanted": names}, progress):
@@ -89,8 +93,11 @@ class _Child:
         # It says nothing on the terminal: what is wrong comes back as a sentence.
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-c", _BEGIN, str(_HOME)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.orders, self.answers = self.process.stdin, self.process.stdout
@@ -140,7 +147,9 @@ _using = threading.Lock()
 _children: dict[int, _Child] = {}  # by process: a forked one must not talk to its parent's
 
 
-def _ask(path: Path, kind: str, details: Mapping[str, Any], progress: Progress | None = None) -> list[tuple[Any, ...]]:
+def _ask(
+    path: Path, kind: str, details: Mapping[str, Any], progress: Progress | None = None
+) -> list[tuple[Any, ...]]:
     """What the child has to say of one file, part by part."""
     try:
         size = require_regular(path).st_size
@@ -164,7 +173,9 @@ def _ask(path: Path, kind: str, details: Mapping[str, Any], progress: Progress |
         if deadline.passed:
             _end_children()
     if refusal:
-        raise LogError(f"{path}{refusal.removeprefix(file)}" if refusal.startswith(f"{file}: ") else refusal)
+        raise LogError(
+            f"{path}{refusal.removeprefix(file)}" if refusal.startswith(f"{file}: ") else refusal
+        )
     return parts
 
 
@@ -183,11 +194,15 @@ def _begin(child: _Child, order: Mapping[str, Any], path: Path) -> None:
         kind, length = child.frame()
         if kind == b"r":
             return
-        raise RuntimeError(f"{path}: the reader failed:\n{child.content(length).decode('utf-8', 'replace')}")
+        raise RuntimeError(
+            f"{path}: the reader failed:\n{child.content(length).decode('utf-8', 'replace')}"
+        )
     raise _not_started(path)
 
 
-def _answers(child: _Child, most_bytes: int, progress: Progress | None) -> tuple[list[tuple[Any, ...]], str]:
+def _answers(
+    child: _Child, most_bytes: int, progress: Progress | None
+) -> tuple[list[tuple[Any, ...]], str]:
     """The parts of an answer, and the sentence of a refusal ("" if there is none)."""
     parts: list[tuple[Any, ...]] = []
     received = 0
@@ -247,7 +262,10 @@ def _ready(path: Path) -> _Child:
 
 
 def _not_started(path: Path) -> LogError:
-    return LogError("the process that reads this format could not be started; free some memory and try again", path)
+    return LogError(
+        "the process that reads this format could not be started; free some memory and try again",
+        path,
+    )
 
 
 def _end_children() -> None:

@@ -30,7 +30,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         at_end = text.count("\n") + 1
-        raise ParseError(f"not valid TOML: {error}", int(found.group(1)) if found else at_end) from None
+        raise ParseError(
+            f"not valid TOML: {error}", int(found.group(1)) if found else at_end
+        ) from None
     except RecursionError:
         raise ParseError(f"not usable as TOML: {_TOO_DEEP}") from None
     except ValueError:

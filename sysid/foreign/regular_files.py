@@ -44,7 +44,12 @@ def open_regular(path: Path) -> io.BufferedReader:
     """A regular file opened for reading bytes; never waits for a pipe's other end. Raises OSError as `require_regular`."""
     require_regular(path)
     # What stands there may change between the look and the opening: without waiting it is opened, then looked at again.
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    flags = (
+        os.O_RDONLY
+        | getattr(os, "O_NONBLOCK", 0)
+        | getattr(os, "O_BINARY", 0)
+        | getattr(os, "O_CLOEXEC", 0)
+    )
     handle = os.open(path, flags)
     try:
         _refuse_others(os.fstat(handle), path)
@@ -77,16 +82,27 @@ def in_words(size: float) -> str:
     """A number of bytes as people say it: "3.2 GB", "62 KB"."""
     for unit, bytes_each in (("GB", 1e9), ("MB", 1e6), ("KB", 1e3)):
         if size >= bytes_each:
-            return f"{size / bytes_each:.4g} {unit}" if size >= 1000 * bytes_each else f"{size / bytes_each:.3g} {unit}"
+            return (
+                f"{size / bytes_each:.4g} {unit}"
+                if size >= 1000 * bytes_each
+                else f"{size / bytes_each:.3g} {unit}"
+            )
     return f"{size:g} bytes"
 
 
 def _refuse_others(found: os.stat_result, path: Path) -> None:
     if stat.S_ISREG(found.st_mode):
         return
-    code, kind = next(((number, name) for test, number, name in _KINDS if test(found.st_mode)), (errno.EINVAL, "something else"))
+    code, kind = next(
+        ((number, name) for test, number, name in _KINDS if test(found.st_mode)),
+        (errno.EINVAL, "something else"),
+    )
     raise OSError(code, f"is {kind}, not a regular file", str(path))
 
 
 def _too_big(size: int, most_bytes: int, path: Path) -> OSError:
-    return OSError(errno.EFBIG, f"has {in_words(size)}; at most {in_words(most_bytes)} are read here", str(path))
+    return OSError(
+        errno.EFBIG,
+        f"has {in_words(size)}; at most {in_words(most_bytes)} are read here",
+        str(path),
+    )

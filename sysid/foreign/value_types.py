@@ -54,7 +54,10 @@ def _mapping_fits(value: Mapping[Any, Any], args: tuple[Any, ...]) -> bool:
 
 
 def _items_fit(value: Collection[Any], kind: Any, args: tuple[Any, ...]) -> bool:
-    if (kind in (set, frozenset, Set)) != isinstance(value, set | frozenset) and kind not in (Collection, Iterable):
+    if (kind in (set, frozenset, Set)) != isinstance(value, set | frozenset) and kind not in (
+        Collection,
+        Iterable,
+    ):
         return False
     if kind is tuple and not (len(args) == 2 and args[1] is Ellipsis):
         # A plain tuple is any; one with types listed has one item for each.

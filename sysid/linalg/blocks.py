@@ -35,7 +35,11 @@ class Blocks:
     def listed(some: Sequence[Array]) -> Blocks:
         """From one array (n, m, k) a segment."""
         columns = [np.flatnonzero(part.any(axis=(0, 1))) for part in some]
-        return Blocks(tuple(p[:, :, c] for p, c in zip(some, columns, strict=True)), tuple(columns), some[0].shape[2])
+        return Blocks(
+            tuple(p[:, :, c] for p, c in zip(some, columns, strict=True)),
+            tuple(columns),
+            some[0].shape[2],
+        )
 
     @staticmethod
     def gathered(columns: Sequence[Sequence[Array | None]], m: int, edges: Sequence[int]) -> Blocks:
@@ -55,7 +59,9 @@ class Blocks:
         """Every part changed, by its columns and its rows."""
         edges = np.cumsum([0, *(len(part) for part in self.parts)]).tolist()
         rows = [slice(a, b) for a, b in pairwise(edges)]
-        return replace(self, parts=tuple(change(p, c, r) for (p, c), r in zip(self, rows, strict=True)))
+        return replace(
+            self, parts=tuple(change(p, c, r) for (p, c), r in zip(self, rows, strict=True))
+        )
 
     def times(self, vector: Array) -> Array:
         """(N, m) the matrix times a vector (k,)."""
@@ -67,7 +73,11 @@ class Blocks:
         place[some] = np.arange(len(some))
         kept = [place[columns] >= 0 for columns in self.columns]
         parts = tuple(part[:, :, keep] for part, keep in zip(self.parts, kept, strict=True))
-        return Blocks(parts, tuple(place[c[keep]] for c, keep in zip(self.columns, kept, strict=True)), len(some))
+        return Blocks(
+            parts,
+            tuple(place[c[keep]] for c, keep in zip(self.columns, kept, strict=True)),
+            len(some),
+        )
 
     def dense(self) -> Array:
         """(N, m, k)."""

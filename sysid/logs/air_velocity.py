@@ -29,9 +29,15 @@ def beta_of(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
     return np.arcsin(np.divide(v, speed, out=np.full_like(speed, np.nan), where=speed > 0.0))
 
 
-def components_of(speed: FloatArray, alpha: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def components_of(
+    speed: FloatArray, alpha: FloatArray, beta: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """u, v, w, each (n,), in the unit of the speed: the inverse."""
-    return speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)
+    return (
+        speed * np.cos(alpha) * np.cos(beta),
+        speed * np.sin(beta),
+        speed * np.sin(alpha) * np.cos(beta),
+    )
 
 
 def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -41,5 +47,9 @@ def with_air_data(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]
         return out
     u, v, w = (np.asarray(columns[name], dtype=np.float64) for name in COMPONENTS)
     with np.errstate(invalid="ignore", over="ignore"):
-        made = {"V_mps": speed_of(u, v, w), "alpha_rad": alpha_of(u, w), "beta_rad": beta_of(u, v, w)}
+        made = {
+            "V_mps": speed_of(u, v, w),
+            "alpha_rad": alpha_of(u, w),
+            "beta_rad": beta_of(u, v, w),
+        }
     return {**made, **out}

@@ -35,7 +35,13 @@ _MAX_ROWS = 40_000_000
 _FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
 
 
-def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, source: str = "", sha256: str = "") -> FlightRecord:
+def assemble(
+    raw: RawLog,
+    signal_map: SignalMap,
+    card: AirframeCard | None,
+    source: str = "",
+    sha256: str = "",
+) -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
     Raises LogError when the log has none of the channels a record is made of.
@@ -46,7 +52,8 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
     times = Times(raw)
     servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
-        name: partial(resolve, raw, name, candidates, times) for name, candidates in signal_map.entries.items()
+        name: partial(resolve, raw, name, candidates, times)
+        for name, candidates in signal_map.entries.items()
     }
     for name, make in servos.items():
         sources[name] = partial(_first_of, sources.get(name), make)
@@ -95,7 +102,13 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
     findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]
     findings = [
         *raw.findings,
-        Finding("flight-phase", "", "info", phase.why, {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]}),
+        Finding(
+            "flight-phase",
+            "",
+            "info",
+            phase.why,
+            {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
+        ),
         *findings,
         *check_record(record, phase.free_s),
     ]
@@ -104,10 +117,16 @@ def assemble(raw: RawLog, signal_map: SignalMap, card: AirframeCard | None, sour
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
     """Whether what the finding is about lasted in free flight; on the ground a sensor may stand still."""
-    return free_s is not None and finding.numbers["start_s"] < free_s[1] and finding.numbers["end_s"] > free_s[0]
+    return (
+        free_s is not None
+        and finding.numbers["start_s"] < free_s[1]
+        and finding.numbers["end_s"] > free_s[0]
+    )
 
 
-def _first_of(own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]) -> Channel | None:
+def _first_of(
+    own: Callable[[], Channel | None] | None, servo: Callable[[], Channel | None]
+) -> Channel | None:
     """A surface's own message if the log carries it, else what its servo output says."""
     found = own() if own is not None else None
     return found if found is not None else servo()
@@ -136,7 +155,9 @@ def _drop(raw: RawLog, messages: Iterable[str]) -> None:
         del kept[key]
 
 
-def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str) -> FloatArray:
+def _grid(
+    raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str
+) -> FloatArray:
     best: Channel | None = None
     for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
         for name in names:
@@ -147,7 +168,9 @@ def _grid(raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_
             break
     if best is None:
         have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
-        raise LogError(f"no signal of the map '{map_name}' is in this log; it has {have}; give a --map")
+        raise LogError(
+            f"no signal of the map '{map_name}' is in this log; it has {have}; give a --map"
+        )
     if ("csv", 0) in raw.messages:
         return best.time_s
     step = best.clean.step_s
@@ -200,13 +223,23 @@ def _servo_channels(
     if card is None:
         text = "servo outputs are logged but no card says what angles they mean: give --aircraft, or tables in --map"
         findings.append(Finding("no-card", outputs.message, "warning", text, {}))
-    return {n: partial(_servo_channel, raw, outputs, times, n, control) for n, control in wanted.items()}, wanted, findings
+    return (
+        {
+            n: partial(_servo_channel, raw, outputs, times, n, control)
+            for n, control in wanted.items()
+        },
+        wanted,
+        findings,
+    )
 
 
 def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> list[Finding]:
     """Which tables were used and where they are from, of the columns that were made from servo outputs."""
     used = [c for n, c in wanted.items() if labels.get(n, "").endswith(c.label)]
-    told, against = ("; ".join(filter(None, parts)) for parts in ([c.told for c in used], [c.against for c in used]))
+    told, against = (
+        "; ".join(filter(None, parts))
+        for parts in ([c.told for c in used], [c.against for c in used])
+    )
     out = [Finding("servo-table", "", "info", told, {})] if told else []
     if against:
         text = f"card and log do not agree, the log's parameters were used: {against}"
@@ -214,7 +247,9 @@ def _servo_tables(wanted: Mapping[str, Control], labels: Mapping[str, str]) -> l
     return out
 
 
-def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control) -> Channel | None:
+def _servo_channel(
+    raw: RawLog, outputs: ServoOutputs, times: Times, name: str, control: Control
+) -> Channel | None:
     key = (outputs.message, outputs.instance)
     table, cleaned = raw.messages[key], times.of(key)
     fields = [servo_field(outputs, raw, channel) for channel, _, _ in control.parts]
@@ -222,18 +257,35 @@ def _servo_channel(raw: RawLog, outputs: ServoOutputs, times: Times, name: str, 
     if len(parts) < len(fields):
         return None
     values = sum(
-        (w * deflection(pwm, servo) for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)),
+        (
+            w * deflection(pwm, servo)
+            for pwm, (_, servo, w) in zip(parts, control.parts, strict=True)
+        ),
         start=np.zeros(int(cleaned.keep.sum())),
     )
     if not np.isfinite(values).any():
         return None
-    return Channel(name, f"{outputs.message} {control.label}", table.time_s[cleaned.keep], values, cleaned, False)
+    return Channel(
+        name,
+        f"{outputs.message} {control.label}",
+        table.time_s[cleaned.keep],
+        values,
+        cleaned,
+        False,
+    )
 
 
 def servo_field(outputs: ServoOutputs, raw: RawLog, channel: int) -> str | None:
     """Field of servo output `channel` (counted from 1; PX4 counts from 0) in this log; None where it has none."""
     names = outputs.fields_of(channel - 1 if raw.dialect == "ulog" else channel)
-    return next((name for name in names if name in raw.messages[(outputs.message, outputs.instance)].fields), None)
+    return next(
+        (
+            name
+            for name in names
+            if name in raw.messages[(outputs.message, outputs.instance)].fields
+        ),
+        None,
+    )
 
 
 def _phase(
@@ -248,13 +300,19 @@ def _phase(
     if speed is None and "vn_mps" in columns and "ve_mps" in columns:
         speed = np.hypot(columns["vn_mps"], columns["ve_mps"])
     elevator = columns.get("elevator_deg")
-    if elevator is None and outputs is not None and (outputs.message, outputs.instance) in raw.messages:
+    if (
+        elevator is None
+        and outputs is not None
+        and (outputs.message, outputs.instance) in raw.messages
+    ):
         key = (outputs.message, outputs.instance)
         field = servo_field(outputs, raw, elevator_channel(raw.parameters))
         cleaned = times.of(key)
         if field is not None and int(cleaned.keep.sum()) > 1:
             pwm = raw.messages[key].fields[field][cleaned.keep].astype(np.float64)
-            elevator = hold(raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s)
+            elevator = hold(
+                raw.messages[key].time_s[cleaned.keep], pwm, cleaned.gaps, grid, cleaned.step_s
+            )
     return flight_phase.find(
         grid,
         np.full(len(grid), np.nan) if speed is None else speed,
@@ -275,7 +333,11 @@ def _mode_names(numbers: FloatArray, raw: RawLog) -> NDArray[Any]:
 
 def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
     """Labels from texts such as "manoeuvre pitch-doublet" ... "manoeuvre end", which our own logs carry."""
-    marks = [(t, text.removeprefix(MANOEUVRE_TEXT)) for t, text in raw.texts if text.startswith(MANOEUVRE_TEXT)]
+    marks = [
+        (t, text.removeprefix(MANOEUVRE_TEXT))
+        for t, text in raw.texts
+        if text.startswith(MANOEUVRE_TEXT)
+    ]
     if not marks:
         return None
     names = np.array(["", *("" if name == "end" else name for _, name in marks)], dtype=object)

@@ -20,7 +20,17 @@ from sysid.logs.signal_map import read_table
 
 Table = tuple[tuple[float, float], ...]
 Position = tuple[float, float, float]
-_INPUT_KEYS = {"property", "selected", "position", "unit", "positive", "limits", "servo_pwm", "channel", "throw_deg"}
+_INPUT_KEYS = {
+    "property",
+    "selected",
+    "position",
+    "unit",
+    "positive",
+    "limits",
+    "servo_pwm",
+    "channel",
+    "throw_deg",
+}
 _MIXES = {"vtail": ("elevator", "rudder"), "elevon": ("elevator", "aileron")}
 
 
@@ -148,7 +158,11 @@ def _refuse_slips(row: dict[str, Any], name: str, where: str) -> None:
     for key in row:
         near = difflib.get_close_matches(key, sorted(_INPUT_KEYS - set(row)), n=1, cutoff=0.75)
         if key not in _INPUT_KEYS and near:
-            raise LogError(f"unknown key '{key}'; did you mean {near[0]}? Known are {sorted(_INPUT_KEYS)}", name, where)
+            raise LogError(
+                f"unknown key '{key}'; did you mean {near[0]}? Known are {sorted(_INPUT_KEYS)}",
+                name,
+                where,
+            )
 
 
 def _table(value: Any, where: str, name: str) -> dict[str, Any]:
@@ -168,7 +182,9 @@ def _own_table(value: Any, allowed: Sequence[str], where: str, name: str) -> dic
 
 def _reference(value: Any, name: str) -> Reference:
     where = "[reference]"
-    numbers = _numbers(_own_table(value, [f.name for f in fields(Reference)], where, name), where, name)
+    numbers = _numbers(
+        _own_table(value, [f.name for f in fields(Reference)], where, name), where, name
+    )
     for key, number in numbers.items():
         if number <= 0.0:
             raise LogError(f"{key} must be above 0; received {number:g}", name, where)
@@ -209,16 +225,27 @@ def _throw(row: dict[str, Any], where: str, name: str) -> Throw | None:
 def _servo(row: dict[str, Any], where: str, name: str) -> Servo | None:
     """The servo of an input or a panel; None where it has no table."""
     limits = row.get("limits", [-math.inf, math.inf])
-    if not (isinstance(limits, list) and len(limits) == 2 and all(_is_number(end) for end in limits) and limits[0] < limits[1]):
+    if not (
+        isinstance(limits, list)
+        and len(limits) == 2
+        and all(_is_number(end) for end in limits)
+        and limits[0] < limits[1]
+    ):
         raise LogError(f"limits must be [low, high]; received {limits!r}", name, where)
     channel = row.get("channel")
-    if channel is not None and (isinstance(channel, bool) or not isinstance(channel, int) or not 1 <= channel <= 32):
-        raise LogError(f"channel must be a servo output from 1 to 32; received {channel!r}", name, where)
+    if channel is not None and (
+        isinstance(channel, bool) or not isinstance(channel, int) or not 1 <= channel <= 32
+    ):
+        raise LogError(
+            f"channel must be a servo output from 1 to 32; received {channel!r}", name, where
+        )
     if "servo_pwm" not in row:
         return None
     if row.get("unit") in ("norm", "rad"):  # limits of the command are no degrees or percent
         limits = [-math.inf, math.inf]
-    return Servo(_servo_table(row["servo_pwm"], where, name), (float(limits[0]), float(limits[1])), channel)
+    return Servo(
+        _servo_table(row["servo_pwm"], where, name), (float(limits[0]), float(limits[1])), channel
+    )
 
 
 def _servo_table(pwm: Any, where: str, name: str) -> Table:
@@ -226,7 +253,11 @@ def _servo_table(pwm: Any, where: str, name: str) -> Table:
         return read_table(pwm, name, where)
     # Linear form: { neutral = 1500, per_us = 0.05 }.
     if set(pwm) != {"neutral", "per_us"} or not pwm["per_us"]:
-        raise LogError(f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}", name, where)
+        raise LogError(
+            f"the linear form is {{ neutral = 1500, per_us = 0.05 }} with per_us not 0; received {pwm!r}",
+            name,
+            where,
+        )
     neutral, slope = (_number(pwm[key], key, name, where) for key in ("neutral", "per_us"))
     return ((neutral, 0.0), (neutral + 100.0, 100.0 * slope))
 
@@ -254,7 +285,13 @@ def _panel(value: Any, where: str, name: str) -> Servo:
 
 
 def _position(value: Any, key: str, name: str) -> Position:
-    if not (isinstance(value, list) and len(value) == 3 and all(_is_number(v) and math.isfinite(v) for v in value)):
-        raise LogError(f"{key} must be [x, y, z] in metres; received {value!r}", name, "[sensors] position_m")
+    if not (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(_is_number(v) and math.isfinite(v) for v in value)
+    ):
+        raise LogError(
+            f"{key} must be [x, y, z] in metres; received {value!r}", name, "[sensors] position_m"
+        )
     x, y, z = map(float, value)
     return x, y, z

@@ -77,18 +77,24 @@ def resolve(raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times)
 def _numeric(table: MessageTable, field: str, entry: Entry) -> FloatArray:
     values = table.fields[field]
     if values.dtype == object or values.ndim != 1:
-        raise LogError(f"{entry.label}: the field {field} holds text or arrays, not numbers; map another field")
+        raise LogError(
+            f"{entry.label}: the field {field} holds text or arrays, not numbers; map another field"
+        )
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)
 
 
-def _factor(raw: RawLog, source: tuple[str, str], times: Times, at_s: FloatArray) -> FloatArray | float:
+def _factor(
+    raw: RawLog, source: tuple[str, str], times: Times, at_s: FloatArray
+) -> FloatArray | float:
     table = raw.messages.get((source[0], 0))
     if table is None or source[1] not in table.fields:
         return 1.0
     keep = times.of((source[0], 0)).keep
     if table.fields[source[1]].dtype == object:
-        raise LogError(f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times")
+        raise LogError(
+            f"{'.'.join(source)}: this factor holds text, not numbers; name another field in times"
+        )
     values = table.fields[source[1]][keep].astype(np.float64)
     good = np.isfinite(values) & (values > 0.1) & (values < 10.0)
     return np.interp(at_s, table.time_s[keep][good], values[good]) if good.any() else 1.0
@@ -123,13 +129,21 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 y = offset + scale * x
                 return y - float(np.nanmedian(y[time_s <= time_s[0] + 1.0]))
             case "north_of_start" | "east_of_start":
-                return local(scale * x, scale * fields[1])[0 if entry.function == "north_of_start" else 1]
-        return _euler(fields)[("quaternion_roll", "quaternion_pitch", "quaternion_yaw").index(entry.function)]
+                return local(scale * x, scale * fields[1])[
+                    0 if entry.function == "north_of_start" else 1
+                ]
+        return _euler(fields)[
+            ("quaternion_roll", "quaternion_pitch", "quaternion_yaw").index(entry.function)
+        ]
 
 
 def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """North and east of the first fix on the WGS 84 ellipsoid's local plane, m; NaN where there is no fix (0, 0)."""
-    fix = np.isfinite(lat_deg) & np.isfinite(lon_deg) & ((np.abs(lat_deg) > 1e-6) | (np.abs(lon_deg) > 1e-6))
+    fix = (
+        np.isfinite(lat_deg)
+        & np.isfinite(lon_deg)
+        & ((np.abs(lat_deg) > 1e-6) | (np.abs(lon_deg) > 1e-6))
+    )
     if not fix.any():
         return np.full(len(lat_deg), np.nan), np.full(len(lat_deg), np.nan)
     first = int(np.argmax(fix))

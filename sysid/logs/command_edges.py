@@ -45,7 +45,9 @@ class _Step:
     misfit: Array
 
 
-def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: float, dt_s: float) -> Placed:
+def place_steps(
+    command: Array, logged: NDArray[np.bool_], rate: Array, noise: float, dt_s: float
+) -> Placed:
     """The command between its logged rows, what is known of its steps.
 
     logged (n,): rows whose command was logged; between them it stands held. noise: standard deviation of the rate, rad/s.
@@ -54,7 +56,11 @@ def place_steps(command: Array, logged: NDArray[np.bool_], rate: Array, noise: f
     from one logged sample to the next: a command that moves all the time does so in the mean, and held it would come late.
     """
     rows = np.flatnonzero(logged)
-    out = np.interp(np.arange(len(command)), rows, command[rows]) if rows.size else np.array(command, dtype=float)
+    out = (
+        np.interp(np.arange(len(command)), rows, command[rows])
+        if rows.size
+        else np.array(command, dtype=float)
+    )
     offsets = np.arange(0.0, LATEST_S + 0.5 * _FINE_S, _FINE_S) / dt_s
     around = max(_FEWEST, round(_AROUND_S / dt_s))
     steps = list(_steps(command, rows.tolist(), rate, offsets, around))
@@ -84,7 +90,9 @@ def logged_rows(command: Array, stride: int) -> NDArray[np.bool_]:
     return out
 
 
-def _steps(command: Array, rows: list[int], rate: Array, offsets: Array, around: int) -> Iterator[_Step]:
+def _steps(
+    command: Array, rows: list[int], rate: Array, offsets: Array, around: int
+) -> Iterator[_Step]:
     """The steps with nothing else near them."""
     for before, row in pairwise(rows):
         size = command[row] - command[before]
@@ -92,12 +100,18 @@ def _steps(command: Array, rows: list[int], rate: Array, offsets: Array, around:
         if row - before < 2 or not abs(size) > LEAST_STEP or first < 0 or last > len(rate):
             continue
         at, seen = np.arange(first, last), rate[first:last]
-        others = np.abs(np.diff(np.concatenate([command[first : before + 1], command[row + 1 : last]])))
+        others = np.abs(
+            np.diff(np.concatenate([command[first : before + 1], command[row + 1 : last]]))
+        )
         others[before - first] = abs(command[min(row + 1, len(command) - 1)] - command[row])
         if not np.isfinite(seen).all() or others.max(initial=0.0) > LEAST_STEP:
             continue
         places = range(before + 1, row + 1)
-        yield _Step(row, places, np.array([[_misfit(at.astype(float), seen, p + o) for o in offsets] for p in places]))
+        yield _Step(
+            row,
+            places,
+            np.array([[_misfit(at.astype(float), seen, p + o) for o in offsets] for p in places]),
+        )
 
 
 def _misfit(at: Array, seen: Array, kink: float) -> float:

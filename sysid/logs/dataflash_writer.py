@@ -105,7 +105,10 @@ def write_dataflash(
     """
     time = record["time_s"]
     if len(time) and time[0] < 0:
-        raise LogError(f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift time_s", path)
+        raise LogError(
+            f"the record begins at {time[0]:.3f} s; DataFlash times cannot be negative: shift time_s",
+            path,
+        )
     time_us = np.rint(time * 1e6).astype(np.int64)
     written = {"time_s"}
     messages = _sensors(record, time_us, written)
@@ -115,12 +118,21 @@ def write_dataflash(
         messages.append(_Message("RCOU", time_us, {f"C{n}": pwm for n, pwm in outputs.items()}))
     if outputs and surfaces:
         messages.append(_surfaces(record, time_us))
-    texts = [(int(time_us[0]) if len(time_us) else 0, vehicle), *_manoeuvre_texts(record, time_us, written)]
-    messages.insert(0, _Message("MSG", np.array([t for t, _ in texts]), {"Message": [m for _, m in texts]}))
+    texts = [
+        (int(time_us[0]) if len(time_us) else 0, vehicle),
+        *_manoeuvre_texts(record, time_us, written),
+    ]
+    messages.insert(
+        0, _Message("MSG", np.array([t for t, _ in texts]), {"Message": [m for _, m in texts]})
+    )
     everything = {**servo_parameters, **(parameters or {})}
     if everything:
         start = np.full(len(everything), time_us[0] if len(time_us) else 0)
-        rows = {"Name": list(everything), "Value": list(everything.values()), "Default": list(everything.values())}
+        rows = {
+            "Name": list(everything),
+            "Value": list(everything.values()),
+            "Default": list(everything.values()),
+        }
         messages.insert(0, _Message("PARM", start, rows))
     if "mode" in record:
         messages.append(_modes(record, time_us, written))
@@ -149,16 +161,30 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
         written.add("rho_kgpm3")
         out.append(_Message("CTUN", time_us, {"E2T": ratio, "As": column("V_mps") / ratio}))
     if any_of("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2"):
-        pairs = {"GyrX": "p_radps", "GyrY": "q_radps", "GyrZ": "r_radps",
-                 "AccX": "ax_mps2", "AccY": "ay_mps2", "AccZ": "az_mps2"}  # fmt: skip
-        out.append(_Message("IMU", time_us, {**{c: column(s) for c, s in pairs.items()}, "GH": 1, "AH": 1}))
+        pairs = {
+            "GyrX": "p_radps",
+            "GyrY": "q_radps",
+            "GyrZ": "r_radps",
+            "AccX": "ax_mps2",
+            "AccY": "ay_mps2",
+            "AccZ": "az_mps2",
+        }
+        out.append(
+            _Message("IMU", time_us, {**{c: column(s) for c, s in pairs.items()}, "GH": 1, "AH": 1})
+        )
     if any_of("phi_rad", "theta_rad", "psi_rad"):
         pairs = {"Roll": "phi_rad", "Pitch": "theta_rad", "Yaw": "psi_rad"}
         out.append(_Message("ATT", time_us, {c: column(s, degrees) for c, s in pairs.items()}))
     if "V_mps" in record:
-        out.append(_Message("ARSP", time_us, {"Airspeed": column("V_mps") / ratio, "U": 1, "H": 1, "Hp": 1.0}))
+        out.append(
+            _Message(
+                "ARSP", time_us, {"Airspeed": column("V_mps") / ratio, "U": 1, "H": 1, "Hp": 1.0}
+            )
+        )
     if "h_m" in record:
-        out.append(_Message("BARO", time_us, {"Alt": column("h_m"), "AltAMSL": column("h_m"), "H": 1}))
+        out.append(
+            _Message("BARO", time_us, {"Alt": column("h_m"), "AltAMSL": column("h_m"), "H": 1})
+        )
     if any_of("alpha_rad", "beta_rad"):
         angles = column("alpha_rad", degrees), column("beta_rad", degrees)
         out.append(_Message("AOA", time_us, {"AOA": angles[0], "SSA": angles[1]}))
@@ -171,7 +197,11 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
     if "cross_track_m" in record:
         out.append(_Message("NTUN", time_us, {"XT": column("cross_track_m")}))
     if any_of("h_demand_m", "V_demand_mps"):
-        rows = {"hdem": column("h_demand_m"), "spdem": column("V_demand_mps") / ratio, "h": column("h_m")}
+        rows = {
+            "hdem": column("h_demand_m"),
+            "spdem": column("V_demand_mps") / ratio,
+            "h": column("h_m"),
+        }
         out.append(_Message("TECS", time_us, rows))
     return out
 
@@ -210,17 +240,24 @@ def _servo_outputs(
     if not commands:
         return {}
     if card is None:
-        raise LogError(f"the record has {sorted(commands.values())}; their PWM needs an airframe card", path)
+        raise LogError(
+            f"the record has {sorted(commands.values())}; their PWM needs an airframe card", path
+        )
     out: dict[int, FloatArray] = {}
     for mix in card.mixes:
         first, second = mix.outputs
         if first in commands and second in commands:
-            out |= _panels(mix, record[commands.pop(first)], record[commands.pop(second)], parameters)
+            out |= _panels(
+                mix, record[commands.pop(first)], record[commands.pop(second)], parameters
+            )
             written |= {f"{first}_deg", f"{second}_deg"}
     for name, column in commands.items():
         servo = card.servos.get(name)
         if servo is None:
-            raise LogError(f"{column} has no [inputs.{name}] servo_pwm in {card.path or card.name}; add it", path)
+            raise LogError(
+                f"{column} has no [inputs.{name}] servo_pwm in {card.path or card.name}; add it",
+                path,
+            )
         channel = servo.channel or _USUAL_CHANNEL[name]
         out[channel] = pwm_of(record[column], servo)
         _describe(channel, _FUNCTION[name], servo, parameters)
@@ -230,15 +267,27 @@ def _servo_outputs(
 
 def _surfaces(record: FlightRecord, time_us: NDArray[np.int64]) -> _Message:
     """Commands as they were. A servo output holds whole microseconds, a twentieth of a degree, which no simulated surface saw."""
-    columns = {"Elev": "elevator_deg", "Ail": "aileron_deg", "Rud": "rudder_deg", "Thr": "throttle_pct"}
+    columns = {
+        "Elev": "elevator_deg",
+        "Ail": "aileron_deg",
+        "Rud": "rudder_deg",
+        "Thr": "throttle_pct",
+    }
     missing = np.full(len(time_us), np.nan)
-    return _Message("SURF", time_us, {f: record.columns.get(c, missing) for f, c in columns.items()})
+    return _Message(
+        "SURF", time_us, {f: record.columns.get(c, missing) for f, c in columns.items()}
+    )
 
 
-def _panels(mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[str, float]) -> dict[int, FloatArray]:
+def _panels(
+    mix: Mix, first: FloatArray, second: FloatArray, parameters: dict[str, float]
+) -> dict[int, FloatArray]:
     out = {}
     for servo, deflection, function in zip(
-        (mix.left, mix.right), (first + second, first - second), _PANEL_FUNCTION[mix.kind], strict=True
+        (mix.left, mix.right),
+        (first + second, first - second),
+        _PANEL_FUNCTION[mix.kind],
+        strict=True,
     ):
         channel = servo.channel or 0
         out[channel] = pwm_of(deflection, servo)
@@ -252,7 +301,13 @@ def _describe(channel: int, function: int, servo: Servo, parameters: dict[str, f
     # The autopilot's positive elevator is nose up and its rudder nose right, a record's the other way round.
     rising = servo.table[-1][1] > servo.table[0][1]
     reversed_ = rising if function in (_FUNCTION["elevator"], _FUNCTION["rudder"]) else not rising
-    named = {"FUNCTION": function, "MIN": pwm[0], "MAX": pwm[-1], "TRIM": middle, "REVERSED": float(reversed_)}
+    named = {
+        "FUNCTION": function,
+        "MIN": pwm[0],
+        "MAX": pwm[-1],
+        "TRIM": middle,
+        "REVERSED": float(reversed_),
+    }
     parameters.update({f"SERVO{channel}_{k}": float(v) for k, v in named.items()})
 
 
@@ -270,14 +325,20 @@ def pwm_of(deflection: FloatArray, servo: Servo) -> FloatArray:
     return np.clip(out, 800.0, 2200.0)
 
 
-def _manoeuvre_texts(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> list[tuple[int, str]]:
+def _manoeuvre_texts(
+    record: FlightRecord, time_us: NDArray[np.int64], written: set[str]
+) -> list[tuple[int, str]]:
     if "manoeuvre" not in record:
         return []
     written.add("manoeuvre")
     labels = record["manoeuvre"]
     changes = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1]]))
     # The autopilot's message holds 64 characters.
-    return [(int(time_us[k]), f"{MANOEUVRE_TEXT}{labels[k] or 'end'}"[:64]) for k in changes if k or labels[k]]
+    return [
+        (int(time_us[k]), f"{MANOEUVRE_TEXT}{labels[k] or 'end'}"[:64])
+        for k in changes
+        if k or labels[k]
+    ]
 
 
 def _modes(record: FlightRecord, time_us: NDArray[np.int64], written: set[str]) -> _Message:

@@ -18,7 +18,10 @@ MOST = 0.2
 
 
 def bridge(
-    record: FlightRecord, names: Sequence[str], held: Collection[str] = (), longest_s: float = LONGEST_S
+    record: FlightRecord,
+    names: Sequence[str],
+    held: Collection[str] = (),
+    longest_s: float = LONGEST_S,
 ) -> tuple[FlightRecord, list[str]]:
     """The record without its short dropouts, and sentences with numbers.
 
@@ -27,7 +30,9 @@ def bridge(
     that would be bridged in more than a fifth stays as it is, and so does every longer gap: nothing is integrated across one.
     """
     record, lost = _rows_put_back(record, longest_s)
-    notes = [f"{lost} lost row(s) were put back, each gap at most {longest_s:g} s long"] if lost else []
+    notes = (
+        [f"{lost} lost row(s) were put back, each gap at most {longest_s:g} s long"] if lost else []
+    )
     time = record["time_s"]
     columns: dict[str, NDArray[Any]] = {}
     for name in names:
@@ -36,8 +41,14 @@ def bridge(
         values = np.array(record[name], dtype=np.float64)
         good = np.flatnonzero(np.isfinite(values))
         # The step from one finite sample to the next, for the samples in between.
-        jumps = np.flatnonzero((np.diff(good) > 1) & (np.diff(time[good]) <= longest_s + record.dt_s))
-        inside = np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps]) if jumps.size else np.zeros(0, int)
+        jumps = np.flatnonzero(
+            (np.diff(good) > 1) & (np.diff(time[good]) <= longest_s + record.dt_s)
+        )
+        inside = (
+            np.concatenate([np.arange(good[j] + 1, good[j + 1]) for j in jumps])
+            if jumps.size
+            else np.zeros(0, int)
+        )
         if not inside.size or inside.size > MOST * (good.size + inside.size):
             continue
         if name in held:
@@ -47,7 +58,9 @@ def bridge(
         columns[name] = values
         if inside.size > lost:
             how = "held" if name in held else "bridged in straight lines"
-            notes.append(f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were {how}")
+            notes.append(
+                f"{inside.size} of {good.size + inside.size} samples of {name} are missing and were {how}"
+            )
     return (record.with_columns(columns) if columns else record), notes
 
 
@@ -62,9 +75,16 @@ def _rows_put_back(record: FlightRecord, longest_s: float) -> tuple[FlightRecord
     if not 0 < lost <= MOST * (len(record) + lost):
         return record, 0
     where = np.repeat(at + 1, missing)
-    new = np.concatenate([time[k] + steps[k] * np.arange(1, n + 1) / (n + 1) for k, n in zip(at, missing, strict=True)])
+    new = np.concatenate(
+        [
+            time[k] + steps[k] * np.arange(1, n + 1) / (n + 1)
+            for k, n in zip(at, missing, strict=True)
+        ]
+    )
     columns: dict[str, NDArray[Any]] = {"time_s": np.insert(time, where, new)}
     for name, values in record.columns.items():
         if name != "time_s":
-            columns[name] = np.insert(values, where, values[where - 1] if name in LABELS else np.nan)
+            columns[name] = np.insert(
+                values, where, values[where - 1] if name in LABELS else np.nan
+            )
     return FlightRecord(columns, record.metadata), lost

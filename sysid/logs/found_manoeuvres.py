@@ -20,7 +20,12 @@ from sysid.record import FlightRecord
 FloatArray = NDArray[np.float64]
 FOUND = "found"
 """In place of a table of manoeuvres."""
-AXES = {"elevator_deg": "pitch", "aileron_deg": "roll", "rudder_deg": "yaw", "throttle_pct": "throttle"}
+AXES = {
+    "elevator_deg": "pitch",
+    "aileron_deg": "roll",
+    "rudder_deg": "yaw",
+    "throttle_pct": "throttle",
+}
 _LEAST = {"elevator_deg": 0.8, "aileron_deg": 0.8, "rudder_deg": 0.8, "throttle_pct": 5.0}
 """Smallest pulse, in the command's unit: sixteen steps of a servo pulse of 1 us."""
 _BASE_S = 14.0  # the median over so long is the command without the manoeuvre
@@ -30,11 +35,17 @@ _LEAST_HZ = 15.0  # of a command: logged more slowly it shows no edges, and corr
 _SINGLE_S = 0.3  # shortest single pulse: less is a spike of a mode's change
 _FLAT = 0.8  # mean of a pulse over its largest value; of what dies out exponentially 0.4, of half a sine 0.64
 _EDGE = 0.5  # of a pulse's largest value, where it begins and ends
-_REST_S, _REST = 0.5, 0.2  # the command before a manoeuvre moves by less than this share of the first pulse
+_REST_S, _REST = (
+    0.5,
+    0.2,
+)  # the command before a manoeuvre moves by less than this share of the first pulse
 _EDGE_S = 0.1  # in which it then reaches half of the pulse: a servo's, or a hand's
 _ALIKE = 1.7  # factor between the durations, and the sizes, of the pulses of a doublet
 _THREE_TWO_ONE_ONE = np.array([3.0, 2.0, 1.0, 1.0])
-_BEFORE_S, _AFTER_S = 1.0, 3.0  # of a labelled manoeuvre: the state that it begins from, and the answer
+_BEFORE_S, _AFTER_S = (
+    1.0,
+    3.0,
+)  # of a labelled manoeuvre: the state that it begins from, and the answer
 
 
 @dataclass(frozen=True)
@@ -98,11 +109,15 @@ def label_found(record: FlightRecord) -> FlightRecord:
     found = found_manoeuvres(record.between(*free[0]) if free else record)
     time = record["time_s"]
     if not found:
-        raise LogError("no manoeuvre was found in the commands; give a table of times with --manoeuvres FILE.csv")
+        raise LogError(
+            "no manoeuvre was found in the commands; give a table of times with --manoeuvres FILE.csv"
+        )
     labels = np.full(len(record), "", dtype=object)
     for k, m in enumerate(found):
         until = found[k + 1].start_s - _BEFORE_S if k + 1 < len(found) else np.inf
-        labels[(time >= m.start_s - _BEFORE_S) & (time <= max(m.end_s, min(m.end_s + _AFTER_S, until)))] = m.name
+        labels[
+            (time >= m.start_s - _BEFORE_S) & (time <= max(m.end_s, min(m.end_s + _AFTER_S, until)))
+        ] = m.name
     return record.with_columns({"manoeuvre": labels})
 
 
@@ -124,20 +139,40 @@ def _of_command(record: FlightRecord, name: str) -> list[Manoeuvre]:
             size = max((p.size for p in group), key=abs)
             if len(group) == 1 and not _alone(record, name, rows.start + first, rows.start + last):
                 continue
-            if (last - first) * record.dt_s > _LONGEST_S or not _rested(values, first, abs(group[0].size), record.dt_s):
+            if (last - first) * record.dt_s > _LONGEST_S or not _rested(
+                values, first, abs(group[0].size), record.dt_s
+            ):
                 continue
-            start, end = float(time[rows.start + first]), float(time[min(rows.start + last + 1, len(time) - 1)])
-            out.append(Manoeuvre(_kind(group), AXES[name], start, end, float(np.copysign(abs(size), group[0].size)), unit))
+            start, end = (
+                float(time[rows.start + first]),
+                float(time[min(rows.start + last + 1, len(time) - 1)]),
+            )
+            out.append(
+                Manoeuvre(
+                    _kind(group),
+                    AXES[name],
+                    start,
+                    end,
+                    float(np.copysign(abs(size), group[0].size)),
+                    unit,
+                )
+            )
     return out
 
 
 def _base(values: FloatArray, dt_s: float) -> FloatArray:
     from scipy.ndimage import median_filter
 
-    few = max(1, round(0.1 / dt_s))  # a tenth of a second apart is close enough for a median over many
+    few = max(
+        1, round(0.1 / dt_s)
+    )  # a tenth of a second apart is close enough for a median over many
     slow = values[::few]
     width = min(max(3, round(_BASE_S / (few * dt_s))), slow.size) | 1
-    return np.interp(np.arange(values.size), np.arange(slow.size) * few, median_filter(slow, size=width, mode="nearest"))
+    return np.interp(
+        np.arange(values.size),
+        np.arange(slow.size) * few,
+        median_filter(slow, size=width, mode="nearest"),
+    )
 
 
 def _pulses(away: FloatArray, least: float, dt_s: float) -> list[_Pulse]:
@@ -182,7 +217,11 @@ def _alone(record: FlightRecord, name: str, first: int, last: int) -> bool:
     span = slice(max(0, first - rest), last + 1 + rest)
     others = [record[n][span] for n in AXES if n != name and n in record]
     limits = [_LEAST[n] for n in AXES if n != name and n in record]
-    still = all(float(np.ptp(v[np.isfinite(v)])) < limit for v, limit in zip(others, limits, strict=True) if np.isfinite(v).any())
+    still = all(
+        float(np.ptp(v[np.isfinite(v)])) < limit
+        for v, limit in zip(others, limits, strict=True)
+        if np.isfinite(v).any()
+    )
     return still and (last - first) * record.dt_s > _SINGLE_S
 
 

@@ -14,12 +14,17 @@ from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres
 from sysid.record import FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 
-IDENTIFICATION_MIN_HZ = 20.0  # short periods of small aircraft lie near 1 Hz: twenty samples a cycle
+IDENTIFICATION_MIN_HZ = (
+    20.0  # short periods of small aircraft lie near 1 Hz: twenty samples a cycle
+)
 REPLAY_MIN_HZ = 10.0
 LOITER_MIN_HZ = 1.0
 LOITER_MIN_S = 300.0
 MIN_MOVING_DEG = 0.5
-_NOT_AEROPLANES = re.compile(r"copter|rover|sub\b|quad|hexa|octo|tricopter|helicopter|boat|antenna|blimp|rotary", re.IGNORECASE)
+_NOT_AEROPLANES = re.compile(
+    r"copter|rover|sub\b|quad|hexa|octo|tricopter|helicopter|boat|antenna|blimp|rotary",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,10 @@ class LogInfo:
             "start_s": self.start_s,
             "free_flight_s": None if self.flight_s is None else list(self.flight_s),
             "grid_hz": self.grid_hz,
-            "channels": {n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)} for n in self.channels},
+            "channels": {
+                n: {"source": self.channels.get(n, ""), "rate_hz": self.rates_hz.get(n)}
+                for n in self.channels
+            },
             "findings": [f.as_dict() for f in self.findings],
             "manoeuvres": [m.as_dict() for m in self.manoeuvres],
             "loiters": [asdict(loiter) for loiter in self.loiters],
@@ -136,7 +144,9 @@ def _missing(record: FlightRecord, names: tuple[str, ...]) -> list[str]:
 def _rate(record: FlightRecord, names: tuple[str, ...]) -> float:
     """Slowest native rate among `names` that are there; the grid's own rate where the log does not say."""
     native = record.metadata.native_hz
-    return min((native.get(n, 1.0 / record.dt_s) for n in names if n in record), default=float("nan"))
+    return min(
+        (native.get(n, 1.0 / record.dt_s) for n in names if n in record), default=float("nan")
+    )
 
 
 def _loiter(record: FlightRecord) -> tuple[bool, str]:
@@ -146,11 +156,20 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
         return False, f"no {', '.join(missing)}"
     rate = _rate(record, (*path, "h_m", "V_mps"))
     if rate < 0.9 * LOITER_MIN_HZ:
-        return False, f"the slowest of path, height and speed is logged at {rate:.2g} Hz; at least {LOITER_MIN_HZ:g} Hz"
+        return (
+            False,
+            f"the slowest of path, height and speed is logged at {rate:.2g} Hz; at least {LOITER_MIN_HZ:g} Hz",
+        )
     loiter_s = _loiter_seconds(record)
     if loiter_s < LOITER_MIN_S:
-        return False, f"only {loiter_s:.0f} s of circling flight; at least {LOITER_MIN_S:.0f} s give stable medians"
-    return True, f"{loiter_s / 60:.1f} min of circling flight with {', '.join(path)}, height and speed at {rate:.1f} Hz"
+        return (
+            False,
+            f"only {loiter_s:.0f} s of circling flight; at least {LOITER_MIN_S:.0f} s give stable medians",
+        )
+    return (
+        True,
+        f"{loiter_s / 60:.1f} min of circling flight with {', '.join(path)}, height and speed at {rate:.1f} Hz",
+    )
 
 
 def _loiter_seconds(record: FlightRecord) -> float:
@@ -170,7 +189,11 @@ def _loiter_seconds(record: FlightRecord) -> float:
 
 
 def _moving(record: FlightRecord) -> list[str]:
-    spans = {n: float(np.nanmax(record[n]) - np.nanmin(record[n])) for n in SURFACES if not _missing(record, (n,))}
+    spans = {
+        n: float(np.nanmax(record[n]) - np.nanmin(record[n]))
+        for n in SURFACES
+        if not _missing(record, (n,))
+    }
     return [n for n, span in spans.items() if span > MIN_MOVING_DEG]
 
 
@@ -190,18 +213,29 @@ def _surfaces(record: FlightRecord) -> str:
 
 def _lacks(record: FlightRecord, missing: list[str]) -> str:
     """All that is not there in one sentence, "" where everything is."""
-    return "; ".join(filter(None, (f"no {', '.join(missing)}" if missing else "", _surfaces(record))))
+    return "; ".join(
+        filter(None, (f"no {', '.join(missing)}" if missing else "", _surfaces(record)))
+    )
 
 
 def _replay(record: FlightRecord) -> tuple[bool, str]:
-    missing = _missing(record, ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m", "throttle_pct"))
+    missing = _missing(
+        record,
+        ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m", "throttle_pct"),
+    )
     if reason := _lacks(record, missing):
         return False, reason
     rate = _rate(record, (*SURFACES, "p_radps", "q_radps", "r_radps"))
     if rate < 0.75 * REPLAY_MIN_HZ:
-        return False, f"commands and rates come at {rate:.1f} Hz; a replay needs at least {REPLAY_MIN_HZ:g} Hz"
+        return (
+            False,
+            f"commands and rates come at {rate:.1f} Hz; a replay needs at least {REPLAY_MIN_HZ:g} Hz",
+        )
     note = "" if rate >= 20 else "; at this rate fast manoeuvres are blurred"
-    return True, f"surfaces, throttle, attitude, rates, speed and height at {rate:.1f} Hz or more{note}"
+    return (
+        True,
+        f"surfaces, throttle, attitude, rates, speed and height at {rate:.1f} Hz or more{note}",
+    )
 
 
 def _identification(record: FlightRecord) -> tuple[bool, str]:
@@ -211,8 +245,15 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
         return False, reason
     rate = min(_rate(record, rates), _rate(record, SURFACES))
     if rate < 0.95 * IDENTIFICATION_MIN_HZ:
-        return False, f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least {IDENTIFICATION_MIN_HZ:g} Hz"
-    bad = [f for f in record.metadata.findings if f.severity == "error" and f.channel in (*rates, *SURFACES, "V_mps")]
+        return (
+            False,
+            f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least {IDENTIFICATION_MIN_HZ:g} Hz",
+        )
+    bad = [
+        f
+        for f in record.metadata.findings
+        if f.severity == "error" and f.channel in (*rates, *SURFACES, "V_mps")
+    ]
     if bad:
         return False, bad[0].message
     estimates = [n for n in record.metadata.estimates if n in ("alpha_rad", "beta_rad")]
@@ -222,4 +263,7 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
         note = "; no alpha or beta: reconstruct the flight path first"
     else:
         note = ""
-    return True, f"rates, accelerations and surfaces at {rate:.1f} Hz or more, surfaces moving{note}"
+    return (
+        True,
+        f"rates, accelerations and surfaces at {rate:.1f} Hz or more, surfaces moving{note}",
+    )

@@ -51,7 +51,9 @@ def import_log(
         except LogError:
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
-            return _as_known_today(replace(record, metadata=replace(record.metadata, source=path.name)))
+            return _as_known_today(
+                replace(record, metadata=replace(record.metadata, source=path.name))
+            )
     record = _assemble(path, dialect, user_map, card, digest, progress)
     if stored is not None:
         keep(record, stored)
@@ -70,7 +72,9 @@ def _assemble(
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
-        return assemble(read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest)
+        return assemble(
+            read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest
+        )
     except LogError as e:
         if str(path) in str(e):
             raise
@@ -86,7 +90,9 @@ _MAP_OF = {
 }
 
 
-def read_raw(path: Path, dialect: str, signal_map: SignalMap | None, progress: Progress | None = None) -> RawLog:
+def read_raw(
+    path: Path, dialect: str, signal_map: SignalMap | None, progress: Progress | None = None
+) -> RawLog:
     """The log's own messages; only what `signal_map` asks for, or everything with None."""
     wanted = None if signal_map is None else signal_map.wanted()
     match dialect:
@@ -100,7 +106,10 @@ def read_raw(path: Path, dialect: str, signal_map: SignalMap | None, progress: P
 def _record_file(path: Path) -> FlightRecord:
     record = FlightRecord.read(path)
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
-        raise LogError("the table holds a time and no signal; name the columns as the vocabulary does or give a --map", path)
+        raise LogError(
+            "the table holds a time and no signal; name the columns as the vocabulary does or give a --map",
+            path,
+        )
     return _as_known_today(record)
 
 

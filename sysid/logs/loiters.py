@@ -53,7 +53,9 @@ def loiter_commands(raw: RawLog, start: Mapping[str, float]) -> Commands | None:
     command = raw.messages.get(("CMD", 0))
     command_s, command_m, kept = _places(command, "Lat", "Lng", start)
     number, own = (
-        np.zeros(kept.size) if command is None or field not in command.fields else command.fields[field][kept].astype(np.float64)
+        np.zeros(kept.size)
+        if command is None or field not in command.fields
+        else command.fields[field][kept].astype(np.float64)
         for field in ("CId", "Prm3")
     )
     return Commands(target_s, target_m, command_s, command_m, number, own, radius)
@@ -66,12 +68,16 @@ def _places(
     if table is None or lat not in table.fields or lng not in table.fields:
         return np.zeros(0), np.zeros((2, 0)), np.zeros(0, dtype=np.int64)
     lats, lngs = (np.asarray(table.fields[field], dtype=np.float64) for field in (lat, lng))
-    kept = np.flatnonzero(np.isfinite(lats) & np.isfinite(lngs) & ((np.abs(lats) > 1e-6) | (np.abs(lngs) > 1e-6)))
+    kept = np.flatnonzero(
+        np.isfinite(lats) & np.isfinite(lngs) & ((np.abs(lats) > 1e-6) | (np.abs(lngs) > 1e-6))
+    )
     placed = local(np.append(start["lat_deg"], lats[kept]), np.append(start["lon_deg"], lngs[kept]))
     return table.time_s[kept], np.stack(placed)[:, 1:], kept
 
 
-def found_loiters(columns: Mapping[str, NDArray[Any]], commands: Commands | None) -> tuple[Loiter, ...]:
+def found_loiters(
+    columns: Mapping[str, NDArray[Any]], commands: Commands | None
+) -> tuple[Loiter, ...]:
     """Loiters in order of time; those whose centre nothing tells are left out.
 
     columns  a record's, of which time_s, mode, north_m, east_m and cross_track_m are used
@@ -84,7 +90,9 @@ def found_loiters(columns: Mapping[str, NDArray[Any]], commands: Commands | None
     for first, stop in itertools.pairwise(edges):
         span = float(time[first]), float(time[stop - 1])
         if modes[first] == "LOITER":
-            out += _about_targets(commands, span) or _about_distances(columns, slice(first, stop), commands.radius_m)
+            out += _about_targets(commands, span) or _about_distances(
+                columns, slice(first, stop), commands.radius_m
+            )
         elif modes[first] == "AUTO":
             out += _about_commands(commands, span)
     return tuple(loiter for loiter in out if loiter.end_s - loiter.start_s >= _LEAST_S)
@@ -101,7 +109,9 @@ def _about_targets(commands: Commands, span_s: tuple[float, float]) -> list[Loit
     for group in np.split(inside, breaks):
         north, east = (float(np.median(axis)) for axis in commands.target_m[:, group])
         start, end = (float(commands.target_s[k]) for k in (group[0], group[-1]))
-        out.append(_loiter((start, end), north, east, commands.radius_m, "NTUN.TLat, TLng; WP_LOITER_RAD"))
+        out.append(
+            _loiter((start, end), north, east, commands.radius_m, "NTUN.TLat, TLng; WP_LOITER_RAD")
+        )
     return out
 
 
@@ -118,7 +128,9 @@ def _about_commands(commands: Commands, span_s: tuple[float, float]) -> Iterator
         yield _loiter((float(commands.command_s[at]), end), north, east, radius, source)
 
 
-def _about_distances(columns: Mapping[str, NDArray[Any]], rows: slice, radius_m: float) -> list[Loiter]:
+def _about_distances(
+    columns: Mapping[str, NDArray[Any]], rows: slice, radius_m: float
+) -> list[Loiter]:
     """The centre from positions and signed distances d from a circle of known radius R, by least squares.
 
     n^2 + e^2 - (R + d)^2 = 2 c.(n, e) - c^2 is linear in the centre c and in c^2; nothing where the rest is large.
@@ -133,14 +145,26 @@ def _about_distances(columns: Mapping[str, NDArray[Any]], rows: slice, radius_m:
     if n.size < _LEAST_ROWS:
         return []
     design = np.column_stack([2.0 * n, 2.0 * e, -np.ones(n.size)])
-    centre, _, rank, _ = np.linalg.lstsq(design, n**2 + e**2 - (abs(radius_m) + d) ** 2, rcond=1e-10)
+    centre, _, rank, _ = np.linalg.lstsq(
+        design, n**2 + e**2 - (abs(radius_m) + d) ** 2, rcond=1e-10
+    )
     miss = np.hypot(n - centre[0], e - centre[1]) - abs(radius_m) - d
     if rank < 3 or float(np.sqrt(np.mean(miss**2))) > _AGREES * abs(radius_m):
         return []
     time = columns["time_s"][rows]
     ends = float(time[0]), float(time[-1])
-    return [_loiter(ends, float(centre[0]), float(centre[1]), radius_m, "positions and cross-track errors; WP_LOITER_RAD")]
+    return [
+        _loiter(
+            ends,
+            float(centre[0]),
+            float(centre[1]),
+            radius_m,
+            "positions and cross-track errors; WP_LOITER_RAD",
+        )
+    ]
 
 
-def _loiter(span_s: tuple[float, float], north_m: float, east_m: float, radius_m: float, source: str) -> Loiter:
+def _loiter(
+    span_s: tuple[float, float], north_m: float, east_m: float, radius_m: float, source: str
+) -> Loiter:
     return Loiter(*span_s, north_m, east_m, abs(radius_m), radius_m >= 0.0, source)

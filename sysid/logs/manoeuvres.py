@@ -22,14 +22,21 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     table = read_table(path)
     missing = {"manoeuvre", "start_s", "end_s"} - set(table)
     if missing:
-        raise LogError(f"has no column {sorted(missing)}; it needs manoeuvre, start_s, end_s (and flight)", path)
+        raise LogError(
+            f"has no column {sorted(missing)}; it needs manoeuvre, start_s, end_s (and flight)",
+            path,
+        )
     for column in ("start_s", "end_s"):
         if table[column].dtype == object:
             raise LogError(f"the column {column} holds a time that is no number", path)
     rows = [
         (str(name), start, end)
         for name, start, end, of in zip(
-            table["manoeuvre"], table["start_s"], table["end_s"], table.get("flight", table["manoeuvre"]), strict=True
+            table["manoeuvre"],
+            table["start_s"],
+            table["end_s"],
+            table.get("flight", table["manoeuvre"]),
+            strict=True,
         )
         if "flight" not in table or of == flight
     ]
@@ -40,5 +47,8 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     for name, start, end in rows:
         labels[(time >= start) & (time <= end)] = name
     if not any(labels):
-        raise LogError(f"no manoeuvre of flight '{flight}' lies between {time[0]:.1f} and {time[-1]:.1f} s", path)
+        raise LogError(
+            f"no manoeuvre of flight '{flight}' lies between {time[0]:.1f} and {time[-1]:.1f} s",
+            path,
+        )
     return record.with_columns({"manoeuvre": labels})

@@ -47,7 +47,9 @@ def find(
     smooth = moving_mean(speed, max(1, round(2.0 / step)))
     known = smooth[np.isfinite(smooth)]
     if not len(known):
-        return FlightPhase(None, None, None, "no airspeed and no ground speed: whether it flew cannot be said")
+        return FlightPhase(
+            None, None, None, "no airspeed and no ground speed: whether it flew cannot be said"
+        )
     usual = float(np.quantile(known, 0.9))
     if usual < MIN_SPEED_MPS:
         text = f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least {MIN_SPEED_MPS:.0f})"
@@ -58,7 +60,9 @@ def find(
         lifted = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
         if not lifted.any():
             top = float(np.nanmax(height))
-            return FlightPhase(None, None, None, f"it never left the ground: the height stays below {top:.1f} m")
+            return FlightPhase(
+                None, None, None, f"it never left the ground: the height stays below {top:.1f} m"
+            )
         flying &= lifted | ~np.isfinite(height)
     start, end = _longest(flying, round(5.0 / step))
     if time_s[end - 1] - time_s[start] < 5.0:
@@ -66,7 +70,9 @@ def find(
     airborne = (float(time_s[start]), float(time_s[end - 1]))
     tow = _tow(time_s, pitch_rate, elevator, airborne, step) if begins_at_rest else None
     if tow is None:
-        return FlightPhase(airborne, airborne, None, f"airborne from {airborne[0]:.1f} to {airborne[1]:.1f} s")
+        return FlightPhase(
+            airborne, airborne, None, f"airborne from {airborne[0]:.1f} to {airborne[1]:.1f} s"
+        )
     # Release is followed by a change of mode as a rule; without one leave two seconds for the aircraft to settle.
     later = mode_changes_s[(mode_changes_s >= tow[1]) & (mode_changes_s <= tow[1] + 10.0)]
     release = float(later[0]) if len(later) else tow[1] + 2.0
@@ -92,7 +98,11 @@ def _tow(
     still = (swing >= stop) & (np.abs(moving_mean(pitch_rate, window)) < 0.05)
     early = time_s < airborne[0] + 120.0
     start, end = _longest(still & early, round(1.0 / step))
-    if end <= start or time_s[end - 1] - time_s[start] < _TOW_MIN_S or time_s[end - 1] < airborne[0]:
+    if (
+        end <= start
+        or time_s[end - 1] - time_s[start] < _TOW_MIN_S
+        or time_s[end - 1] < airborne[0]
+    ):
         return None
     return float(time_s[start]), float(time_s[end - 1])
 

@@ -19,7 +19,12 @@ from sysid.logs.servo_parameters import USUAL, Output, functions, outputs
 
 FloatArray = NDArray[np.float64]
 _LEFT_RIGHT = {"elevon": (77, 78), "vtail": (79, 80)}
-COLUMNS = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
+COLUMNS = {
+    "elevator": "elevator_deg",
+    "aileron": "aileron_deg",
+    "rudder": "rudder_deg",
+    "throttle": "throttle_pct",
+}
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,10 @@ class Control:
     @property
     def label(self) -> str:
         """For the record's metadata."""
-        return " ".join(f"{w:+g}*servo{c}" if w != 1.0 else f"servo{c}" for c, _, w in self.parts) + f" ({self.basis})"
+        return (
+            " ".join(f"{w:+g}*servo{c}" if w != 1.0 else f"servo{c}" for c, _, w in self.parts)
+            + f" ({self.basis})"
+        )
 
 
 def deflection(pwm: FloatArray, servo: Servo) -> FloatArray:
@@ -54,10 +62,16 @@ def extrapolating_table(x: FloatArray, table: Table) -> FloatArray:
     out = np.interp(x, xs, ys)
     first = (ys[1] - ys[0]) / (xs[1] - xs[0])
     last = (ys[-1] - ys[-2]) / (xs[-1] - xs[-2])
-    return np.where(x < xs[0], ys[0] + first * (x - xs[0]), np.where(x > xs[-1], ys[-1] + last * (x - xs[-1]), out))
+    return np.where(
+        x < xs[0],
+        ys[0] + first * (x - xs[0]),
+        np.where(x > xs[-1], ys[-1] + last * (x - xs[-1]), out),
+    )
 
 
-def controls(card: AirframeCard | None, parameters: Mapping[str, float]) -> tuple[dict[str, Control], list[Finding]]:
+def controls(
+    card: AirframeCard | None, parameters: Mapping[str, float]
+) -> tuple[dict[str, Control], list[Finding]]:
     """Column -> how to make it; what the log's own parameters say counts before the card.
 
     Degrees are the card's: no parameter has them. Without a card only the throttle can be had.
@@ -72,7 +86,11 @@ def controls(card: AirframeCard | None, parameters: Mapping[str, float]) -> tupl
         for name in COLUMNS:
             if COLUMNS[name] in out or (name not in card.servos and name not in card.throws):
                 continue
-            control = _described(card, name, described[name]) if name in described else _by_card(card, name, bool(by_channel))
+            control = (
+                _described(card, name, described[name])
+                if name in described
+                else _by_card(card, name, bool(by_channel))
+            )
             if control is not None:
                 out[COLUMNS[name]] = control
     if "throttle_pct" not in out and "throttle" in described:
@@ -80,7 +98,9 @@ def controls(card: AirframeCard | None, parameters: Mapping[str, float]) -> tupl
         low, high = _known(output.low, 1000.0), _known(output.high, 2000.0)
         if high > low:
             servo = Servo(((low, 0.0), (high, 100.0)), (0.0, 100.0), output.channel)
-            out["throttle_pct"] = Control(((output.channel, servo, 1.0),), "MIN and MAX of the log's parameters")
+            out["throttle_pct"] = Control(
+                ((output.channel, servo, 1.0),), "MIN and MAX of the log's parameters"
+            )
     return out, findings
 
 
@@ -88,10 +108,14 @@ def _known(value: float, otherwise: float) -> float:
     return otherwise if math.isnan(value) else value
 
 
-def _assumed_mixes(card: AirframeCard, by_channel: Mapping[int, int], out: dict[str, Control]) -> list[Finding]:
+def _assumed_mixes(
+    card: AirframeCard, by_channel: Mapping[int, int], out: dict[str, Control]
+) -> list[Finding]:
     findings = []
     for kind, (left, right) in _LEFT_RIGHT.items():
-        channels = [next((n for n, f in by_channel.items() if f == side), None) for side in (left, right)]
+        channels = [
+            next((n for n, f in by_channel.items() if f == side), None) for side in (left, right)
+        ]
         servo = card.servos.get("elevator")
         if None in channels or servo is None or any(m.kind == kind for m in card.mixes):
             continue
@@ -112,7 +136,11 @@ def _by_card(card: AirframeCard, name: str, has_functions: bool) -> Control | No
         return None  # the autopilot says what its outputs do, and none of them does this
     channel = servo.channel or USUAL[name]
     basis = "card" if servo.channel else "usual order"
-    return Control(((channel, servo, 1.0),), basis, f"{_as_words(name, channel, servo)} by the card's servo_pwm")
+    return Control(
+        ((channel, servo, 1.0),),
+        basis,
+        f"{_as_words(name, channel, servo)} by the card's servo_pwm",
+    )
 
 
 def _described(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Control | None:
@@ -126,7 +154,9 @@ def _described(card: AirframeCard, name: str, members: tuple[Output, ...]) -> Co
         parts.append((output.channel, servo, 1.0 / len(members)))
         told.append(f"{_as_words(name, output.channel, servo)} by {output.source}, {degrees}")
         against += _conflicts(card.servos.get(name), servo, output)
-    return Control(tuple(parts), members[0].source.split(",")[0], "; ".join(told), "; ".join(against))
+    return Control(
+        tuple(parts), members[0].source.split(",")[0], "; ".join(told), "; ".join(against)
+    )
 
 
 def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] | None:
@@ -142,11 +172,15 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
             return own, "the card's servo_pwm"
         ends = (0.0, 100.0) if output.sense >= 0.0 else (100.0, 0.0)
         return Servo(((low, ends[0]), (high, ends[1])), (0.0, 100.0), output.channel), "0 and 100 %"
-    sense = output.sense or (1.0 if own is None else math.copysign(1.0, own.table[-1][1] - own.table[0][1]))
+    sense = output.sense or (
+        1.0 if own is None else math.copysign(1.0, own.table[-1][1] - own.table[0][1])
+    )
     if throw is not None and output.spans and (throw.key == "throw_deg" or own is None):
         ends = (throw.low, throw.high) if sense > 0.0 else (throw.high, throw.low)
         table: Table = ((output.low, ends[0]), (output.neutral, 0.0), (output.high, ends[1]))
-        return Servo(table, limits, output.channel), f"degrees assumed: the card's {throw.key} at the ends of travel"
+        return Servo(
+            table, limits, output.channel
+        ), f"degrees assumed: the card's {throw.key} at the ends of travel"
     if own is None:
         return None
     neutral = _neutral(own)
@@ -177,8 +211,13 @@ def _conflicts(own: Servo | None, used: Servo, output: Output) -> list[str]:
         found.append(f"the card says channel {own.channel}, the log {output.channel}")
     if (own.table[-1][1] - own.table[0][1]) * (used.table[-1][1] - used.table[0][1]) < 0.0:
         found.append(f"servo {output.channel} turns the other way in the card")
-    if abs(_neutral(own) - _neutral(used)) > _SAME_US and used.table[0][1] * used.table[-1][1] < 0.0:
-        found.append(f"the neutral of servo {output.channel} is {_neutral(used):g} us in the log, {_neutral(own):g} us in the card")
+    if (
+        abs(_neutral(own) - _neutral(used)) > _SAME_US
+        and used.table[0][1] * used.table[-1][1] < 0.0
+    ):
+        found.append(
+            f"the neutral of servo {output.channel} is {_neutral(used):g} us in the log, {_neutral(own):g} us in the card"
+        )
     return found
 
 
@@ -191,8 +230,12 @@ def _as_words(name: str, channel: int, servo: Servo) -> str:
 def _mixed(mix: Mix, basis: str, out: dict[str, Control]) -> None:
     first, second = mix.outputs
     left, right = mix.left.channel or 0, mix.right.channel or 0
-    out[COLUMNS[first]] = Control(((left, mix.left, 0.5), (right, mix.right, 0.5)), f"{mix.kind}, {basis}")
-    out[COLUMNS[second]] = Control(((left, mix.left, 0.5), (right, mix.right, -0.5)), f"{mix.kind}, {basis}")
+    out[COLUMNS[first]] = Control(
+        ((left, mix.left, 0.5), (right, mix.right, 0.5)), f"{mix.kind}, {basis}"
+    )
+    out[COLUMNS[second]] = Control(
+        ((left, mix.left, 0.5), (right, mix.right, -0.5)), f"{mix.kind}, {basis}"
+    )
 
 
 def elevator_channel(parameters: Mapping[str, float]) -> int:

@@ -16,8 +16,13 @@ FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
 """SERVOn_FUNCTION numbers as ArduPilot documents them."""
 _SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
 """Of a flight record's sign over the autopilot's: + elevator is nose down there, + rudder nose left."""
-_PX4_SURFACES = {1: ("aileron", "R", -1.0), 2: ("aileron", "R", 1.0), 15: ("aileron", "R", 1.0),
-                 3: ("elevator", "P", 1.0), 4: ("rudder", "Y", 1.0)}  # fmt: skip
+_PX4_SURFACES = {
+    1: ("aileron", "R", -1.0),
+    2: ("aileron", "R", 1.0),
+    15: ("aileron", "R", 1.0),
+    3: ("elevator", "P", 1.0),
+    4: ("rudder", "Y", 1.0),
+}
 _PX4_MOTOR, _PX4_SERVO = 101, 201
 
 
@@ -52,7 +57,11 @@ def functions(parameters: Mapping[str, float]) -> dict[int, int]:
 def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
     """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a name where none is described."""
     found: dict[str, list[Output]] = {}
-    for name, output in _ardupilot(parameters) if functions(parameters) else (*_old_ardupilot(parameters), *_px4(parameters)):
+    for name, output in (
+        _ardupilot(parameters)
+        if functions(parameters)
+        else (*_old_ardupilot(parameters), *_px4(parameters))
+    ):
         found.setdefault(name, []).append(output)
     return {name: tuple(members) for name, members in found.items()}
 
@@ -64,35 +73,86 @@ def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
         if name is None or name in seen:
             continue
         seen.add(name)
-        low, high, neutral, turned = (parameters.get(f"SERVO{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REVERSED"))
+        low, high, neutral, turned = (
+            parameters.get(f"SERVO{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REVERSED")
+        )
         sense = 0.0 if math.isnan(turned) else _SENSE[name] * (-1.0 if turned else 1.0)
-        yield name, Output(n, low, neutral, high, sense, f"SERVO{n}_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED")
+        yield (
+            name,
+            Output(
+                n, low, neutral, high, sense, f"SERVO{n}_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
+            ),
+        )
 
 
 def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
     for name, usual in USUAL.items():
-        n = int(parameters.get({"aileron": "RCMAP_ROLL", "elevator": "RCMAP_PITCH", "rudder": "RCMAP_YAW"}.get(name, ""), usual))
+        n = int(
+            parameters.get(
+                {"aileron": "RCMAP_ROLL", "elevator": "RCMAP_PITCH", "rudder": "RCMAP_YAW"}.get(
+                    name, ""
+                ),
+                usual,
+            )
+        )
         if f"RC{n}_REV" in parameters:
-            low, high, neutral, turned = (parameters.get(f"RC{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REV"))
-            yield name, Output(n, low, neutral, high, _SENSE[name] * math.copysign(1.0, turned), f"RC{n}_MIN, _TRIM, _MAX, _REV")
+            low, high, neutral, turned = (
+                parameters.get(f"RC{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REV")
+            )
+            yield (
+                name,
+                Output(
+                    n,
+                    low,
+                    neutral,
+                    high,
+                    _SENSE[name] * math.copysign(1.0, turned),
+                    f"RC{n}_MIN, _TRIM, _MAX, _REV",
+                ),
+            )
 
 
 def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
     for n in range(1, 17):
         function = int(parameters.get(f"PWM_MAIN_FUNC{n}", 0.0))
-        low, high = parameters.get(f"PWM_MAIN_MIN{n}", 1000.0), parameters.get(f"PWM_MAIN_MAX{n}", 2000.0)
+        low, high = (
+            parameters.get(f"PWM_MAIN_MIN{n}", 1000.0),
+            parameters.get(f"PWM_MAIN_MAX{n}", 2000.0),
+        )
         turned = -1.0 if int(parameters.get("PWM_MAIN_REV", 0.0)) >> (n - 1) & 1 else 1.0
         if function == _PX4_MOTOR:
-            yield "throttle", Output(n, low, 0.5 * (low + high), high, turned, f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV")
+            yield (
+                "throttle",
+                Output(
+                    n,
+                    low,
+                    0.5 * (low + high),
+                    high,
+                    turned,
+                    f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV",
+                ),
+            )
         k = function - _PX4_SERVO
-        kind = _PX4_SURFACES.get(int(parameters.get(f"CA_SV_CS{k}_TYPE", 0.0))) if 0 <= k < 8 else None
+        kind = (
+            _PX4_SURFACES.get(int(parameters.get(f"CA_SV_CS{k}_TYPE", 0.0))) if 0 <= k < 8 else None
+        )
         if kind is None:
             continue
         name, axis, usual = kind
         torque = parameters.get(f"CA_SV_CS{k}_TRQ_{axis}", 0.0) or usual
         neutral = 0.5 * (low + high) + 0.5 * (high - low) * parameters.get(f"CA_SV_CS{k}_TRIM", 0.0)
         sense = _SENSE[name] * turned * math.copysign(1.0, torque)
-        yield name, Output(n, low, neutral, high, sense, f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV and CA_SV_CS{k}_*")
+        yield (
+            name,
+            Output(
+                n,
+                low,
+                neutral,
+                high,
+                sense,
+                f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV and CA_SV_CS{k}_*",
+            ),
+        )
 
 
 def parse_parameters(text: str) -> dict[str, float]:
@@ -111,10 +171,16 @@ def parse_parameters(text: str) -> dict[str, float]:
         try:
             name, value = words[0], float(words[1])
         except (IndexError, ValueError):
-            raise ValueError(f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number") from None
+            raise ValueError(
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+            ) from None
         if not name.replace("_", "").isalnum() or not math.isfinite(value):
-            raise ValueError(f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number")
+            raise ValueError(
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+            )
         found[name] = value
     if not found:
-        raise ValueError("holds no parameter; a line is a name and a number, such as SERVO2_TRIM 1500")
+        raise ValueError(
+            "holds no parameter; a line is a name and a number, such as SERVO2_TRIM 1500"
+        )
     return found

@@ -34,7 +34,18 @@ FUNCTIONS: dict[str, int] = {
     "air_beta": 3,  # (u, v, w)
     "density_of_eas2tas": 1,  # 1.225 / ratio^2
 }
-_KEYS = {"message", "instance", "field", "fields", "scale", "offset", "table", "function", "estimate", "times"}
+_KEYS = {
+    "message",
+    "instance",
+    "field",
+    "fields",
+    "scale",
+    "offset",
+    "table",
+    "function",
+    "estimate",
+    "times",
+}
 
 
 @dataclass(frozen=True)
@@ -111,14 +122,18 @@ class SignalMap:
 def shipped_dialects() -> list[str]:
     """Names of the maps that come with the package."""
     folder = resources.files("sysid.logs") / "signal_maps"
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+    return sorted(
+        p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")
+    )
 
 
 def shipped_map(dialect: str) -> SignalMap:
     """The package's own map of a dialect; LogError when there is none."""
     if dialect not in shipped_dialects():
         raise LogError(f"no signal map for dialect '{dialect}'; there are {shipped_dialects()}")
-    source = (resources.files("sysid.logs") / "signal_maps" / f"{dialect}.toml").read_text(encoding="utf-8")
+    source = (resources.files("sysid.logs") / "signal_maps" / f"{dialect}.toml").read_text(
+        encoding="utf-8"
+    )
     return parse_map(source, dialect)
 
 
@@ -127,9 +142,13 @@ def read_map(path: Path) -> SignalMap:
     try:
         source = read_regular_text(path)
     except OSError as e:
-        raise LogError(f"cannot read this signal map: {e.strerror or e}; give a TOML file", path) from None
+        raise LogError(
+            f"cannot read this signal map: {e.strerror or e}; give a TOML file", path
+        ) from None
     except UnicodeDecodeError:
-        raise LogError("cannot read this signal map: it is not in UTF-8; give a TOML file", path) from None
+        raise LogError(
+            "cannot read this signal map: it is not in UTF-8; give a TOML file", path
+        ) from None
     return parse_map(source, str(path))
 
 
@@ -141,7 +160,9 @@ def parse_map(source: str, name: str) -> SignalMap:
         raise LogError(str(e), name) from None
     unknown = sorted(set(data) - {"signals", "servos", "needs"})
     if unknown:
-        raise LogError(f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs]", name)
+        raise LogError(
+            f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs]", name
+        )
     signals = data.get("signals", {})
     if not isinstance(signals, dict):
         raise LogError("[signals] must hold tables such as [signals.q_radps]", name)
@@ -149,10 +170,14 @@ def parse_map(source: str, name: str) -> SignalMap:
     for signal, value in signals.items():
         if signal not in SIGNALS or signal == "time_s":
             allowed = [s for s in SIGNALS if s != "time_s"]
-            raise LogError(f"unknown signal '{signal}'; allowed are {allowed}", name, f"[signals.{signal}]")
+            raise LogError(
+                f"unknown signal '{signal}'; allowed are {allowed}", name, f"[signals.{signal}]"
+            )
         rows = value if isinstance(value, list) else [value]
         entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
-    return SignalMap(name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name))
+    return SignalMap(
+        name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name)
+    )
 
 
 def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
@@ -164,13 +189,21 @@ def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
 def _servos(data: Any, name: str) -> ServoOutputs | None:
     if data is None:
         return None
-    if not isinstance(data, dict) or set(data) - {"message", "instance", "field"} or "message" not in data:
+    if (
+        not isinstance(data, dict)
+        or set(data) - {"message", "instance", "field"}
+        or "message" not in data
+    ):
         raise LogError('allowed keys are message, instance, field = "C{n}"', name, "[servos]")
     given = data.get("field", "")
     patterns = tuple(str(pattern) for pattern in (given if isinstance(given, list) else [given]))
     if not patterns or not all("{n}" in pattern for pattern in patterns):
-        raise LogError(f"field = {given!r} must contain {{n}} for the channel number", name, "[servos]")
-    return ServoOutputs(str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), patterns)
+        raise LogError(
+            f"field = {given!r} must contain {{n}} for the channel number", name, "[servos]"
+        )
+    return ServoOutputs(
+        str(data["message"]), _integer(data.get("instance", 0), name, "[servos]"), patterns
+    )
 
 
 def _entry(row: Any, where: str, name: str) -> Entry:
@@ -186,9 +219,15 @@ def _entry(row: Any, where: str, name: str) -> Entry:
         raise LogError('field = "..." (or fields = [...]) is missing', name, where)
     function = row.get("function", "value")
     if not isinstance(function, str) or function not in FUNCTIONS:
-        raise LogError(f"unknown function '{function}'; allowed are {sorted(FUNCTIONS)}", name, where)
+        raise LogError(
+            f"unknown function '{function}'; allowed are {sorted(FUNCTIONS)}", name, where
+        )
     if len(fields) != FUNCTIONS[function]:
-        raise LogError(f"function '{function}' takes {FUNCTIONS[function]} fields; received {fields}", name, where)
+        raise LogError(
+            f"function '{function}' takes {FUNCTIONS[function]} fields; received {fields}",
+            name,
+            where,
+        )
     if "table" in row and ("scale" in row or "offset" in row):
         raise LogError("give either table or scale and offset, not both", name, where)
     times = row.get("times")
@@ -212,10 +251,14 @@ def read_table(data: Any, name: str, where: str) -> tuple[tuple[float, float], .
     try:
         pairs = tuple((float(x), float(y)) for x, y in data)
     except (TypeError, ValueError, OverflowError):
-        raise LogError(f"a table is a list of [input, output] pairs; received {data!r}", name, where) from None
+        raise LogError(
+            f"a table is a list of [input, output] pairs; received {data!r}", name, where
+        ) from None
     finite = all(math.isfinite(number) for pair in pairs for number in pair)
     if len(pairs) < 2 or not finite or any(b[0] <= a[0] for a, b in itertools.pairwise(pairs)):
-        raise LogError(f"a table needs two or more pairs with increasing input; received {data!r}", name, where)
+        raise LogError(
+            f"a table needs two or more pairs with increasing input; received {data!r}", name, where
+        )
     return pairs
 
 

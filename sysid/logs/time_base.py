@@ -46,11 +46,18 @@ def clean(time_s: FloatArray) -> CleanTime:
     if len(index) and np.any(np.diff(time_s[index]) < 0):
         index = index[_longest_increasing(time_s[index])]
     dropped_s = 0.0
-    jumps = np.flatnonzero(np.diff(time_s[index]) > JUMP_S) if len(index) > 1 else np.array([], dtype=int)
+    jumps = (
+        np.flatnonzero(np.diff(time_s[index]) > JUMP_S)
+        if len(index) > 1
+        else np.array([], dtype=int)
+    )
     if len(jumps):
         blocks = np.split(index, jumps + 1)
         index = max(blocks, key=len)
-        dropped_s = float(sum(time_s[b[-1]] - time_s[b[0]] for b in blocks) - (time_s[index[-1]] - time_s[index[0]]))
+        dropped_s = float(
+            sum(time_s[b[-1]] - time_s[b[0]] for b in blocks)
+            - (time_s[index[-1]] - time_s[index[0]])
+        )
     backwards = total - len(index)
     fresh = np.ones(len(index), dtype=bool)
     if len(index) > 1:
@@ -95,7 +102,9 @@ def _longest_increasing(values: FloatArray) -> NDArray[np.int64]:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-def interpolate(time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s: FloatArray) -> FloatArray:
+def interpolate(
+    time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s: FloatArray
+) -> FloatArray:
     """Linear interpolation of (n,) samples onto (m,) grid times; NaN outside the samples and inside every gap."""
     out = np.interp(grid_s, time_s, values, left=np.nan, right=np.nan)
     out[inside(gaps, grid_s)] = np.nan
@@ -106,7 +115,9 @@ def interpolate(time_s: FloatArray, values: FloatArray, gaps: FloatArray, grid_s
     return out
 
 
-def hold(time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArray, step_s: float) -> NDArray:
+def hold(
+    time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArray, step_s: float
+) -> NDArray:
     """Zero-order hold onto the grid: the newest sample not later than the grid time (a quarter of a grid step of
     tolerance, so that stamps of one loop count as one). NaN before the first sample, inside gaps after one usual step,
     and more than GAP_STEPS steps after the last sample."""
@@ -116,7 +127,9 @@ def hold(time_s: FloatArray, values: NDArray, gaps: FloatArray, grid_s: FloatArr
     missing = at < 0
     if len(time_s) > 1 and np.isfinite(step_s):
         held_from = np.column_stack([gaps[:, 0] + step_s, gaps[:, 1]]) if len(gaps) else gaps
-        missing |= inside(held_from, grid_s + tolerance) | (grid_s > time_s[-1] + GAP_STEPS * step_s)
+        missing |= inside(held_from, grid_s + tolerance) | (
+            grid_s > time_s[-1] + GAP_STEPS * step_s
+        )
     out[missing] = np.nan if out.dtype != object else ""
     return out
 

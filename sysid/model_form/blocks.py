@@ -18,7 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, cosine_variance, noise_cosines
+from sysid.aerodynamics import (
+    COEFFICIENTS,
+    ResidualPiece,
+    Residuals,
+    cosine_variance,
+    noise_cosines,
+)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -81,7 +87,9 @@ def _first_order(n: int, step: float) -> FloatArray:
 
 def stretches(residuals: Residuals) -> Residuals:
     """The same with pieces much longer than BLOCK_S cut into equal stretches of about that length."""
-    return replace(residuals, pieces=tuple(part for p in residuals.pieces for part in _cut(p, residuals.dt_s)))
+    return replace(
+        residuals, pieces=tuple(part for p in residuals.pieces for part in _cut(p, residuals.dt_s))
+    )
 
 
 def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
@@ -90,9 +98,12 @@ def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
     for low, high in itertools.pairwise(edges):
         rows = slice(int(low), int(high))
         yield replace(
-            piece, time_s=piece.time_s[rows], delta=piece.delta[rows], states={s: v[rows] for s, v in piece.states.items()},
+            piece,
+            time_s=piece.time_s[rows],
+            delta=piece.delta[rows],
+            states={s: v[rows] for s, v in piece.states.items()},
             noise=None if piece.noise is None else piece.noise.rows(rows),
-        )  # fmt: skip
+        )
 
 
 def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
@@ -114,6 +125,13 @@ def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[Float
     total = sum(weights)
     mean_spread = float(np.dot(spreads, weights) / total) if total > 0.0 else 0.0
     return Blocks(
-        np.concatenate(y), np.vstack(X), np.concatenate(noise), np.concatenate(block), np.concatenate(wave),
-        tuple(len(p) for p in residuals.pieces), tuple(p.flight for p in residuals.pieces), residuals.dt_s, mean_spread,
-    )  # fmt: skip
+        np.concatenate(y),
+        np.vstack(X),
+        np.concatenate(noise),
+        np.concatenate(block),
+        np.concatenate(wave),
+        tuple(len(p) for p in residuals.pieces),
+        tuple(p.flight for p in residuals.pieces),
+        residuals.dt_s,
+        mean_spread,
+    )

@@ -42,7 +42,9 @@ PRIOR_SCALE = 3.0
 MOST_POINTS = 200
 """Of the posterior, that count when a block is left out."""
 _NOTHING = 1e-14  # of the residual's variance: what a part has at least, that its logarithm exists
-_TOGETHER = 200_000  # numbers of an array that is computed at once: more leave the processor's cache
+_TOGETHER = (
+    200_000  # numbers of an array that is computed at once: more leave the processor's cache
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class Uncertain:
     @property
     def dof(self) -> float:
         """Degrees of freedom of the inverse chi-square distribution of these moments: its relative variance is 2/(nu - 4)."""
-        relative = float(self.weights @ (self.values - self.mean) ** 2) / max(self.mean**2, np.finfo(float).tiny)
+        relative = float(self.weights @ (self.values - self.mean) ** 2) / max(
+            self.mean**2, np.finfo(float).tiny
+        )
         return 4.0 + 2.0 / max(relative, 1e-6)
 
     def quantile(self, confidence: float) -> float:
@@ -119,7 +123,12 @@ class _Points:
     @staticmethod
     def joined(parts: Sequence[_Points]) -> _Points:
         """All of some sets, in order."""
-        return _Points(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(_Points)))
+        return _Points(
+            *(
+                np.concatenate([getattr(part, item.name) for part in parts])
+                for item in fields(_Points)
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -133,7 +142,12 @@ class _Solved:
     @staticmethod
     def joined(parts: Sequence[_Solved]) -> _Solved:
         """Of all points, in order."""
-        return _Solved(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(_Solved)))
+        return _Solved(
+            *(
+                np.concatenate([getattr(part, item.name) for part in parts])
+                for item in fields(_Solved)
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -167,29 +181,46 @@ class _Problem:
         """The same problem, priors and all, with the data of some blocks alone."""
         kept = np.isin(self.blocks.block, numbers)
         b = self.blocks
-        blocks = replace(b, y=b.y[kept], X=b.X[kept], noise=b.noise[kept], block=b.block[kept], wave=b.wave[kept])
-        return replace(self, blocks=blocks, X=self.X[kept], constant=self.constant[kept], colours=self.colours[:, kept])
+        blocks = replace(
+            b, y=b.y[kept], X=b.X[kept], noise=b.noise[kept], block=b.block[kept], wave=b.wave[kept]
+        )
+        return replace(
+            self,
+            blocks=blocks,
+            X=self.X[kept],
+            constant=self.constant[kept],
+            colours=self.colours[:, kept],
+        )
 
     def points(self, u: FloatArray) -> _Points:
         """The variances at points (p, 5) or (p, 6) of the unit cube."""
         whole = PRIOR_SCALE**2 * self.scale2 * np.tan(0.5 * np.pi * u[:, 0]) ** 2
         # Sticks of a uniform distribution over three shares: the first is Beta(1, 2), the second of what is left uniform.
         polynomial = 1.0 - np.sqrt(1.0 - u[:, 1])
-        lasting, transient = (1.0 - polynomial) * u[:, 2] * whole, (1.0 - polynomial) * (1.0 - u[:, 2]) * whole
+        lasting, transient = (
+            (1.0 - polynomial) * u[:, 2] * whole,
+            (1.0 - polynomial) * (1.0 - u[:, 2]) * whole,
+        )
         flights = u[:, 5] if self.several else np.zeros(len(u))
         least = _NOTHING * self.scale2
         return _Points(
-            np.maximum(polynomial * whole, least) / float(np.trace(self.gram)), np.maximum((1.0 - flights) * lasting, least),
-            np.maximum(flights * lasting, least), np.maximum(transient, least), u[:, 3] * (len(TIMES_S) - 1),
+            np.maximum(polynomial * whole, least) / float(np.trace(self.gram)),
+            np.maximum((1.0 - flights) * lasting, least),
+            np.maximum(flights * lasting, least),
+            np.maximum(transient, least),
+            u[:, 3] * (len(TIMES_S) - 1),
             np.exp(self.spread * ndtri(u[:, 4])),
-        )  # fmt: skip
+        )
 
     def variance(self, p: _Points) -> FloatArray:
         """(p, n) of the waves."""
         every, k = np.arange(len(p)), np.minimum(p.colour.astype(int), len(TIMES_S) - 2)
         sizes = np.zeros((len(p), 2 + len(TIMES_S)))
         sizes[:, 0], sizes[:, 1] = p.block, p.noise
-        sizes[every, 2 + k], sizes[every, 3 + k] = p.transient * (1.0 - (p.colour - k)), p.transient * (p.colour - k)
+        sizes[every, 2 + k], sizes[every, 3 + k] = (
+            p.transient * (1.0 - (p.colour - k)),
+            p.transient * (p.colour - k),
+        )
         return np.asarray(sizes @ np.vstack([self.constant, self.blocks.noise, self.colours]))
 
     def solve(self, p: _Points) -> _Solved:
@@ -208,7 +239,11 @@ class _Problem:
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=float)
         beta = np.einsum("pij,pj->pi", covariance, sums[:, :m, m])  # (2)
         left = sums[:, m, m] - np.einsum("pi,pij,pj->p", beta, information, beta)
-        determinants = np.log(variance).sum(axis=1) + np.log(prior).sum(axis=1) + np.linalg.slogdet(information)[1]
+        determinants = (
+            np.log(variance).sum(axis=1)
+            + np.log(prior).sum(axis=1)
+            + np.linalg.slogdet(information)[1]
+        )
         return _Solved(-0.5 * (determinants + left), beta, covariance)  # (3)
 
     def noise_alone(self) -> float:
@@ -223,9 +258,13 @@ def _problem(blocks: Blocks) -> _Problem:
     samples = sum(blocks.lengths)
     scale2 = max(float(blocks.y @ blocks.y) / samples, np.finfo(float).tiny)
     return _Problem(
-        blocks, np.hstack([blocks.X, blocks.flights]), blocks.constant, np.array([blocks.coloured(t) for t in TIMES_S]),
-        blocks.X.T @ blocks.X / samples, scale2,
-    )  # fmt: skip
+        blocks,
+        np.hstack([blocks.X, blocks.flights]),
+        blocks.constant,
+        np.array([blocks.coloured(t) for t in TIMES_S]),
+        blocks.X.T @ blocks.X / samples,
+        scale2,
+    )
 
 
 def _weighted_sums(columns: FloatArray, weights: FloatArray) -> FloatArray:
@@ -265,7 +304,9 @@ class Separation:
         best = np.argsort(-self.found.weights)[:MOST_POINTS]
         points = self.points.taken(best)
         rows = problem.solve(points)
-        log_weights = np.log(self.found.weights[best]) + rows.log_likelihood - self.rows.log_likelihood[best]
+        log_weights = (
+            np.log(self.found.weights[best]) + rows.log_likelihood - self.rows.log_likelihood[best]
+        )
         weights = np.exp(log_weights - log_weights.max())
         found = Weighted(self.found.points[best], weights / weights.sum(), float("nan"))
         return _summary(problem, found, points, rows)
@@ -290,29 +331,60 @@ def _summary(problem: _Problem, found: Weighted, points: _Points, rows: _Solved)
     w, m = found.weights, problem.terms
     betas, covariances = rows.beta[:, :m], rows.covariance[:, :m, :m]
     beta = w @ betas
-    covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ ((betas - beta) * w[:, None])
+    covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ (
+        (betas - beta) * w[:, None]
+    )
     flight = points.flight if problem.several else np.zeros(len(points))
     persistent = points.block + flight
     transient = points.transient
     known = np.einsum("ijk,jk->i", covariances, problem.gram)
-    error = np.sqrt(np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True) + known + persistent + transient)
+    error = np.sqrt(
+        np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True)
+        + known
+        + persistent
+        + transient
+    )
     order = np.argsort(error)
     colour = points.colour
     # Times count by how much of the transient part they stand for: where there is none, any time fits.
-    time = float(np.exp(np.average(np.interp(colour, range(len(TIMES_S)), np.log(TIMES_S)), weights=w * transient)))
+    time = float(
+        np.exp(
+            np.average(
+                np.interp(colour, range(len(TIMES_S)), np.log(TIMES_S)), weights=w * transient
+            )
+        )
+    )
     noise = float(w @ points.noise)
     of_colour = float(np.average(colour, weights=w * transient))
     middle = _Points(
-        *(np.array([v]) for v in (w @ points.polynomial, w @ points.block, w @ flight, w @ transient, of_colour, noise))
+        *(
+            np.array([v])
+            for v in (
+                w @ points.polynomial,
+                w @ points.block,
+                w @ flight,
+                w @ transient,
+                of_colour,
+                noise,
+            )
+        )
     )
     return Components(
-        beta=beta, covariance=0.5 * (covariance + covariance.T), persistent=float(w @ persistent),
-        flight=float(w @ flight) if problem.several else float("nan"), transient=float(w @ transient), time_s=time,
-        noise_factor=float(np.sqrt(noise)), lasting=Uncertain(known + persistent, w),
-        whole=Uncertain(known + persistent + transient, w), tail=_tail(problem, middle),
-        not_above=float(error[order][np.searchsorted(np.cumsum(w[order]), 0.95).clip(max=len(order) - 1)]),
+        beta=beta,
+        covariance=0.5 * (covariance + covariance.T),
+        persistent=float(w @ persistent),
+        flight=float(w @ flight) if problem.several else float("nan"),
+        transient=float(w @ transient),
+        time_s=time,
+        noise_factor=float(np.sqrt(noise)),
+        lasting=Uncertain(known + persistent, w),
+        whole=Uncertain(known + persistent + transient, w),
+        tail=_tail(problem, middle),
+        not_above=float(
+            error[order][np.searchsorted(np.cumsum(w[order]), 0.95).clip(max=len(order) - 1)]
+        ),
         log_odds=found.log_evidence - problem.noise_alone(),
-    )  # fmt: skip
+    )
 
 
 def _tail(problem: _Problem, p: _Points) -> float:

@@ -45,7 +45,9 @@ class Coverage:
     conformal: Conformal | None = None
 
 
-def coverage(form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS) -> dict[str, Coverage]:
+def coverage(
+    form: ModelForm, residuals: Residuals, levels: Sequence[float] = LEVELS
+) -> dict[str, Coverage]:
     """Coverage of a form on a flight's residuals, filtered as the form's own were. Raises KeyError for a missing state.
 
     Samples are measured: where the form keeps noise apart, that of the flight's own sensors is added to the interval.
@@ -55,12 +57,20 @@ def coverage(form: ModelForm, residuals: Residuals, levels: Sequence[float] = LE
     return {c: _of(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()}
 
 
-def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals: Residuals, levels: Sequence[float]) -> Coverage:
+def _of(
+    coefficient: str,
+    bounds: CoefficientBounds,
+    outside: Outside,
+    residuals: Residuals,
+    levels: Sequence[float],
+) -> Coverage:
     y = residuals.columns(coefficient)
     inside: dict[float, list[FloatArray]] = {}
     for level in levels:
         ends = [measured_bounds(bounds, coefficient, p, level, outside) for p in residuals.pieces]
-        inside[level] = [((v >= low) & (v <= high)).astype(float) for v, (low, high) in zip(y, ends, strict=True)]
+        inside[level] = [
+            ((v >= low) & (v <= high)).astype(float) for v, (low, high) in zip(y, ends, strict=True)
+        ]
     share = {level: float(np.concatenate(rows).mean()) for level, rows in inside.items()}
     middle = [0.5 * np.add(*bounds.interval(p.states, None, outside)) for p in residuals.pieces]
     ends = [bounds.bounds(p.states, 0.95, outside) for p in residuals.pieces]
@@ -71,29 +81,46 @@ def _of(coefficient: str, bounds: CoefficientBounds, outside: Outside, residuals
         n=sum(len(v) for v in y),
         n_effective=effective_samples([v - m for v, m in zip(y, middle, strict=True)]),
         mean_width=float(np.mean(np.concatenate([high - low for low, high in ends]))),
-        outside=float(np.mean(np.concatenate([bounds.distance(p.states) > 0.0 for p in residuals.pieces]))),
+        outside=float(
+            np.mean(np.concatenate([bounds.distance(p.states) > 0.0 for p in residuals.pieces]))
+        ),
         manoeuvres={
             label: {
-                level: float(np.concatenate([r for r, name in zip(rows, labels, strict=True) if name == label]).mean())
+                level: float(
+                    np.concatenate(
+                        [r for r, name in zip(rows, labels, strict=True) if name == label]
+                    ).mean()
+                )
                 for level, rows in inside.items()
             }
             for label in residuals.labels
         },
         speeds=bins(residuals, "V_mps", inside[0.95]) if 0.95 in inside else (),
         incidences=bins(residuals, "alpha_rad", inside[0.95]) if 0.95 in inside else (),
-        conformal=conformal(told_apart(residuals).pieces, [_stretch(bounds, coefficient, p, outside) for p in residuals.pieces]),
+        conformal=conformal(
+            told_apart(residuals).pieces,
+            [_stretch(bounds, coefficient, p, outside) for p in residuals.pieces],
+        ),
     )
 
 
-def _stretch(bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside) -> FloatArray:
+def _stretch(
+    bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, outside: Outside
+) -> FloatArray:
     """(n,) by what factor the 95 % bounds of measured samples must be widened about their middle to hold each sample and zero."""
     middle, half = bounds.sample_middle(piece.states, _noise(coefficient, piece), 0.95, outside)
     y = piece.delta[:, COEFFICIENTS.index(coefficient)]
-    return np.maximum(np.where(y >= 0.0, y - middle, middle - y), 0.0) / np.maximum(half, np.finfo(float).tiny)
+    return np.maximum(np.where(y >= 0.0, y - middle, middle - y), 0.0) / np.maximum(
+        half, np.finfo(float).tiny
+    )
 
 
 def measured_bounds(
-    bounds: CoefficientBounds, coefficient: str, piece: ResidualPiece, confidence: float | None, outside: Outside
+    bounds: CoefficientBounds,
+    coefficient: str,
+    piece: ResidualPiece,
+    confidence: float | None,
+    outside: Outside,
 ) -> tuple[FloatArray, FloatArray]:
     """Lower and upper end (n,) of the interval for a piece's measured samples, its sensors' noise and all."""
     return bounds.sample_interval(piece.states, _noise(coefficient, piece), confidence, outside)
@@ -128,9 +155,12 @@ def told_apart(residuals: Residuals) -> Residuals:
 
 
 def leave_one_out(
-    residuals: Residuals, designs: Mapping[str, Design], options: FitOptions, outside: Outside = "grow",
+    residuals: Residuals,
+    designs: Mapping[str, Design],
+    options: FitOptions,
+    outside: Outside = "grow",
     fitted: Mapping[str, FittedBounds] | None = None,
-) -> dict[str, dict[str, float]]:  # fmt: skip
+) -> dict[str, dict[str, float]]:
     """Manoeuvre -> coefficient -> share of its samples within the bounds that the other manoeuvres give.
 
     A share far below the confidence says that the manoeuvre holds something that the others do not. NaN where the rest is too
@@ -146,7 +176,10 @@ def leave_one_out(
     for label in residuals.labels:
         left_out = residuals.only([label])
         try:
-            others = {c: _without(f, [k for k, name in enumerate(blocks) if name == label]) for c, f in whole.items()}
+            others = {
+                c: _without(f, [k for k, name in enumerate(blocks) if name == label])
+                for c, f in whole.items()
+            }
             if not all(others.values()):
                 rest = residuals.only([other for other in residuals.labels if other != label])
                 others = {c: f.bounds for c, f in fit_bounds(rest, designs, options).items()}
@@ -154,7 +187,9 @@ def leave_one_out(
             out[label] = dict.fromkeys(designs, float("nan"))
             continue
         out[label] = {
-            c: _of(c, b, outside, left_out, [options.confidence]).share[options.confidence] for c, b in others.items() if b
+            c: _of(c, b, outside, left_out, [options.confidence]).share[options.confidence]
+            for c, b in others.items()
+            if b
         }
     return out
 

@@ -18,7 +18,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import COEFFICIENTS, Residuals, Term, full_polynomial, noise_variance, regressors, stack, term_name
+from sysid.aerodynamics import (
+    COEFFICIENTS,
+    Residuals,
+    Term,
+    full_polynomial,
+    noise_variance,
+    regressors,
+    stack,
+    term_name,
+)
 from sysid.distributions import student_quantile
 from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
@@ -33,9 +42,16 @@ LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0
 """Effective samples a term needs; below, the polynomial's order is lowered rather than a residual fitted away."""
 _STILL = {
-    "V_mps": 0.2, "alpha_rad": 0.002, "beta_rad": 0.002, "phi_rad": 0.006, "theta_rad": 0.006, "p_radps": 0.004,
-    "q_radps": 0.004, "r_radps": 0.004, "throttle_pct": 0.5,
-}  # fmt: skip
+    "V_mps": 0.2,
+    "alpha_rad": 0.002,
+    "beta_rad": 0.002,
+    "phi_rad": 0.006,
+    "theta_rad": 0.006,
+    "p_radps": 0.004,
+    "q_radps": 0.004,
+    "r_radps": 0.004,
+    "throttle_pct": 0.5,
+}
 _STILL_SURFACE_DEG = 0.1
 """A state whose deviation is below this varied hardly more than filtered sensor noise (Table 2.1 of the dissertation): a polynomial
 in it, and above all its growth beyond such data, would be made of noise."""
@@ -83,7 +99,9 @@ class FittedBounds:
 
 
 def fit_bounds(
-    residuals: Residuals, designs: Mapping[str, Design] | None = None, options: FitOptions | None = None
+    residuals: Residuals,
+    designs: Mapping[str, Design] | None = None,
+    options: FitOptions | None = None,
 ) -> dict[str, FittedBounds]:
     """Intervals of the coefficients in ``designs`` (default: all six). Raises ValueError: a missing state, too short a flight.
 
@@ -100,7 +118,9 @@ def fit_bounds(
     wanted = dict.fromkeys(s for d in designs.values() for s in d.states)
     missing = [s for s in wanted if s not in states]
     if missing:
-        raise ValueError(f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}")
+        raise ValueError(
+            f"these flights have no {', '.join(missing)} throughout; they have {', '.join(states)}"
+        )
     scaling = {}
     for name in wanted:
         scaling[name] = (float(states[name].mean()), max(float(states[name].std()), _still(name)))
@@ -116,7 +136,11 @@ def _moving(
     if not still:
         return design.terms, ()
     names = ", ".join(design.states[k] for k in still)
-    wanted = design.terms if design.terms is not None else full_polynomial(len(design.states), design.order)
+    wanted = (
+        design.terms
+        if design.terms is not None
+        else full_polynomial(len(design.states), design.order)
+    )
     terms = tuple(t for t in wanted if not any(t[k] for k in still))
     note = f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
     return terms or (tuple(0 for _ in design.states),), (note,)
@@ -127,12 +151,18 @@ def _still(state: str) -> float:
 
 
 def _fit(
-    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
-) -> FittedBounds:  # fmt: skip
+    residuals: Residuals,
+    coefficient: str,
+    design: Design,
+    scaling: Mapping[str, tuple[float, float]],
+    options: FitOptions,
+) -> FittedBounds:
     y = residuals.columns(coefficient)
     n = sum(residuals.lengths)
     open_terms, said_of_states = _moving(coefficient, design, scaling)
-    asked = open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    asked = (
+        open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    )
     orders = [None] if design.terms is not None else range(design.order, -1, -1)
     n_effective, notes = float(n), list[str]()
     for order in orders:
@@ -145,8 +175,12 @@ def _fit(
         n_effective = effective_samples(left) if options.samples == "effective" else float(n)
         if n_effective >= MIN_SAMPLES_PER_TERM * len(kept):
             if order is not None and order < design.order:
-                notes.append(f"{coefficient}: too short a flight for order {design.order}; order {order} was fitted")
-            bounds = _bounds(residuals, design, kept, scaling, x, np.concatenate(y), left, n_effective, options)
+                notes.append(
+                    f"{coefficient}: too short a flight for order {design.order}; order {order} was fitted"
+                )
+            bounds = _bounds(
+                residuals, design, kept, scaling, x, np.concatenate(y), left, n_effective, options
+            )
             return FittedBounds(bounds, left, (*said_of_states, *notes, *said))
     raise ValueError(
         f"{coefficient}: {n} samples are worth {n_effective:.0f} independent ones, at least {MIN_SAMPLES_PER_TERM:g} a term are "
@@ -155,46 +189,84 @@ def _fit(
 
 
 def _fit_apart(
-    residuals: Residuals, coefficient: str, design: Design, scaling: Mapping[str, tuple[float, float]], options: FitOptions
-) -> FittedBounds:  # fmt: skip
+    residuals: Residuals,
+    coefficient: str,
+    design: Design,
+    scaling: Mapping[str, tuple[float, float]],
+    options: FitOptions,
+) -> FittedBounds:
     """The interval of the model's error alone. Its prior holds the polynomial finite: no flight is too short for its order."""
     open_terms, said_of_states = _moving(coefficient, design, scaling)
-    asked = open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    asked = (
+        open_terms if open_terms is not None else full_polynomial(len(design.states), design.order)
+    )
     terms, said = _chosen(residuals, coefficient, design, asked, scaling, options)
     blocks = stretches(residuals)
     x = _design_matrix(blocks, design, terms, scaling)
     separation = separate(blocks_of(blocks, coefficient, _parts(x, blocks)))
     found = separation.components()
-    left = [y - part @ found.beta for y, part in zip(residuals.columns(coefficient), _parts(x, residuals), strict=True)]
+    left = [
+        y - part @ found.beta
+        for y, part in zip(residuals.columns(coefficient), _parts(x, residuals), strict=True)
+    ]
     n = len(x)
     n_effective = effective_samples(left)
     s2 = sum(float(e @ e) for e in left) / n
     inverse = found.covariance / (s2 * (n / n_effective))
     leverage = float(np.einsum("nj,nj->n", x @ inverse, x).max())
-    noise = np.concatenate([noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)] for p in residuals.pieces if p.noise])
+    noise = np.concatenate(
+        [
+            noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)]
+            for p in residuals.pieces
+            if p.noise
+        ]
+    )
     bounds = CoefficientBounds(
-        states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
-        scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=found.beta,
-        XtX_inv=inverse, s2=s2, dof=found.lasting.dof, t=1.0, confidence=options.confidence,
-        leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
+        states=design.states,
+        centre=np.array([scaling[s][0] for s in design.states]),
+        scale=np.array([scaling[s][1] for s in design.states]),
+        terms=terms,
+        beta_hat=found.beta,
+        XtX_inv=inverse,
+        s2=s2,
+        dof=found.lasting.dof,
+        t=1.0,
+        confidence=options.confidence,
+        leverage_factor=n / n_effective,
+        n=n,
+        n_effective=n_effective,
+        walk_rate=float("nan"),
         hull=_hull(stack(residuals.states, design.states), leverage),
-    )  # fmt: skip
+    )
     bounds = with_components(bounds, found, float(np.sqrt(noise.mean())))
     return FittedBounds(bounds, left, (*said_of_states, *said), separation)
 
 
-def with_components(bounds: CoefficientBounds, found: Components, noise: float) -> CoefficientBounds:
+def with_components(
+    bounds: CoefficientBounds, found: Components, noise: float
+) -> CoefficientBounds:
     """The interval with other components of the same terms; noise: rms of the sensors' in the samples as presumed [-]."""
     parts = Parts(
-        persistent=float(np.sqrt(found.persistent)), transient=float(np.sqrt(found.transient)),
-        flight=float(np.sqrt(found.flight)), transient_time_s=found.time_s, noise=found.noise_factor * noise,
-        noise_scale=found.noise_factor, total_dof=found.whole.dof, total_t=found.whole.quantile(bounds.confidence) * found.tail,
-        not_above=found.not_above, found=found.log_odds >= STRONG,
-    )  # fmt: skip
+        persistent=float(np.sqrt(found.persistent)),
+        transient=float(np.sqrt(found.transient)),
+        flight=float(np.sqrt(found.flight)),
+        transient_time_s=found.time_s,
+        noise=found.noise_factor * noise,
+        noise_scale=found.noise_factor,
+        total_dof=found.whole.dof,
+        total_t=found.whole.quantile(bounds.confidence) * found.tail,
+        not_above=found.not_above,
+        found=found.log_odds >= STRONG,
+    )
     return replace(
-        bounds, beta_hat=found.beta, XtX_inv=found.covariance / (bounds.s2 * bounds.leverage_factor), dof=found.lasting.dof,
-        t=found.lasting.quantile(bounds.confidence), walk_rate=parts.transient_rate_per_sqrt_s, parts=parts,
-    )  # fmt: skip
+        bounds,
+        beta_hat=found.beta,
+        XtX_inv=found.covariance / (bounds.s2 * bounds.leverage_factor),
+        dof=found.lasting.dof,
+        t=found.lasting.quantile(bounds.confidence),
+        walk_rate=parts.transient_rate_per_sqrt_s,
+        parts=parts,
+    )
 
 
 def _parts(x: FloatArray, residuals: Residuals) -> list[FloatArray]:
@@ -202,20 +274,32 @@ def _parts(x: FloatArray, residuals: Residuals) -> list[FloatArray]:
 
 
 def _hull(states: FloatArray, leverage: float) -> Hull:
-    return Hull(states.min(axis=0), states.max(axis=0), leverage, np.percentile(states, [25, 50, 75], axis=0).T)
+    return Hull(
+        states.min(axis=0),
+        states.max(axis=0),
+        leverage,
+        np.percentile(states, [25, 50, 75], axis=0).T,
+    )
 
 
 def _design_matrix(
-    residuals: Residuals, design: Design, terms: Sequence[Term], scaling: Mapping[str, tuple[float, float]]
+    residuals: Residuals,
+    design: Design,
+    terms: Sequence[Term],
+    scaling: Mapping[str, tuple[float, float]],
 ) -> FloatArray:
     centre, scale = (np.array([scaling[s][k] for s in design.states]) for k in (0, 1))
     return regressors((stack(residuals.states, design.states) - centre) / scale, terms)
 
 
 def _chosen(
-    residuals: Residuals, coefficient: str, design: Design, terms: Sequence[Term],
-    scaling: Mapping[str, tuple[float, float]], options: FitOptions,
-) -> tuple[tuple[Term, ...], list[str]]:  # fmt: skip
+    residuals: Residuals,
+    coefficient: str,
+    design: Design,
+    terms: Sequence[Term],
+    scaling: Mapping[str, tuple[float, float]],
+    options: FitOptions,
+) -> tuple[tuple[Term, ...], list[str]]:
     """Terms that the data tell apart, in order (those that a stepwise choice keeps, if asked for), and what was left out."""
     x = _design_matrix(residuals, design, terms, scaling)
     independent, basis = [], np.zeros((len(x), 0))
@@ -231,7 +315,9 @@ def _chosen(
     notes = []
     lost = [term_name(terms[k], design.states) for k in range(len(terms)) if k not in independent]
     if lost:
-        notes.append(f"{coefficient}: the flights do not separate {', '.join(lost)} from other terms; left out")
+        notes.append(
+            f"{coefficient}: the flights do not separate {', '.join(lost)} from other terms; left out"
+        )
     if options.select == "stepwise":
         constant = [i for i, k in enumerate(independent) if not any(terms[k])]
         y = np.concatenate(residuals.columns(coefficient))
@@ -249,9 +335,16 @@ def _left(x: FloatArray, y: FloatArray, lengths: Sequence[int]) -> list[FloatArr
 
 
 def _bounds(
-    residuals: Residuals, design: Design, terms: tuple[Term, ...], scaling: Mapping[str, tuple[float, float]],
-    x: FloatArray, y: FloatArray, left: Sequence[FloatArray], n_effective: float, options: FitOptions,
-) -> CoefficientBounds:  # fmt: skip
+    residuals: Residuals,
+    design: Design,
+    terms: tuple[Term, ...],
+    scaling: Mapping[str, tuple[float, float]],
+    x: FloatArray,
+    y: FloatArray,
+    left: Sequence[FloatArray],
+    n_effective: float,
+    options: FitOptions,
+) -> CoefficientBounds:
     q, r = np.linalg.qr(x)
     inverse = np.linalg.inv(r)
     beta = inverse @ (q.T @ y)
@@ -261,14 +354,29 @@ def _bounds(
     s2 = sum(float(e @ e) for e in left) / n * n_effective / dof
     states = stack(residuals.states, design.states)
     return CoefficientBounds(
-        states=design.states, centre=np.array([scaling[s][0] for s in design.states]),
-        scale=np.array([scaling[s][1] for s in design.states]), terms=terms, beta_hat=beta, XtX_inv=inverse @ inverse.T,
-        s2=s2, dof=float(dof), t=float(student_quantile(0.5 + 0.5 * options.confidence, dof)), confidence=options.confidence,
-        leverage_factor=n / n_effective, n=n, n_effective=n_effective, walk_rate=float("nan"),
+        states=design.states,
+        centre=np.array([scaling[s][0] for s in design.states]),
+        scale=np.array([scaling[s][1] for s in design.states]),
+        terms=terms,
+        beta_hat=beta,
+        XtX_inv=inverse @ inverse.T,
+        s2=s2,
+        dof=float(dof),
+        t=float(student_quantile(0.5 + 0.5 * options.confidence, dof)),
+        confidence=options.confidence,
+        leverage_factor=n / n_effective,
+        n=n,
+        n_effective=n_effective,
+        walk_rate=float("nan"),
         hull=_hull(states, float(np.max(np.sum(q**2, axis=1)))),
-    )  # fmt: skip
+    )
 
 
-def with_walk_rates(fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]) -> dict[str, CoefficientBounds]:
+def with_walk_rates(
+    fitted: Mapping[str, FittedBounds], rates: Mapping[str, float]
+) -> dict[str, CoefficientBounds]:
     """The intervals with their rates of variation [1/sqrt(s)]; one with parts keeps that of its transient part."""
-    return {c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c]) for c, f in fitted.items()}
+    return {
+        c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c])
+        for c, f in fitted.items()
+    }

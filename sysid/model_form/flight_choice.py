@@ -41,9 +41,13 @@ class Chosen:
 
 
 def choose(
-    bounds: CoefficientBounds, offers: Sequence[Offer], states: Mapping[str, FloatArray], budget_s: float,
-    transition_s: float, outside: Outside = "grow",
-) -> list[Chosen]:  # fmt: skip
+    bounds: CoefficientBounds,
+    offers: Sequence[Offer],
+    states: Mapping[str, FloatArray],
+    budget_s: float,
+    transition_s: float,
+    outside: Outside = "grow",
+) -> list[Chosen]:
     """Offers to fly within ``budget_s`` seconds, best first; an offer may be taken several times.
 
     transition_s: what the first offer of a group costs besides. Empty when no offer fits, or none narrows anything.
@@ -77,6 +81,10 @@ def choose(
 def _half_width(bounds: CoefficientBounds, X: FloatArray, M: FloatArray, n: float) -> float:
     t = bounds.t
     if bounds.parts is None:
-        t = float(student_quantile(0.5 + 0.5 * bounds.confidence, n / bounds.leverage_factor - len(bounds.terms)))
+        t = float(
+            student_quantile(
+                0.5 + 0.5 * bounds.confidence, n / bounds.leverage_factor - len(bounds.terms)
+            )
+        )
     h = np.einsum("ni,in->n", X, np.linalg.solve(M, X.T))
     return float(np.mean(bounds.half_width(h, t)))

@@ -69,13 +69,22 @@ def bins(residuals: Residuals, state: str, inside: Sequence[FloatArray]) -> tupl
     return tuple(out)
 
 
-def conformal(pieces: Sequence[ResidualPiece], stretch: Sequence[FloatArray], level: float = 0.95) -> Conformal:
+def conformal(
+    pieces: Sequence[ResidualPiece], stretch: Sequence[FloatArray], level: float = 0.95
+) -> Conformal:
     """Conformal factor over manoeuvres. stretch: factor (n,) that each sample of a piece needs."""
     labels = [(p.flight, p.label) for p in pieces]
-    needed = np.sort([
-        np.quantile(np.concatenate([s for s, other in zip(stretch, labels, strict=True) if other == label]), level)
-        for label in dict.fromkeys(labels)
-    ])  # fmt: skip
+    needed = np.sort(
+        [
+            np.quantile(
+                np.concatenate(
+                    [s for s, other in zip(stretch, labels, strict=True) if other == label]
+                ),
+                level,
+            )
+            for label in dict.fromkeys(labels)
+        ]
+    )
     m = len(needed)
     rank = int(np.ceil((m + 1) * level))
     if rank > m:

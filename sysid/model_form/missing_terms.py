@@ -34,7 +34,9 @@ class MissingTerm:
     share: float
 
 
-def missing_terms(residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST) -> list[MissingTerm]:
+def missing_terms(
+    residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST
+) -> list[MissingTerm]:
     """Terms that flights show to be missing, the most telling first; empty when what is left is noise.
 
     residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the bounds.
@@ -42,14 +44,20 @@ def missing_terms(residuals: Residuals, coefficient: str, bounds: CoefficientBou
     there = residuals.states
     lacking = [s for s in bounds.states if s not in there]
     if lacking:
-        raise ValueError(f"these flights have no {', '.join(lacking)} throughout; they have {', '.join(there)}")
+        raise ValueError(
+            f"these flights have no {', '.join(lacking)} throughout; they have {', '.join(there)}"
+        )
     moving = tuple(s for s in STATES if s in there and (s in bounds.states or _moves(there[s])))
     X = regressors((stack(there, bounds.states) - bounds.centre) / bounds.scale, bounds.terms)
     y = np.concatenate(residuals.columns(coefficient))
     inside = {term_name(t, bounds.states) for t in bounds.terms}
     values = stack(there, moving)
     z = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-300)
-    terms = [t for t in full_polynomial(len(moving), 2) if any(t) and not _among(t, moving, bounds, inside)]
+    terms = [
+        t
+        for t in full_polynomial(len(moving), 2)
+        if any(t) and not _among(t, moving, bounds, inside)
+    ]
     candidates = regressors(z, terms)
     basis = np.linalg.qr(X)[0]
     apart = [k for k in range(len(terms)) if _apart(candidates[:, k], basis)]
@@ -61,7 +69,9 @@ def missing_terms(residuals: Residuals, coefficient: str, bounds: CoefficientBou
     return [term for term in found if term.share >= LEAST_SHARE]
 
 
-def _among(term: Sequence[int], moving: Sequence[str], bounds: CoefficientBounds, inside: set[str]) -> bool:
+def _among(
+    term: Sequence[int], moving: Sequence[str], bounds: CoefficientBounds, inside: set[str]
+) -> bool:
     powers = {s: n for s, n in zip(moving, term, strict=True) if n}
     if not set(powers) <= set(bounds.states):
         return False
@@ -78,9 +88,13 @@ def _apart(column: FloatArray, basis: FloatArray) -> bool:
 
 
 def _ordered(
-    both: FloatArray, y: FloatArray, kept: Sequence[int], new: Sequence[int], terms: Sequence[tuple[int, ...]],
+    both: FloatArray,
+    y: FloatArray,
+    kept: Sequence[int],
+    new: Sequence[int],
+    terms: Sequence[tuple[int, ...]],
     moving: tuple[str, ...],
-) -> list[MissingTerm]:  # fmt: skip
+) -> list[MissingTerm]:
     """The chosen terms, each time the one that takes most of what scatters."""
     out: list[MissingTerm] = []
     inside, left = list(kept), list(new)
@@ -90,7 +104,11 @@ def _ordered(
         then = _rest(both[:, [*inside, best]], y)
         term = terms[best - len(kept)]
         states = tuple(s for s, n in zip(moving, term, strict=True) if n)
-        out.append(MissingTerm(term_name(term, moving), states, (now - then) / total if total > 0.0 else 0.0))
+        out.append(
+            MissingTerm(
+                term_name(term, moving), states, (now - then) / total if total > 0.0 else 0.0
+            )
+        )
         inside.append(best)
         left.remove(best)
         now = then

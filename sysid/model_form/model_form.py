@@ -131,7 +131,9 @@ class CoefficientBounds:
 
     def half_width(self, leverage: FloatArray, t: float) -> FloatArray:
         """(n,) half-width of the interval at leverages (n,)."""
-        return np.asarray(t * np.sqrt(self.constant_variance + self.s2 * self.leverage_factor * leverage))  # (2.18)
+        return np.asarray(
+            t * np.sqrt(self.constant_variance + self.s2 * self.leverage_factor * leverage)
+        )  # (2.18)
 
     def normalised(self, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
         """(n, k) z of the states; with ``clamp`` each state goes no further than the data's box."""
@@ -153,11 +155,17 @@ class CoefficientBounds:
         """``t`` is that at the form's confidence; at another one a Student distribution's, in proportion where parts are kept."""
         if confidence == self.confidence:
             return t
-        asked, known = (float(student_quantile(0.5 + 0.5 * level, dof)) for level in (confidence, self.confidence))
+        asked, known = (
+            float(student_quantile(0.5 + 0.5 * level, dof))
+            for level in (confidence, self.confidence)
+        )
         return asked if self.parts is None else t * asked / known
 
     def interval(
-        self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
+        self,
+        states: Mapping[str, FloatArray],
+        confidence: float | None = None,
+        outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end (n,) of the prediction interval, before the sign clip."""
         z = self.normalised(states, outside)
@@ -167,9 +175,12 @@ class CoefficientBounds:
         return y - half, y + half
 
     def sample_interval(
-        self, states: Mapping[str, FloatArray], noise_variance: FloatArray, confidence: float | None = None,
+        self,
+        states: Mapping[str, FloatArray],
+        noise_variance: FloatArray,
+        confidence: float | None = None,
         outside: Outside = "grow",
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    ) -> tuple[FloatArray, FloatArray]:
         """Lower <= 0 <= upper (n,) for one measured sample: model error, persistent and transient, and the sensors' noise.
 
         noise_variance (n,): of the samples; it counts only where the interval has parts, others hold the noise already.
@@ -178,21 +189,29 @@ class CoefficientBounds:
         return np.minimum(y - half, 0.0), np.maximum(y + half, 0.0)
 
     def sample_middle(
-        self, states: Mapping[str, FloatArray], noise_variance: FloatArray, confidence: float | None = None,
+        self,
+        states: Mapping[str, FloatArray],
+        noise_variance: FloatArray,
+        confidence: float | None = None,
         outside: Outside = "grow",
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    ) -> tuple[FloatArray, FloatArray]:
         """Middle and half-width (n,) of that interval before it is stretched to hold zero; without noise of the model error."""
         z = self.normalised(states, outside)
         y = regressors(z, self.terms) @ self.beta_hat
         if self.parts is None:
-            return y, self.half_width(self.leverage(z), self.t if confidence is None else self.t_at(confidence))
+            return y, self.half_width(
+                self.leverage(z), self.t if confidence is None else self.t_at(confidence)
+            )
         p = self.parts
         t = p.total_t if confidence is None else self._quantile(confidence, p.total_t, p.total_dof)
         known = self.s2 * self.leverage_factor * self.leverage(z)
         return y, np.asarray(t * np.sqrt(known + p.persistent**2 + p.transient**2 + noise_variance))
 
     def bounds(
-        self, states: Mapping[str, FloatArray], confidence: float | None = None, outside: Outside = "grow"
+        self,
+        states: Mapping[str, FloatArray],
+        confidence: float | None = None,
+        outside: Outside = "grow",
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bound (n,), lower <= 0 <= upper."""
         lower, upper = self.interval(states, confidence, outside)
@@ -263,16 +282,24 @@ class ModelForm:
     def _repr_html_(self) -> str:
         rows: list[dict[str, object]] = [
             {
-                "coefficient": name, "n": b.n, "n effective": b.n_effective,
+                "coefficient": name,
+                "n": b.n,
+                "n effective": b.n_effective,
                 "half width in the data's middle [-]": b.t * math.sqrt(b.constant_variance),
                 "terms": ", ".join(term_name(t, b.states) for t in b.terms),
             }
             for name, b in self.coefficients.items()
-        ]  # fmt: skip
-        facts = {"aircraft": self.aircraft.name, "confidence [-]": self.confidence, "outside the data": self.outside}
+        ]
+        facts = {
+            "aircraft": self.aircraft.name,
+            "confidence [-]": self.confidence,
+            "outside the data": self.outside,
+        }
         return view(repr(self), rows_table(rows), facts=facts)
 
-    def bounds(self, states: Mapping[str, FloatArray], confidence: float | None = None) -> dict[str, tuple[FloatArray, FloatArray]]:
+    def bounds(
+        self, states: Mapping[str, FloatArray], confidence: float | None = None
+    ) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Coefficient -> lower and upper (n,) at states (n,) each, lower <= 0 <= upper. Raises KeyError for a missing state."""
         return {c: b.bounds(states, confidence, self.outside) for c, b in self.coefficients.items()}
 
@@ -349,11 +376,15 @@ def read_model_form(path: Path) -> ModelForm:
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}", path) from None
     except ParseError as error:
-        raise LogError(str(error), path, None if error.line is None else f"line {error.line}") from None
+        raise LogError(
+            str(error), path, None if error.line is None else f"line {error.line}"
+        ) from None
     if not isinstance(document, dict) or document.get("format") not in (FORMAT, WITHOUT_PARTS):
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         read = f"'{FORMAT}' and '{WITHOUT_PARTS}' are read"
-        raise LogError(f"is no model form: format is {found!r}, {read}; make one with `uqharness bounds`", path)
+        raise LogError(
+            f"is no model form: format is {found!r}, {read}; make one with `uqharness bounds`", path
+        )
     where = ""
     try:
         coefficients = {}
@@ -361,7 +392,9 @@ def read_model_form(path: Path) -> ModelForm:
             coefficients[where] = _coefficient(where, row)
         where = ""
         form = ModelForm(
-            aircraft=AircraftReference(*(_text(document["aircraft"], key) for key in ("name", "sha256"))),
+            aircraft=AircraftReference(
+                *(_text(document["aircraft"], key) for key in ("name", "sha256"))
+            ),
             flights=tuple(_flight(row) for row in document["flights"]),
             filtering=_filtering(document["filtering"]),
             confidence=float(document["confidence"]),
@@ -369,9 +402,13 @@ def read_model_form(path: Path) -> ModelForm:
             coefficients=coefficients,
         )
     except KeyError as error:
-        raise LogError(f"lacks the key {error}; write it again with `uqharness bounds`", path, where or None) from None
+        raise LogError(
+            f"lacks the key {error}; write it again with `uqharness bounds`", path, where or None
+        ) from None
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise LogError(f"{error}; write it again with `uqharness bounds`", path, where or None) from None
+        raise LogError(
+            f"{error}; write it again with `uqharness bounds`", path, where or None
+        ) from None
     if not coefficients:
         raise LogError("holds no coefficient", path)
     return form
@@ -381,7 +418,13 @@ def _flight(row: Mapping[str, Any]) -> FlightUsed:
     estimates = tuple(row["estimates"])
     if not all(isinstance(name, str) for name in estimates):
         raise ValueError("estimates must be names of channels")
-    return FlightUsed(_text(row, "name"), _text(row, "sha256"), float(row["seconds"]), int(row["samples"]), estimates)
+    return FlightUsed(
+        _text(row, "name"),
+        _text(row, "sha256"),
+        float(row["seconds"]),
+        int(row["samples"]),
+        estimates,
+    )
 
 
 def _text(row: Mapping[str, Any], key: str) -> str:
@@ -416,32 +459,66 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
     k, m = len(states), len(terms)
     hull = row["hull"]
     out = CoefficientBounds(
-        states=states, terms=terms,
-        centre=_array(row, "centre", k), scale=_array(row, "scale", k),
-        beta_hat=_array(row, "beta_hat", m), XtX_inv=_array(row, "XtX_inv", m, m),
-        hull=Hull(_array(hull, "low", k), _array(hull, "high", k), float(hull["leverage"]), _array(hull, "middle", k, 3)),
-        n=int(row["n"]), walk_rate=float("nan") if row["walk_rate"] is None else float(row["walk_rate"]),
-        **{key: float(row[key]) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")},
+        states=states,
+        terms=terms,
+        centre=_array(row, "centre", k),
+        scale=_array(row, "scale", k),
+        beta_hat=_array(row, "beta_hat", m),
+        XtX_inv=_array(row, "XtX_inv", m, m),
+        hull=Hull(
+            _array(hull, "low", k),
+            _array(hull, "high", k),
+            float(hull["leverage"]),
+            _array(hull, "middle", k, 3),
+        ),
+        n=int(row["n"]),
+        walk_rate=float("nan") if row["walk_rate"] is None else float(row["walk_rate"]),
+        **{
+            key: float(row[key])
+            for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")
+        },
         parts=None if row.get("parts") is None else _parts(row["parts"]),
-    )  # fmt: skip
-    numbers = {key: getattr(out, key) for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")}
-    infinite = [key for key, value in {**numbers, "leverage": out.hull.leverage}.items() if not np.isfinite(value)]
+    )
+    numbers = {
+        key: getattr(out, key)
+        for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")
+    }
+    infinite = [
+        key
+        for key, value in {**numbers, "leverage": out.hull.leverage}.items()
+        if not np.isfinite(value)
+    ]
     if infinite:
         raise ValueError(f"{', '.join(infinite)} must be a finite number")
-    if not (out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)):
-        raise ValueError("s2 must not be negative; t, confidence and scale must be above 0, confidence below 1")
+    if not (
+        out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)
+    ):
+        raise ValueError(
+            "s2 must not be negative; t, confidence and scale must be above 0, confidence below 1"
+        )
     return out
 
 
 def _parts(row: Mapping[str, Any]) -> Parts:
     if not isinstance(row["found"], bool):
         raise ValueError("parts: found must be true or false")
-    values = {f.name: float("nan") if row[f.name] is None else float(row[f.name]) for f in fields(Parts) if f.name != "found"}
+    values = {
+        f.name: float("nan") if row[f.name] is None else float(row[f.name])
+        for f in fields(Parts)
+        if f.name != "found"
+    }
     parts = Parts(found=row["found"], **values)
-    unknown = [key for key, value in values.items() if key not in ("flight", "transient_time_s") and not np.isfinite(value)]
+    unknown = [
+        key
+        for key, value in values.items()
+        if key not in ("flight", "transient_time_s") and not np.isfinite(value)
+    ]
     if unknown:
         raise ValueError(f"parts: {', '.join(unknown)} must be a finite number")
-    if min(parts.persistent, parts.transient, parts.noise, parts.noise_scale, parts.not_above) < 0.0:
+    if (
+        min(parts.persistent, parts.transient, parts.noise, parts.noise_scale, parts.not_above)
+        < 0.0
+    ):
         raise ValueError("parts: no standard deviation may be negative")
     if not (parts.total_dof > 2.0 and parts.total_t > 0.0):
         raise ValueError("parts: total_dof must be above 2 and total_t above 0")
@@ -453,5 +530,7 @@ def _parts(row: Mapping[str, Any]) -> Parts:
 def _array(row: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
     values = np.asarray(row[key], dtype=float)
     if values.shape != shape or not np.isfinite(values).all():
-        raise ValueError(f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape {values.shape}")
+        raise ValueError(
+            f"{key} must be {' x '.join(map(str, shape))} finite numbers; received shape {values.shape}"
+        )
     return values

@@ -9,8 +9,18 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 NOISY = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 
 
 def with_noise(
@@ -18,7 +28,9 @@ def with_noise(
 ) -> dict[str, FloatArray]:
     """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a finite figure as they are."""
     return {
-        c: v + noise_std[c] * rng.standard_normal(len(v)) if np.isfinite(noise_std.get(c, np.nan)) else v
+        c: v + noise_std[c] * rng.standard_normal(len(v))
+        if np.isfinite(noise_std.get(c, np.nan))
+        else v
         for c, v in channels.items()
     }
 

@@ -63,7 +63,9 @@ def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) 
         prior = densities[:, 0] - np.log(FIRST)
         log_weights = found + prior - (np.logaddexp.reduce(densities, axis=1) - np.log(len(rows)))
         total = np.logaddexp.reduce(log_weights)
-        answer = Weighted(expit(rows), np.exp(log_weights - total), float(total - np.log(len(rows))))
+        answer = Weighted(
+            expit(rows), np.exp(log_weights - total), float(total - np.log(len(rows)))
+        )
         if number >= LEAST_ROUNDS and answer.effective >= ENOUGH:
             break
     return answer

@@ -28,7 +28,9 @@ def quiet(residuals: Residuals) -> Residuals:
     if any(p.noise is None for p in residuals.pieces):
         return residuals
     clean = quiet_states(residuals.pieces, residuals.dt_s)
-    pieces = tuple(replace(p, states=states) for p, states in zip(residuals.pieces, clean, strict=True))
+    pieces = tuple(
+        replace(p, states=states) for p, states in zip(residuals.pieces, clean, strict=True)
+    )
     return replace(residuals, pieces=pieces)
 
 
@@ -52,9 +54,15 @@ def _quiet(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[Floa
         waves.append(fft.dct(piece.states[name], norm="ortho"))
         noise.append(std**2 * cosine_variance(n, autocorrelation(weights)))
         bands.append(np.digitize(np.arange(n) / (2.0 * n * dt_s), _BANDS_HZ))
-    share = _signal(np.concatenate([w[1:] ** 2 for w in waves]), np.concatenate([v[1:] for v in noise]),
-                    np.concatenate([b[1:] for b in bands]))  # fmt: skip
-    return [fft.idct(np.concatenate([w[:1], w[1:] * share[b[1:]]]), norm="ortho") for w, b in zip(waves, bands, strict=True)]
+    share = _signal(
+        np.concatenate([w[1:] ** 2 for w in waves]),
+        np.concatenate([v[1:] for v in noise]),
+        np.concatenate([b[1:] for b in bands]),
+    )
+    return [
+        fft.idct(np.concatenate([w[:1], w[1:] * share[b[1:]]]), norm="ortho")
+        for w, b in zip(waves, bands, strict=True)
+    ]
 
 
 def _signal(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) -> FloatArray:

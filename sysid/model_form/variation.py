@@ -40,9 +40,12 @@ class Variation:
 
 
 def variation(
-    residuals: Residuals, coefficient: str, bounds: CoefficientBounds, cutoff_hz: float = WALK_CUTOFF_HZ,
+    residuals: Residuals,
+    coefficient: str,
+    bounds: CoefficientBounds,
+    cutoff_hz: float = WALK_CUTOFF_HZ,
     outside: Outside = "grow",
-) -> Variation:  # fmt: skip
+) -> Variation:
     """Of one coefficient over all pieces of its flights."""
     levels = _levels(residuals, coefficient, bounds, cutoff_hz, outside)
     steps = _changes(levels, STEP_S)
@@ -53,12 +56,18 @@ def variation(
     lagged = {}
     for lag in LAGS_S:
         changes = _changes(levels, lag)
-        lagged[lag] = float(np.sqrt(np.mean(changes**2) / lag)) if len(changes) > 1 else float("nan")
+        lagged[lag] = (
+            float(np.sqrt(np.mean(changes**2) / lag)) if len(changes) > 1 else float("nan")
+        )
     return Variation(steps, mean, sigma, sigma / np.sqrt(STEP_S), lagged)
 
 
 def _levels(
-    residuals: Residuals, coefficient: str, bounds: CoefficientBounds, cutoff_hz: float, outside: Outside
+    residuals: Residuals,
+    coefficient: str,
+    bounds: CoefficientBounds,
+    cutoff_hz: float,
+    outside: Outside,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Per piece: time, low-passed dC, width of the interval."""
     out = []
@@ -73,7 +82,9 @@ def _levels(
     return out
 
 
-def _changes(levels: Sequence[tuple[FloatArray, FloatArray, FloatArray]], step_s: float) -> FloatArray:
+def _changes(
+    levels: Sequence[tuple[FloatArray, FloatArray, FloatArray]], step_s: float
+) -> FloatArray:
     """(n,) changes of level over ``step_s``, starting step_s apart at most, by straight lines between samples."""
     found = [np.zeros(0)]
     for time, y, width in levels:

@@ -52,7 +52,9 @@ class Width:
     parameter: float
 
 
-def information(bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0) -> Information:
+def information(
+    bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0
+) -> Information:
     """Of data at states (n,). weight: samples of the data behind ``bounds`` that one of these is worth (ratio of the rates).
 
     Raises KeyError for a missing state.
@@ -63,7 +65,9 @@ def information(bounds: CoefficientBounds, states: Mapping[str, FloatArray], wei
     return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
 
 
-def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float = 1.0) -> CoefficientBounds:
+def after(
+    bounds: CoefficientBounds, more: Sequence[Information], scatter: float = 1.0
+) -> CoefficientBounds:
     """The interval as it will be with ``more`` data, but for beta, which nobody knows yet.
 
     scatter: residual variance of the further data over that of the data behind ``bounds``; the pooled one is expected.
@@ -81,7 +85,11 @@ def after(bounds: CoefficientBounds, more: Sequence[Information], scatter: float
         np.max([bounds.hull.high, *(item.high for item in more)], axis=0),
     )
     more_known = replace(
-        bounds, XtX_inv=0.5 * (C + C.T), n=round(n), n_effective=n_effective, hull=replace(bounds.hull, low=low, high=high)
+        bounds,
+        XtX_inv=0.5 * (C + C.T),
+        n=round(n),
+        n_effective=n_effective,
+        hull=replace(bounds.hull, low=low, high=high),
     )
     if bounds.parts is not None:
         # What persists and how sure that is are the model's; samples alone do not change them, and noise is in no width.
@@ -98,12 +106,16 @@ def for_ever(bounds: CoefficientBounds) -> CoefficientBounds:
     return replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), dof=float("inf"), t=t)
 
 
-def parameter_variance(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow") -> FloatArray:
+def parameter_variance(
+    bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
+) -> FloatArray:
     """(n,) f s2 x'Cx: variance of the fitted polynomial at states."""
     return bounds.leverage_factor * bounds.s2 * bounds.leverage(bounds.normalised(states, outside))
 
 
-def width(bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow") -> Width:
+def width(
+    bounds: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow"
+) -> Width:
     """Mean widths of an interval over states (n,)."""
     low, high = bounds.bounds(states, outside=outside)
     parameter = 2.0 * bounds.t * np.sqrt(parameter_variance(bounds, states, outside))
@@ -131,15 +143,25 @@ def belief(bounds: CoefficientBounds) -> tuple[FloatArray, FloatArray]:
     # The likelihood may have two maxima: the best of a grid, then refined beside it.
     grid = np.linspace(top - 30.0, top, 121)
     best = float(grid[int(np.argmin([unlikely(g) for g in grid]))])
-    v = float(np.exp(optimize.minimize_scalar(unlikely, bounds=(best - 0.25, best + 0.25), method="bounded").x))
+    v = float(
+        np.exp(
+            optimize.minimize_scalar(
+                unlikely, bounds=(best - 0.25, best + 0.25), method="bounded"
+            ).x
+        )
+    )
     shrink = v / (v + values)
     return vectors @ (shrink * b), (vectors * (shrink * values)) @ vectors.T
 
 
 def expected_width(
-    now: CoefficientBounds, then: CoefficientBounds, states: Mapping[str, FloatArray], outside: Outside = "grow",
-    draws: int = DRAWS, seed: int = 1,
-) -> Width:  # fmt: skip
+    now: CoefficientBounds,
+    then: CoefficientBounds,
+    states: Mapping[str, FloatArray],
+    outside: Outside = "grow",
+    draws: int = DRAWS,
+    seed: int = 1,
+) -> Width:
     """Mean widths that ``then`` (from `after` or `for_ever`) will have, over states and over what may be learnt of beta."""
     kept = thinned(states, now.states, _MAX_STATES)
     z = then.normalised(kept, outside)
@@ -160,7 +182,9 @@ def expected_width(
     return Width(float(np.mean(total)), width(then, states, outside).parameter)
 
 
-def thinned(states: Mapping[str, FloatArray], names: Sequence[str], most: int) -> dict[str, FloatArray]:
+def thinned(
+    states: Mapping[str, FloatArray], names: Sequence[str], most: int
+) -> dict[str, FloatArray]:
     """At most ``most`` of the states, evenly chosen."""
     n = len(states[names[0]])
     rows = np.linspace(0, n - 1, min(n, most)).round().astype(int)
@@ -198,5 +222,7 @@ def speed_power(speeds_mps: FloatArray, variances: FloatArray, counts: FloatArra
 
 def mean_power(middle: FloatArray, low: float, high: float, power: float) -> float:
     """Mean of V^power over a distribution known by its quartiles (3,), smallest and largest value, straight lines in between."""
-    at = np.interp(np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high])
+    at = np.interp(
+        np.linspace(0.005, 0.995, 100), [0.0, 0.25, 0.5, 0.75, 1.0], [low, *middle, high]
+    )
     return float(np.mean(at**power))

@@ -14,10 +14,27 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     # Lowest first. "" is what lies in the package itself; BASE beside it.
     "sysid": ("", "logs", "aerodynamics", "estimation", "model_form", "effects"),
     "uqharness": (
-        "", "simulator", "xml", "flight", "differences", "batch", "plugin", "statistics", "replay", "identification",
-        "sensitivity", "campaign", "next_flight", "refinement", "study", "dossier", "report", "api", "cli",
+        "",
+        "simulator",
+        "xml",
+        "flight",
+        "differences",
+        "batch",
+        "plugin",
+        "statistics",
+        "replay",
+        "identification",
+        "sensitivity",
+        "campaign",
+        "next_flight",
+        "refinement",
+        "study",
+        "dossier",
+        "report",
+        "api",
+        "cli",
     ),
-}  # fmt: skip
+}
 
 BASE = {"sysid": ("foreign", "linalg"), "uqharness": ()}
 """Folders of the lowest layer."""
@@ -61,7 +78,9 @@ def importers(library: str, package: str = "") -> set[str]:
     found = set()
     for name, path in modules().items():
         if name.split(".")[0] in (package or name):
-            names = {full for names in imported_by(path.read_text(encoding="utf-8")) for full in names}
+            names = {
+                full for names in imported_by(path.read_text(encoding="utf-8")) for full in names
+            }
             if any(full == library or full.startswith(f"{library}.") for full in names):
                 found.add(path.relative_to(ROOT).as_posix())
     return found

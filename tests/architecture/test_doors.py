@@ -76,7 +76,11 @@ FACTORS = re.compile(
 
 def outside(files: set[str], doors: tuple[str, ...]) -> set[str]:
     """Files that are none of the doors."""
-    return {name for name in files if not any(name == door or (door.endswith("/") and name.startswith(door)) for door in doors)}
+    return {
+        name
+        for name in files
+        if not any(name == door or (door.endswith("/") and name.startswith(door)) for door in doors)
+    }
 
 
 def texts(source: str) -> Iterator[str]:
@@ -85,10 +89,16 @@ def texts(source: str) -> Iterator[str]:
     documents = {
         id(node.body[0].value)
         for node in ast.walk(tree)
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr)
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
     }
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in documents
+        ):
             yield node.value
 
 
@@ -102,15 +112,24 @@ def files_with(found) -> set[str]:
 
 
 def is_print(node: ast.AST) -> bool:
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    return (
+        isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    )
 
 
 def is_factor(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, float) and bool(FACTORS.match(repr(node.value)))
+    return (
+        isinstance(node, ast.Constant)
+        and isinstance(node.value, float)
+        and bool(FACTORS.match(repr(node.value)))
+    )
 
 
 def writes_xml(path) -> bool:
-    return any(re.search(r"</?(function|property|system|component|table|value|product|sum|axis)\b", text) for text in texts(path))
+    return any(
+        re.search(r"</?(function|property|system|component|table|value|product|sum|axis)\b", text)
+        for text in texts(path)
+    )
 
 
 @pytest.mark.parametrize("library", DOORS)
@@ -132,7 +151,11 @@ def test_conversion_factors_have_one_home():
 
 
 def test_jsbsim_xml_is_written_in_its_rooms():
-    found = {p.relative_to(ROOT).as_posix() for p in modules().values() if writes_xml(p.read_text(encoding="utf-8"))}
+    found = {
+        p.relative_to(ROOT).as_posix()
+        for p in modules().values()
+        if writes_xml(p.read_text(encoding="utf-8"))
+    }
     assert outside(found, XML_TEXT) == set()
 
 

@@ -26,7 +26,11 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
 }
 # A public package whose list is for users: the project's own tables and commands ask it for more.
 INSIDE = ("uqharness.sensitivity",)
-FACES = sorted(name for name, path in modules().items() if path.name == "__init__.py" and path.with_suffix(".pyi").is_file())
+FACES = sorted(
+    name
+    for name, path in modules().items()
+    if path.name == "__init__.py" and path.with_suffix(".pyi").is_file()
+)
 
 
 def entered_by_the_side(name: str, source: str) -> list[str]:
@@ -34,27 +38,47 @@ def entered_by_the_side(name: str, source: str) -> list[str]:
     found = []
     known = modules()
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.ImportFrom) or node.module not in known or known[node.module].name == "__init__.py":
+        if (
+            not isinstance(node, ast.ImportFrom)
+            or node.module not in known
+            or known[node.module].name == "__init__.py"
+        ):
             continue
         package, inner = room(node.module)
-        if room(name) == (package, inner) or inner in ("", *BASE[package]) or f"{package}.{inner}" in INSIDE:
+        if (
+            room(name) == (package, inner)
+            or inner in ("", *BASE[package])
+            or f"{package}.{inner}" in INSIDE
+        ):
             continue
         # A function named like its module is hidden by the module once that is loaded.
         allowed = {node.module.rpartition(".")[2], *SEVERAL.get(f"{package}.{inner}", ())}
-        found += [f"{node.module}.{alias.name}" for alias in node.names if alias.name not in allowed]
+        found += [
+            f"{node.module}.{alias.name}" for alias in node.names if alias.name not in allowed
+        ]
     return found
 
 
 def test_rooms_are_entered_by_their_faces():
-    found = {name: entered_by_the_side(name, path.read_text(encoding="utf-8")) for name, path in modules().items()}
-    assert {name: names for name, names in found.items() if names and name not in ("sysid", "uqharness")} == {}
+    found = {
+        name: entered_by_the_side(name, path.read_text(encoding="utf-8"))
+        for name, path in modules().items()
+    }
+    assert {
+        name: names for name, names in found.items() if names and name not in ("sysid", "uqharness")
+    } == {}
 
 
 def test_an_entry_by_the_side_is_seen():
     source = "from uqharness.flight.spec import FlightSpec\n"
-    assert entered_by_the_side("uqharness.campaign.run", source) == ["uqharness.flight.spec.FlightSpec"]
+    assert entered_by_the_side("uqharness.campaign.run", source) == [
+        "uqharness.flight.spec.FlightSpec"
+    ]
     assert entered_by_the_side("uqharness.flight.fly", source) == []
-    assert entered_by_the_side("uqharness.campaign.run", "from uqharness.flight import FlightSpec\n") == []
+    assert (
+        entered_by_the_side("uqharness.campaign.run", "from uqharness.flight import FlightSpec\n")
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", FACES)
@@ -77,8 +101,12 @@ def not_asked_for(name: str, listed: set[str], everything: str) -> set[str]:
 
 def test_a_name_counts_as_used_where_it_or_its_room_is_imported():
     listed = {"fly", "spare"}
-    assert not_asked_for("uqharness.flight", listed, "from uqharness.flight import fly\n") == {"spare"}
-    assert not_asked_for("uqharness.flight", listed, "from uqharness import flight\nflight.fly()\n") == {"spare"}
+    assert not_asked_for("uqharness.flight", listed, "from uqharness.flight import fly\n") == {
+        "spare"
+    }
+    assert not_asked_for(
+        "uqharness.flight", listed, "from uqharness import flight\nflight.fly()\n"
+    ) == {"spare"}
     assert not_asked_for("uqharness.flight", listed, "flight.fly()\nother.flight.spare\n") == listed
 
 
@@ -92,4 +120,6 @@ def test_a_face_lists_no_more_than_is_used():
     for name in FACES:
         if name in ("sysid", "uqharness", *INSIDE):
             continue
-        assert not_asked_for(name, set(importlib.import_module(name).__all__), everything) == set(), name
+        assert (
+            not_asked_for(name, set(importlib.import_module(name).__all__), everything) == set()
+        ), name

@@ -4,20 +4,44 @@ from __future__ import annotations
 
 import pytest
 
-from tests.architecture.rooms import BASE, LAYERS, against_the_layers, circles, imported_by, importers, imports, modules, room
+from tests.architecture.rooms import (
+    BASE,
+    LAYERS,
+    against_the_layers,
+    circles,
+    imported_by,
+    importers,
+    imports,
+    modules,
+    room,
+)
 
 # The command's first file, which every worker process reads again, loads the command line when it is called.
 ENTRY = {("uqharness.__main__", "uqharness.cli")}
 
 
 def test_every_arrow_goes_down():
-    wrong = {(name, other) for name in modules() for other in imports(name) if against_the_layers(name, other)}
+    wrong = {
+        (name, other)
+        for name in modules()
+        for other in imports(name)
+        if against_the_layers(name, other)
+    }
     assert wrong == ENTRY
 
 
 def test_every_folder_is_a_layer():
-    folders = {(name.split(".")[0], name.split(".")[1]) for name, path in modules().items() if len(name.split(".")) > 2}
-    assert folders == {(package, layer) for package, layers in LAYERS.items() for layer in (*layers, *BASE[package]) if layer}
+    folders = {
+        (name.split(".")[0], name.split(".")[1])
+        for name, path in modules().items()
+        if len(name.split(".")) > 2
+    }
+    assert folders == {
+        (package, layer)
+        for package, layers in LAYERS.items()
+        for layer in (*layers, *BASE[package])
+        if layer
+    }
 
 
 def test_no_circles():
@@ -50,5 +74,7 @@ def test_rooms(name, expected):
 
 
 def test_the_walk_sees_nested_and_partial_imports():
-    assert ("matplotlib.pyplot",) in set(imported_by("def f():\n    import matplotlib.pyplot as plt\n"))
+    assert ("matplotlib.pyplot",) in set(
+        imported_by("def f():\n    import matplotlib.pyplot as plt\n")
+    )
     assert ("jsbsim.FGFDMExec", "jsbsim") in set(imported_by("from jsbsim import FGFDMExec\n"))

@@ -16,17 +16,49 @@ from tests.helpers.places import ROOT
 
 NAMES = {
     "uqharness": [
-        "BadInputError", "LogError", "compare", "find_aircraft", "find_trim", "fit_model_form", "fly", "identify", "instrument",
-        "linearise", "pbox", "plot_pbox", "read_campaign", "read_flights", "refine", "run_campaign", "sensitivity",
+        "BadInputError",
+        "LogError",
+        "compare",
+        "find_aircraft",
+        "find_trim",
+        "fit_model_form",
+        "fly",
+        "identify",
+        "instrument",
+        "linearise",
+        "pbox",
+        "plot_pbox",
+        "read_campaign",
+        "read_flights",
+        "refine",
+        "run_campaign",
+        "sensitivity",
     ],
     "uqharness.sensitivity": [
-        "Evaluations", "Index", "METHODS", "MethodResult", "PairRange", "Sensitivity", "Study", "analyse", "average", "read_study",
-        "run_study", "write_study",
+        "Evaluations",
+        "Index",
+        "METHODS",
+        "MethodResult",
+        "PairRange",
+        "Sensitivity",
+        "Study",
+        "analyse",
+        "average",
+        "read_study",
+        "run_study",
+        "write_study",
     ],
     "sysid": [
-        "FlightRecord", "LogError", "ModelForm", "equation_error", "filter_error", "output_error", "read_model_form", "stepwise",
+        "FlightRecord",
+        "LogError",
+        "ModelForm",
+        "equation_error",
+        "filter_error",
+        "output_error",
+        "read_model_form",
+        "stepwise",
     ],
-}  # fmt: skip
+}
 FACES = {"uqharness": uq, "uqharness.sensitivity": uq.sensitivity, "sysid": sysid}
 HEAVY = ("numpy", "scipy", "pandas", "pyarrow", "jsbsim", "matplotlib", "pydantic", "lxml")
 
@@ -60,7 +92,9 @@ def lacking(function: object) -> list[str]:
     found = sections(inspect.getdoc(function) or "")
     signature = inspect.signature(function)  # type: ignore[arg-type]
     wanted = ["Parameters"] if signature.parameters else []
-    wanted += ["Examples"] + (["Returns"] if signature.return_annotation not in (None, "None") else [])
+    wanted += ["Examples"] + (
+        ["Returns"] if signature.return_annotation not in (None, "None") else []
+    )
     if "raise" in inspect.getsource(function) or "Raises" in (inspect.getdoc(function) or ""):  # type: ignore[arg-type]
         wanted.append("Raises")
     named = {
@@ -69,7 +103,9 @@ def lacking(function: object) -> list[str]:
         if line and not line.startswith(" ")
         for name in line.partition(" :")[0].split(",")
     }
-    return [s for s in wanted if s not in found] + [p for p in signature.parameters if p not in named]
+    return [s for s in wanted if s not in found] + [
+        p for p in signature.parameters if p not in named
+    ]
 
 
 def test_a_docstring_that_passes_something_over_is_seen():
@@ -99,7 +135,9 @@ print(loaded + [name for name in {heavy} if name in sys.modules], face.__name__)
 def test_the_import_loads_no_numerical_library(module: str):
     def loaded(code: str) -> str:
         command = [sys.executable, "-c", code.format(module=module, heavy=HEAVY)]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            command, cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     assert loaded(CODE) == f"[] {module}"
     assert "'numpy'" in loaded(CODE.replace("face.LogError", "import sysid.record"))

@@ -20,7 +20,9 @@ def test_the_band_keeps_its_level_and_bands_of_one_corner_do_not():
 def test_the_table_beside_the_study_is_about_these_campaigns():
     with open("campaigns/levels/bands.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [(int(row["corners"]), int(row["airs"])) for row in rows] == [(truth.corners, truth.airs) for truth in TRUTHS]
+    assert [(int(row["corners"]), int(row["airs"])) for row in rows] == [
+        (truth.corners, truth.airs) for truth in TRUTHS
+    ]
     assert all(float(row["missed"]) <= 0.05 and row["kept"] == "yes" for row in rows)
 
 

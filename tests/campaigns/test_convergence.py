@@ -13,7 +13,11 @@ from tests.helpers.shards import flown
 from uqharness.errors import BadInputError
 
 PLAN = replace(plan(), airs=100).with_flights(400)
-TURN = {case.flight.seed_turbulence: case.aleatory_id for shard in PLAN.shards() for case in PLAN.cases(shard)}
+TURN = {
+    case.flight.seed_turbulence: case.aleatory_id
+    for shard in PLAN.shards()
+    for case in PLAN.cases(shard)
+}
 
 
 def normal(flight) -> float:
@@ -39,14 +43,18 @@ def test_repeats_that_are_alike_and_one_that_is_not(tmp_path):
 
 
 def test_parts_come_closer_with_their_number_as_chance_says():
-    frame = pd.DataFrame({"aleatory_id": range(5000), "m": np.random.default_rng(4).normal(size=5000)})
+    frame = pd.DataFrame(
+        {"aleatory_id": range(5000), "m": np.random.default_rng(4).normal(size=5000)}
+    )
     found = enough(frame, "m")
     assert [row.flights for row in found] == [10, 20, 50, 100, 200, 500]
     assert [row.parts for row in found] == [500, 250, 100, 50, 25, 10]
     assert all(row.distance < row.bound for row in found)
     # A standard error of a median is 1.2533 / sqrt(n); of m parts the farthest lies about its sqrt(2 ln m) away.
     for row in found[:4]:
-        assert row.median_off == pytest.approx(1.2533 / row.flights**0.5 * (2.0 * np.log(row.parts)) ** 0.5, rel=0.35)
+        assert row.median_off == pytest.approx(
+            1.2533 / row.flights**0.5 * (2.0 * np.log(row.parts)) ** 0.5, rel=0.35
+        )
     frame.loc[2000:2499, "m"] += 0.5
     assert enough(frame, "m")[-1].distance > enough(frame, "m")[-1].bound
 

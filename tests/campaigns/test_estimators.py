@@ -27,7 +27,9 @@ def test_turbulence_is_covered_by_filter_error_and_not_by_cramer_rao_output_erro
     plain = run_case(BY_NAME["longitudinal, light turbulence, output_error"], 5, [300] * 3).iloc[-1]
     assert plain["crb_coverage_pct"] < 70.0
     assert plain["warned"] == 5
-    filtered = run_case(BY_NAME["longitudinal, light turbulence, filter_error"], 2, [300] * 3).iloc[-1]
+    filtered = run_case(BY_NAME["longitudinal, light turbulence, filter_error"], 2, [300] * 3).iloc[
+        -1
+    ]
     assert filtered["coverage_pct"] > 85.0  # of 24 intervals
     assert filtered["warned"] == 0
     assert filtered["median_error_over_true_pct"] < plain["median_error_over_true_pct"]
@@ -44,13 +46,27 @@ def test_dryden_gusts_have_the_stated_variance_and_length():
     for make, tau in ((aircraft._first_order, 0.8), (aircraft._second_order, 0.8)):
         series = np.concatenate([make(2.0, tau, 4000 * aircraft.FINE, rng) for _ in range(15)])
         assert series.std() == pytest.approx(2.0, rel=0.1)
-        one = np.corrcoef(series[:-lag], series[lag:])[0, 1]  # 0.8 s apart: 1/e, or (1 - 1/2)/e for the transverse gust
-        assert one == pytest.approx(np.exp(-1.0) * (1.0 if make is aircraft._first_order else 0.5), abs=0.08)
+        one = np.corrcoef(series[:-lag], series[lag:])[
+            0, 1
+        ]  # 0.8 s apart: 1/e, or (1 - 1/2)/e for the transverse gust
+        assert one == pytest.approx(
+            np.exp(-1.0) * (1.0 if make is aircraft._first_order else 0.5), abs=0.08
+        )
 
 
 def test_command_writes_the_table_and_refuses_bad_input(tmp_path, capsys):
     out = tmp_path / "table.csv"
-    arguments = ["--seeds", "2", "--segments", "2", "--samples", "200", "--only", "lateral, calm", "--json"]
+    arguments = [
+        "--seeds",
+        "2",
+        "--segments",
+        "2",
+        "--samples",
+        "200",
+        "--only",
+        "lateral, calm",
+        "--json",
+    ]
     arguments += ["--out", str(out)]
     assert study_coverage.main(arguments) in (0, 1)
     assert list(pd.read_csv(out)["parameter"])[-1] == "pooled"

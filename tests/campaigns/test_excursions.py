@@ -15,8 +15,12 @@ from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-SEVERE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 20").replace("150", "3600") + (
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
+SEVERE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 20").replace(
+    "150", "3600"
+) + (
     'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nexcursion_radius_m = [15, 20, 25]\n'
 )
 
@@ -33,17 +37,34 @@ def counting(within_15m, within_25m):
 
     def fly(spec):
         draw = np.random.default_rng([spec.seed_turbulence, spec.seed_noise])
-        counts = {f"excursions_{r}m{d}": int(draw.poisson(rate)) for r, rate in ((15, within_15m), (20, 0.0), (25, within_25m))
-                  for d in ("", "_3d")}  # fmt: skip
+        counts = {
+            f"excursions_{r}m{d}": int(draw.poisson(rate))
+            for r, rate in ((15, within_15m), (20, 0.0), (25, within_25m))
+            for d in ("", "_3d")
+        }
         metrics = {name: float(draw.gamma(4.0)) for name in fakes.ERROR_METRICS}
-        return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics | counts | {"loss_of_control": 0.0}, {}, {})
+        return FlightResult(
+            "ok",
+            "",
+            spec.burn_in_s + spec.duration_s,
+            metrics | counts | {"loss_of_control": 0.0},
+            {},
+            {},
+        )
 
     return fly
 
 
 def flown(tmp_path, name, fly, wind=7, turbulence="severe"):
-    text = SEVERE.replace("wind_mps = 3", f"wind_mps = {wind}").replace('"moderate"', f'"{turbulence}"')
-    run_campaign(read_campaign(fakes.campaign_file(tmp_path, text)), tmp_path / name, executor=SerialExecutor(), fly=fly)
+    text = SEVERE.replace("wind_mps = 3", f"wind_mps = {wind}").replace(
+        '"moderate"', f'"{turbulence}"'
+    )
+    run_campaign(
+        read_campaign(fakes.campaign_file(tmp_path, text)),
+        tmp_path / name,
+        executor=SerialExecutor(),
+        fly=fly,
+    )
     return str(tmp_path / name)
 
 
@@ -64,7 +85,9 @@ def test_limits_that_overlap_agree():
 
 def test_a_campaign_beside_the_print(tmp_path, capsys):
     like = flown(tmp_path, "like", counting(25.0, 0.0))
-    assert main([like, "--out", str(tmp_path / "out"), "--json"]) == 1  # the best corner of the print has 0.002, not 25
+    assert (
+        main([like, "--out", str(tmp_path / "out"), "--json"]) == 1
+    )  # the best corner of the print has 0.002, not 25
     told = json.loads(capsys.readouterr().out)
     assert told["worst"] == {"as published": 2, "more": 0, "fewer": 0}
     assert told["best"]["more"] == 1
@@ -72,7 +95,9 @@ def test_a_campaign_beside_the_print(tmp_path, capsys):
     assert frame["radius_m"].tolist() == [15.0, 25.0]  # nothing was published for 20 m
     assert (frame["hours"] == 40.0).all()
     assert frame["published_worst_per_h"].tolist() == [25.342, 0.002]
-    assert frame["published_worst_lower_per_h"][0] < 25.342 < frame["published_worst_upper_per_h"][0]
+    assert (
+        frame["published_worst_lower_per_h"][0] < 25.342 < frame["published_worst_upper_per_h"][0]
+    )
     many = flown(tmp_path, "many", counting(60.0, 2.0))
     assert main([many, "--out", str(tmp_path / "out")]) == 1
     assert "2 cells more" in capsys.readouterr().out

@@ -21,9 +21,15 @@ full_size = importlib.import_module("campaigns.excursions-from-flights.full_size
 def test_a_model_flies_within_the_bounds_of_its_own_flights_in_the_air_of_the_stand_ins(model):
     plan, other = full_size.plan(model), stand_ins()
     assert bounds_notes(plan.spec) == []
-    assert (len(plan.conditions), len(plan.epistemic_ids), plan.spec.aleatory.flights) == (24, 64, 50)
+    assert (len(plan.conditions), len(plan.epistemic_ids), plan.spec.aleatory.flights) == (
+        24,
+        64,
+        50,
+    )
     flown = find_aircraft(plan.mission.aircraft)
-    assert content_hash(flown) == plan.mission.aircraft_hash != content_hash(named_aircraft(plan.spec))
+    assert (
+        content_hash(flown) == plan.mission.aircraft_hash != content_hash(named_aircraft(plan.spec))
+    )
     ours, theirs = (next(iter(p.only(["severe-3"]))) for p in (plan, other))
     for mine, stand_in in zip(plan.cases(ours)[::400], other.cases(theirs)[::400], strict=True):
         assert (mine.flight.seed_turbulence, mine.flight.seed_noise) == (
@@ -39,7 +45,9 @@ def test_refinement_leaves_narrower_bounds_of_what_it_named():
     for model in full_size.MODELS:
         form = read_bounds(full_size.HOME / model / "model-form.json")
         lasting[model] = {name: c.parts.persistent for name, c in form.coefficients.items()}
-    ratio = {name: lasting["refined"][name] / lasting["identified"][name] for name in lasting["refined"]}
+    ratio = {
+        name: lasting["refined"][name] / lasting["identified"][name] for name in lasting["refined"]
+    }
     assert max(ratio[c] for c in ("CX", "Cl", "Cm")) < 0.5
     assert min(ratio[c] for c in ("CZ", "Cn")) > 0.8
 

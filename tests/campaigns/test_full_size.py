@@ -39,13 +39,18 @@ class Engine:
         results = [fakes.by_corner(flight) for flight in flights]
         if engine == JUDGE:
             name = "cross_track_median_m"
-            results = [replace(r, metrics={**r.metrics, name: r.metrics[name] + self.jsbsim_off}) for r in results]
+            results = [
+                replace(r, metrics={**r.metrics, name: r.metrics[name] + self.jsbsim_off})
+                for r in results
+            ]
         return results
 
 
 @pytest.fixture
 def plan(tmp_path) -> Plan:
-    text = fakes.CAMPAIGN.replace("flights = 3", "flights = 5").replace("wind_mps = 3", "wind_mps = [3, 7]")
+    text = fakes.CAMPAIGN.replace("flights = 3", "flights = 5").replace(
+        "wind_mps = 3", "wind_mps = [3, 7]"
+    )
     spec = read_campaign(fakes.campaign_file(tmp_path, text)).with_engine("batch")
     return Plan(spec, find_mission(spec), airs=2, lanes=128)
 
@@ -79,13 +84,20 @@ def test_curves_drawn_from_the_grid_are_exact_at_its_edges(resolution):
         assert np.mean(drawn <= edge) == np.mean(values <= edge)
     # Between the edges the steps of the grid are farther off.
     inside = np.unique(kept)
-    off = [np.mean([abs(np.mean(found <= at) - np.mean(values <= at)) for at in inside]) for found in (drawn, kept)]
+    off = [
+        np.mean([abs(np.mean(found <= at) - np.mean(values <= at)) for at in inside])
+        for found in (drawn, kept)
+    ]
     assert off[0] < 0.5 * off[1]
 
 
 def test_every_condition_has_hours_before_any_has_a_second_shard(plan):
     shards = list(plan.shards())
-    assert [shard.file for shard in shards[:3]] == ["moderate-7/000.parquet", "moderate-3/000.parquet", "moderate-7/001.parquet"]
+    assert [shard.file for shard in shards[:3]] == [
+        "moderate-7/000.parquet",
+        "moderate-3/000.parquet",
+        "moderate-7/001.parquet",
+    ]
     ids = [case.case_id for shard in shards for case in plan.cases(shard)]
     assert len(ids) == len(set(ids)) == 2 * 5 * 64
 
@@ -94,7 +106,11 @@ def test_tables_come_from_the_shards_alone_and_are_what_was_flown(plan, tmp_path
     assert flown(plan, tmp_path / "shards") == 6
     condition = plan.condition("moderate-7")
     frame, used = cell_table(plan, tmp_path / "shards", condition)
-    direct = [fakes.by_corner(case.flight) for shard in plan.only(["moderate-7"]) for case in plan.cases(shard)]
+    direct = [
+        fakes.by_corner(case.flight)
+        for shard in plan.only(["moderate-7"])
+        for case in plan.cases(shard)
+    ]
     assert frame["excursions_15m"].tolist() == [r.metrics["excursions_15m"] for r in direct]
     assert frame["excursions_15m"].sum() > 0
     for name in METRICS:
@@ -115,7 +131,10 @@ def test_an_interruption_costs_the_shard_in_the_air(plan, tmp_path):
     assert flown(plan, cut, again) == 6 - left
     for shard in plan.shards():
         assert (cut / shard.file).read_bytes() == (whole / shard.file).read_bytes()
-        assert lines(cut, shard.condition)[shard.number].results == lines(whole, shard.condition)[shard.number].results
+        assert (
+            lines(cut, shard.condition)[shard.number].results
+            == lines(whole, shard.condition)[shard.number].results
+        )
     assert flown(plan, cut) == 0
 
 
@@ -156,7 +175,9 @@ def test_a_rerun_says_whether_a_cell_came_out_as_it_did(plan, tmp_path, monkeypa
 
     def other(engine, flights):
         return [
-            FlightResult(r.status, r.reason, r.flown_s, {**r.metrics, "excursions_25m": 9.0}, {}, {})
+            FlightResult(
+                r.status, r.reason, r.flown_s, {**r.metrics, "excursions_25m": 9.0}, {}, {}
+            )
             for r in Engine()(engine, flights)
         ]
 

@@ -24,7 +24,10 @@ def test_made_up_shards_are_like_those_that_are_flown(tmp_path):
     plan = excursions().with_flights(25)
     condition = plan.condition(memory.CELL)
     assert memory.fill(plan, tmp_path, condition) == 1600
-    ours, theirs = (table_of(folder / memory.CELL / "000.parquet") for folder in (tmp_path, EXCURSIONS / "shards"))
+    ours, theirs = (
+        table_of(folder / memory.CELL / "000.parquet")
+        for folder in (tmp_path, EXCURSIONS / "shards")
+    )
     assert ours.schema.equals(theirs.schema)
     assert ours.num_rows == theirs.num_rows
     frame, _ = cell_table(plan, tmp_path, condition)

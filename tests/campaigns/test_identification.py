@@ -6,7 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaigns.identification.air_equations import OUTPUTS, AirEquations, body_axis_build, parameters, start_state, wind_axis_build
+from campaigns.identification.air_equations import (
+    OUTPUTS,
+    AirEquations,
+    body_axis_build,
+    parameters,
+    start_state,
+    wind_axis_build,
+)
 from campaigns.identification.reproduce import (
     CASES,
     Data,
@@ -27,7 +34,16 @@ from uqharness.replay.model import CONTROLS
 from uqharness.simulator.actuators import Actuator, actuators
 from uqharness.simulator.aircraft import find_aircraft
 
-STATE = {"V": 21.0, "alpha": 0.06, "beta": -0.05, "p": 0.4, "q": -0.3, "r": 0.2, "phi": 0.3, "theta": 0.1}
+STATE = {
+    "V": 21.0,
+    "alpha": 0.06,
+    "beta": -0.05,
+    "p": 0.4,
+    "q": -0.3,
+    "r": 0.2,
+    "phi": 0.3,
+    "theta": 0.1,
+}
 U = np.array([1.5, -2.0, 3.0, 62.0])
 HEIGHT = 120.0
 
@@ -35,8 +51,16 @@ HEIGHT = 120.0
 def independent(model, derivative):
     """dx/dt and specific force of the independent equations at STATE, in the study's states."""
     s = STATE
-    uvw = s["V"] * np.array([np.cos(s["alpha"]) * np.cos(s["beta"]), np.sin(s["beta"]), np.sin(s["alpha"]) * np.cos(s["beta"])])
-    x = np.concatenate([uvw, [s["p"], s["q"], s["r"], s["phi"], s["theta"], 0.4, 0.0, 0.0, -HEIGHT]])
+    uvw = s["V"] * np.array(
+        [
+            np.cos(s["alpha"]) * np.cos(s["beta"]),
+            np.sin(s["beta"]),
+            np.sin(s["alpha"]) * np.cos(s["beta"]),
+        ]
+    )
+    x = np.concatenate(
+        [uvw, [s["p"], s["q"], s["r"], s["phi"], s["theta"], 0.4, 0.0, 0.0, -HEIGHT]]
+    )
     dot = derivative(model, x, U)
     gravity = sixdof.rotation_to_body(s["phi"], s["theta"], 0.4) @ np.array([0.0, 0.0, model.g])
     force = dot[:3] + np.cross(x[3:6], uvw) - gravity
@@ -53,7 +77,9 @@ def test_equations_are_the_independent_ones(name):
         model, derivative, build = sixdof.Airframe(), sixdof.derivative, body_axis_build
     else:
         separation = stall_model.Separation(on=False)
-        model = stall_model.StallingAirframe(coefficients=stall_model.TABLE_2_4, separation=separation)
+        model = stall_model.StallingAirframe(
+            coefficients=stall_model.TABLE_2_4, separation=separation
+        )
         derivative, build = stall_model.derivative, wind_axis_build
     names = parameters(tuple(find_aircraft(name).card.parameters))
     equations = AirEquations(build, names, {})
@@ -63,8 +89,12 @@ def test_equations_are_the_independent_ones(name):
     expected, force = independent(model, derivative)
     np.testing.assert_allclose(equations.f(x, u, theta)[:8], expected, rtol=1e-9, atol=1e-9)
     y = dict(zip(OUTPUTS, equations.g(x, u, theta), strict=True))
-    np.testing.assert_allclose([y["ax_mps2"], y["ay_mps2"], y["az_mps2"]], force, rtol=1e-9, atol=1e-9)
-    assert [y["V_mps"], y["alpha_rad"], y["q_radps"], y["theta_rad"]] == [STATE[k] for k in ("V", "alpha", "q", "theta")]
+    np.testing.assert_allclose(
+        [y["ax_mps2"], y["ay_mps2"], y["az_mps2"]], force, rtol=1e-9, atol=1e-9
+    )
+    assert [y["V_mps"], y["alpha_rad"], y["q_radps"], y["theta_rad"]] == [
+        STATE[k] for k in ("V", "alpha", "q", "theta")
+    ]
 
 
 def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
@@ -76,11 +106,15 @@ def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
     gusty, turned = calm.copy(), calm.copy()
     # The states of pitching and yawing air are the gradients' lengths times the rotation.
     lengths = equations.gusts.b / np.pi * np.array([4.0, 3.0])
-    in_heading_axes = sixdof.rotation_to_body(STATE["phi"], STATE["theta"], 0.0).T @ np.array([0.1, 0.1, 0.1])
+    in_heading_axes = sixdof.rotation_to_body(STATE["phi"], STATE["theta"], 0.0).T @ np.array(
+        [0.1, 0.1, 0.1]
+    )
     gusty[8:11] += np.array([1.0, *lengths]) * in_heading_axes
     turned[3:6] -= 0.1
     # The aerodynamic loads see rates relative to the air; y shows the body's own.
-    np.testing.assert_allclose(equations.g(gusty, u, theta)[8:], equations.g(turned, u, theta)[8:], rtol=1e-12)
+    np.testing.assert_allclose(
+        equations.g(gusty, u, theta)[8:], equations.g(turned, u, theta)[8:], rtol=1e-12
+    )
     assert abs(equations.f(gusty, u, theta)[3] - equations.f(calm, u, theta)[3]) > 0.5
 
 
@@ -98,7 +132,16 @@ def test_equations_broadcast_over_lanes():
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
     for suffix in ("parquet", "bin"):
-        arguments = ["fly", "synthetic_stall", "--script", "flight-ident", "--duration-s", "45", "--seed", "3"]
+        arguments = [
+            "fly",
+            "synthetic_stall",
+            "--script",
+            "flight-ident",
+            "--duration-s",
+            "45",
+            "--seed",
+            "3",
+        ]
         assert main([*arguments, "--out", str(folder / f"a.{suffix}")]) == 0
     return folder
 
@@ -107,7 +150,11 @@ def test_positions_from_the_log_are_the_aircrafts(flown):
     # Half a servo microsecond is 0.025 deg; five milliseconds of lag would be 0.5 deg and more.
     table = pd.read_parquet(flown / "a.parquet")
     data = read_data(flown / "a.bin", "synthetic_stall", 0.01)
-    pieces = [g for _, g in table.groupby((table.manoeuvre != table.manoeuvre.shift()).cumsum()) if g.manoeuvre.iloc[0]]
+    pieces = [
+        g
+        for _, g in table.groupby((table.manoeuvre != table.manoeuvre.shift()).cumsum())
+        if g.manoeuvre.iloc[0]
+    ]
     assert len(pieces) == len(data.u) == 4
     for piece, u, x0, z, t in zip(pieces, data.u, data.x0, data.z, data.t, strict=True):
         columns = ["elevator_pos_deg", "aileron_pos_deg", "rudder_pos_deg"]
@@ -125,7 +172,9 @@ def test_actuators_are_read_from_the_xml():
 
 
 def test_rate_limit_and_stop():
-    out = Actuator(None, 100.0, -5.0, 5.0).follow(np.array([0.0, 8.0, 8.0, 8.0, 8.0, 8.0]), 0.02, 0.01)
+    out = Actuator(None, 100.0, -5.0, 5.0).follow(
+        np.array([0.0, 8.0, 8.0, 8.0, 8.0, 8.0]), 0.02, 0.01
+    )
     np.testing.assert_allclose(out, [0.0, 1.0, 3.0, 5.0, 5.0, 5.0])
 
 
@@ -134,7 +183,9 @@ def test_positions_half_way_between_rows():
     rows, middle = servo.follow_finely(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
     np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
-    rows, middle = servo.follow_finely(commands, 0.03, 0.01)  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
+    rows, middle = servo.follow_finely(
+        commands, 0.03, 0.01
+    )  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
     np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])
     np.testing.assert_allclose(middle, [0.0, 2.5, 5.0])
 
@@ -175,14 +226,22 @@ def test_table_and_its_figures():
 
 @pytest.fixture(scope="module")
 def gusty(tmp_path_factory):
-    return read_data(fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0], "synthetic_stall")
+    return read_data(
+        fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0],
+        "synthetic_stall",
+    )
 
 
 @pytest.mark.slow
 def test_roll_parameters_in_turbulence(gusty):
     # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard errors off.
     rolls = [k for k, u in enumerate(gusty.u) if np.ptp(u[:, 1]) > 10.0]
-    data = Data(*([part[k] for k in rolls] for part in (gusty.x0, gusty.u, gusty.u_middle, gusty.z, gusty.t)))
+    data = Data(
+        *(
+            [part[k] for k in rolls]
+            for part in (gusty.x0, gusty.u, gusty.u_middle, gusty.z, gusty.t)
+        )
+    )
     free = ("Cl_0", "Cl_p", "Cl_da")
     start = {**stall_model.TABLE_2_4, "Cl_p": -0.2, "Cl_da": 0.002}
     fit = identify(CASES[0], data, start, free)
@@ -206,7 +265,9 @@ def test_simplified_model_of_table_2_4_is_closer_than_the_published_one(tmp_path
 def test_coverage_through_jsbsim_counts_what_has_no_estimate():
     table = pd.DataFrame({"z": [0.1, -1.9, 2.1, np.nan], "method": "filter error"})
     assert covered(table) == 0.5
-    assert said(table) == "50 % of 4 intervals hold the truth, rms of error / std 1.64 (filter error)"
+    assert (
+        said(table) == "50 % of 4 intervals hold the truth, rms of error / std 1.64 (filter error)"
+    )
 
 
 @pytest.mark.slow

@@ -17,8 +17,15 @@ def test_limits_keep_their_level(truth):
 
 def test_limits_that_take_too_little_into_account_do_not():
     """The check says no to a limit per scheduled hour, and to one that takes clusters for single excursions."""
-    aborted, clustered = "every flight but one in ten aborted", "clusters at the carried limit of 4, rare"
-    by_name = {truth.name: measured(truth, REPEATS) for truth in TRUTHS if truth.name in (aborted, clustered)}
+    aborted, clustered = (
+        "every flight but one in ten aborted",
+        "clusters at the carried limit of 4, rare",
+    )
+    by_name = {
+        truth.name: measured(truth, REPEATS)
+        for truth in TRUTHS
+        if truth.name in (aborted, clustered)
+    }
     assert by_name[aborted].as_scheduled > 0.9
     assert by_name[clustered].unclustered > 5.0 * ERROR
 

@@ -9,7 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaigns.levels.answers import ASKED_M, NEAR_M, REACH, TRUTHS, Level, flown, kept, main, measured
+from campaigns.levels.answers import (
+    ASKED_M,
+    NEAR_M,
+    REACH,
+    TRUTHS,
+    Level,
+    flown,
+    kept,
+    main,
+    measured,
+)
 
 COMMITTED = Path(__file__).parents[2] / "campaigns" / "levels" / "answers.csv"
 
@@ -23,10 +33,16 @@ def test_flights_have_the_rates_they_are_said_to_have():
     truth = replace(named("clusters of 4 and aborted flights"), flights=1_000_000, abort=0.3)
     frame = flown(truth, np.random.default_rng(1))
     frame["lost"] = 1.0 * (frame["status"] != "ok")
-    sums = frame.groupby("epistemic_id")[[f"excursions_{ASKED_M:g}m", f"excursions_{NEAR_M:g}m", "lost", "duration_s"]].sum()
+    sums = frame.groupby("epistemic_id")[
+        [f"excursions_{ASKED_M:g}m", f"excursions_{NEAR_M:g}m", "lost", "duration_s"]
+    ].sum()
     hours = sums["duration_s"] / 3600.0
-    assert (sums[f"excursions_{ASKED_M:g}m"] / hours).tolist() == pytest.approx([truth.rate * share for share in REACH], rel=0.05)
-    assert (sums[f"excursions_{NEAR_M:g}m"] / hours).tolist() == pytest.approx([truth.near_per_h] * 4, rel=0.05)
+    assert (sums[f"excursions_{ASKED_M:g}m"] / hours).tolist() == pytest.approx(
+        [truth.rate * share for share in REACH], rel=0.05
+    )
+    assert (sums[f"excursions_{NEAR_M:g}m"] / hours).tolist() == pytest.approx(
+        [truth.near_per_h] * 4, rel=0.05
+    )
     assert (sums["lost"] / hours).tolist() == pytest.approx([truth.loss_per_h] * 4, rel=0.02)
     worst = frame[frame["epistemic_id"] == "3"]
     share = ((worst[f"excursions_{ASKED_M:g}m"] > 0) | (worst["lost"] > 0)).mean()

@@ -22,7 +22,11 @@ OTHERWISE = {"CX": 9.0, "CY": 0.2, "CZ": 0.2, "Cl": 0.2, "Cm": 0.2, "Cn": 0.2}
 def linear(effects):
     def change(flight) -> float:
         air = float(np.random.default_rng(flight.seed_turbulence).normal())
-        return 40.0 + air + sum(effects[name] * flight.properties[f"uq/{name}/level"] for name in COEFFICIENTS)
+        return (
+            40.0
+            + air
+            + sum(effects[name] * flight.properties[f"uq/{name}/level"] for name in COEFFICIENTS)
+        )
 
     return change
 
@@ -53,7 +57,11 @@ def test_shares_as_printed_overlap_and_others_do_not(folders):
     verdicts = {}
     for name, folder in folders.items():
         frame = pd.read_csv(folder / "shares.csv")
-        verdicts[name] = frame[frame["metric"] == "cross_track_median_m"].set_index("coefficient")["beside"].to_dict()
+        verdicts[name] = (
+            frame[frame["metric"] == "cross_track_median_m"]
+            .set_index("coefficient")["beside"]
+            .to_dict()
+        )
     assert set(verdicts["printed"].values()) == {"overlaps"}
     assert verdicts["otherwise"]["CX"] == "above"
     assert verdicts["otherwise"]["Cn"] == verdicts["otherwise"]["CY"] == "below"
@@ -64,9 +72,14 @@ def test_the_pbox_has_its_quantiles_and_the_picture_its_charts(folders):
     middle = frame[(frame["metric"] == "speed_median_mps") & (frame["probability"] == 0.5)].iloc[0]
     assert middle["worst"] - middle["best"] == pytest.approx(10.0, abs=0.5)
     # CX moves less than the grid's half a per cent.
-    assert (f"{middle['best_corner']:06d}"[1:], f"{middle['worst_corner']:06d}"[1:]) == ("00000", "11111")
+    assert (f"{middle['best_corner']:06d}"[1:], f"{middle['worst_corner']:06d}"[1:]) == (
+        "00000",
+        "11111",
+    )
     assert middle["hours_per_corner"] == 25
-    assert (folders["printed"] / "pboxes.svg").read_text().count('class="label"') == 2 * len(METRICS)
+    assert (folders["printed"] / "pboxes.svg").read_text().count('class="label"') == 2 * len(
+        METRICS
+    )
 
 
 def test_the_print_is_as_in_the_table_and_ranges_are_compared_by_their_limits():

@@ -35,7 +35,10 @@ MEANS = dict(NOMINAL) | {name: mean for name, (mean, _) in ALEATORY.items()}
 
 
 def arrays(**changes):
-    return {name: np.atleast_1d(np.asarray(value, dtype=float)) for name, value in (MEANS | changes).items()}
+    return {
+        name: np.atleast_1d(np.asarray(value, dtype=float))
+        for name, value in (MEANS | changes).items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +50,9 @@ def test_trim_holds_the_weight_and_the_moment():
     alpha, elevator = trim(arrays())
     CZ = NOMINAL["CZ_0"] + NOMINAL["CZ_alpha"] * alpha + NOMINAL["CZ_de"] * elevator
     assert (CZ * 245.0 * 1.97).item() == pytest.approx(-21.34 * 9.81)
-    assert NOMINAL["Cm_0"] + NOMINAL["Cm_alpha"] * alpha + NOMINAL["Cm_de"] * elevator == pytest.approx(0.0, abs=1e-15)
+    assert NOMINAL["Cm_0"] + NOMINAL["Cm_alpha"] * alpha + NOMINAL[
+        "Cm_de"
+    ] * elevator == pytest.approx(0.0, abs=1e-15)
     assert np.degrees(alpha) == pytest.approx(1.85, abs=0.01)
 
 
@@ -56,20 +61,28 @@ def test_modes_by_iteration_are_those_by_eigenvalues():
     changes = {name: value * rng.uniform(0.5, 1.5, 400) for name, value in MEANS.items()}
     for reading in ("as_corrected", "as_published"):
         matrix = system_matrix(reading, arrays(**changes))
-        assert np.allclose(modes_of(matrix), longitudinal_modes(matrix.dense()), rtol=1e-9, equal_nan=True)
+        assert np.allclose(
+            modes_of(matrix), longitudinal_modes(matrix.dense()), rtol=1e-9, equal_nan=True
+        )
 
 
 def test_modes_that_lie_close_together_or_have_split_still_come_out():
     one = np.ones(1)
     # Stiffness of the wrong sign: the short period splits into real roots, one unstable, and has no frequency.
-    matrix = SystemMatrix(-0.1 * one, 0.4 * one, -1.0 * one, -4.0 * one, 20.0, 3.0 * one, -5.0 * one)
+    matrix = SystemMatrix(
+        -0.1 * one, 0.4 * one, -1.0 * one, -4.0 * one, 20.0, 3.0 * one, -5.0 * one
+    )
     found = np.array(modes_of(matrix)).ravel()
-    assert np.allclose(found, np.array(longitudinal_modes(matrix.dense())).ravel(), rtol=1e-6, equal_nan=True)
+    assert np.allclose(
+        found, np.array(longitudinal_modes(matrix.dense())).ravel(), rtol=1e-6, equal_nan=True
+    )
     assert np.isnan(found).any()
 
 
 def test_corrected_reading_agrees_with_an_independent_linearisation_of_the_same_aeroplane():
-    zeta_phugoid, wn_phugoid, zeta, wn = (float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays())))
+    zeta_phugoid, wn_phugoid, zeta, wn = (
+        float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays()))
+    )
     # Six-degree-of-freedom linearisation, thrust held: -4.728 +- 3.786i, -0.0449 +- 0.4418i; the chapter's model drops small terms.
     assert (zeta, wn) == pytest.approx((0.781, 6.06), rel=0.005)
     assert wn_phugoid == pytest.approx(0.444, rel=0.01)
@@ -107,7 +120,9 @@ def test_the_comparison_says_no_to_the_other_reading():
 
 def test_the_correction_moves_the_share_of_cz_0(as_published):
     study = run_modal_study("as_corrected", samples=16, draws=10)
-    corrected = analyse(study, ("proposed",), intervals=False)["phugoid_damping"]["proposed"].indices["CZ_0"]
+    corrected = analyse(study, ("proposed",), intervals=False)["phugoid_damping"][
+        "proposed"
+    ].indices["CZ_0"]
     printed = as_published["phugoid_damping"]["proposed"].indices["CZ_0"]
     assert 0.3 < printed.minimum.value < printed.maximum.value < 0.4
     assert 0.02 < corrected.minimum.value < corrected.maximum.value < 0.08
@@ -174,7 +189,11 @@ def test_jsbsim_modes_agree_with_the_full_linearisation(espaaro):
     full = find_trim(espaaro, SteadyCondition(20.0, properties=properties))
     by_name = {mode.name: mode for mode in modes(linearise(espaaro, full))}
     found = outputs_of(nominal_trim(espaaro), {"Cm_q": -13.0, "CX_0": -0.04})
-    expected = [by_name["phugoid"].zeta, by_name["short_period"].zeta, by_name["short_period"].wn_radps]
+    expected = [
+        by_name["phugoid"].zeta,
+        by_name["short_period"].zeta,
+        by_name["short_period"].wn_radps,
+    ]
     assert found == pytest.approx(expected, rel=2e-4)
 
 

@@ -29,11 +29,17 @@ CASES = {c.name: c for c in FLIGHTS.CASES}
 @pytest.fixture(scope="module")
 def answers() -> list[dict[str, Any]]:
     """A seed of the truth and of the model itself in still air."""
-    return [JUDGE.run_seed(CASES[name], 3, picture=name == "truth-calm") for name in ("nominal-calm", "truth-calm")]
+    return [
+        JUDGE.run_seed(CASES[name], 3, picture=name == "truth-calm")
+        for name in ("nominal-calm", "truth-calm")
+    ]
 
 
 def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
-    nominal, truth = (FLIGHTS.quiet_flight(CASES[name], FLIGHTS.BOUNDS, 0) for name in ("nominal-calm", "truth-calm"))
+    nominal, truth = (
+        FLIGHTS.quiet_flight(CASES[name], FLIGHTS.BOUNDS, 0)
+        for name in ("nominal-calm", "truth-calm")
+    )
     assert not nominal.true.delta.any()
     states, delta = truth.true.states, truth.true.delta
     # CX_q 1.5 times q c/2V, by hand.
@@ -42,7 +48,9 @@ def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
     calm = states["alpha_rad"] < np.radians(3.0)
     left = delta[calm, 0] - expected[calm]
     assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean(expected[calm] ** 2))
-    assert np.sqrt(np.mean((left - expected[calm]) ** 2)) > 0.5 * np.sqrt(np.mean(expected[calm] ** 2))
+    assert np.sqrt(np.mean((left - expected[calm]) ** 2)) > 0.5 * np.sqrt(
+        np.mean(expected[calm] ** 2)
+    )
     # CY and Cn lack nothing but what two orders of a sum differ by.
     assert np.abs(delta[:, [1, 5]]).max() < 1e-12
 
@@ -56,26 +64,41 @@ def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
     quick = noisy.exactly()
     std, model = FLIGHTS.table_noise(), find_aircraft(FLIGHTS.MODEL)
     channels = {c: quiet.record[c] for c in std if c in quiet.record}
-    record = quiet.record.with_columns(FLIGHTS.with_noise(channels, std, np.random.default_rng((3, 2, 0))))
+    record = quiet.record.with_columns(
+        FLIGHTS.with_noise(channels, std, np.random.default_rng((3, 2, 0)))
+    )
     flight = FLIGHTS.recut(FLIGHTS.prepare("noisy", record, quiet.measured), quiet.measured)
     with prediction_of(model, quiet.measured) as pair:
-        full = with_sensor_noise(noisy.residuals, flight.record, flight.pieces, pair.of(flight), model.accelerometer_m, std)
+        full = with_sensor_noise(
+            noisy.residuals,
+            flight.record,
+            flight.pieces,
+            pair.of(flight),
+            model.accelerometer_m,
+            std,
+        )
     ours, theirs = (fit_bounds(r) for r in (quick, full))
     for c in COEFFICIENTS:
-        widths = [np.mean(JUDGE.whole_interval(f[c].bounds, quiet.true.states)[1]) for f in (ours, theirs)]
+        widths = [
+            np.mean(JUDGE.whole_interval(f[c].bounds, quiet.true.states)[1]) for f in (ours, theirs)
+        ]
         assert widths[0] == pytest.approx(widths[1], rel=0.05)
 
 
 def test_noise_is_added_where_it_should_be():
     quiet = FLIGHTS.quiet_flight(CASES["nominal-calm"], FLIGHTS.BOUNDS, 0)
     with FLIGHTS.model_pair(quiet.measured) as pair:
-        one, same, other = (FLIGHTS.noisy_twin(quiet, pair, (k, 0, 0), (1.0, 2.0)) for k in (1, 1, 2))
+        one, same, other = (
+            FLIGHTS.noisy_twin(quiet, pair, (k, 0, 0), (1.0, 2.0)) for k in (1, 1, 2)
+        )
     assert np.array_equal(one.residuals.delta, same.residuals.delta)
     assert not np.array_equal(one.residuals.delta, other.residuals.delta)
     # What is added is what the gains say of it.
     for k in range(6):
         measured = np.std(one.residuals.delta[:, k])
-        stated = np.sqrt(np.mean(np.concatenate([noise_variance(p.noise)[:, k] for p in one.exactly().pieces])))
+        stated = np.sqrt(
+            np.mean(np.concatenate([noise_variance(p.noise)[:, k] for p in one.exactly().pieces]))
+        )
         assert measured == pytest.approx(stated, rel=0.2)  # one draw, behind a slow filter
     found = one.sizes[1.0]
     assert found["p_radps"].std == pytest.approx(0.00349, rel=0.1)
@@ -92,7 +115,10 @@ def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
     assert not parts.loc["nominal-calm"]["found"].any()
     assert parts.loc["truth-calm"].loc[["CX", "CZ", "Cl", "Cm"], "found"].all()
     # Far below what the dissertation's interval holds, noise and all.
-    assert (parts.loc["nominal-calm"]["persistent_width"] < 0.2 * parts.loc["nominal-calm"]["published_width"]).all()
+    assert (
+        parts.loc["nominal-calm"]["persistent_width"]
+        < 0.2 * parts.loc["nominal-calm"]["published_width"]
+    ).all()
 
 
 @pytest.mark.slow
@@ -105,9 +131,16 @@ def test_tables_verdicts_and_pictures_say_so(answers, tmp_path):
     assert any("CY at 27 m/s: 90.0 %" in line for line in bad)
     wide = rows.assign(width=np.where(rows["way"] == "default", 2.0, 1.0))
     assert any("2.00 times as wide" in line for line in TABLES.verdict(wide, fits))
-    assert any("a model error of CZ" in line for line in TABLES.verdict(rows, fits.assign(found=False)))
-    assert any("that is not there" in line for line in TABLES.verdict(rows, fits.assign(found=True)))
-    good = TABLES.verdict(rows.assign(inside=0.95, width=1.0, third=0.95), fits.assign(found=fits["case"] == "truth-calm"))
+    assert any(
+        "a model error of CZ" in line for line in TABLES.verdict(rows, fits.assign(found=False))
+    )
+    assert any(
+        "that is not there" in line for line in TABLES.verdict(rows, fits.assign(found=True))
+    )
+    good = TABLES.verdict(
+        rows.assign(inside=0.95, width=1.0, third=0.95),
+        fits.assign(found=fits["case"] == "truth-calm"),
+    )
     assert good == []
     paths = STUDY.write_pictures([a for a in answers if "histories" in a], tmp_path)
     assert [p.stem for p in paths] == list(COEFFICIENTS)
@@ -145,8 +178,13 @@ def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypa
     levels = {"truth": [2.0], "by-parts": [1.9, 2.1], "as-published": [0.5, 4.5]}
 
     def flown(folder, aircraft, epistemic, settings):
-        assert (folder / "model-form.json").exists() == (aircraft == "espaaro" and "corners" in epistemic)
-        return [PBOX.Sample(str(k), centre + np.linspace(-0.01, 0.01, 8)) for k, centre in enumerate(levels[folder.name])]
+        assert (folder / "model-form.json").exists() == (
+            aircraft == "espaaro" and "corners" in epistemic
+        )
+        return [
+            PBOX.Sample(str(k), centre + np.linspace(-0.01, 0.01, 8))
+            for k, centre in enumerate(levels[folder.name])
+        ]
 
     monkeypatch.setattr(PBOX, "_flown", flown)
     command = ["--out", str(tmp_path), "--seeds", "1", "--cases", "nominal-calm"]
@@ -168,7 +206,12 @@ def test_forty_seeds(tmp_path):
 
 def test_refinements_that_narrow_are_counted_and_too_few_fail(tmp_path, monkeypatch):
     def ran(seed):
-        return {"seed": seed, "verdict": "effects-found", "effects": [], "widths": {"cross_track_median_m": [0.5, after[seed]]}}
+        return {
+            "seed": seed,
+            "verdict": "effects-found",
+            "effects": [],
+            "widths": {"cross_track_median_m": [0.5, after[seed]]},
+        }
 
     monkeypatch.setattr(REFINED, "run_seed", ran)
     after = {1: 0.2, 2: 0.3}

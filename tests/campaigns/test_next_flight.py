@@ -49,20 +49,35 @@ def made_up() -> pd.DataFrame:
         "old_achieved": 0.8,
         "at_most": 0.4,
     }
-    parts = {f"{what}_parameter": 0.4 * widths[what] for what in ("now", "predicted", "achieved", "old_predicted", "old_achieved")}
+    parts = {
+        f"{what}_parameter": 0.4 * widths[what]
+        for what in ("now", "predicted", "achieved", "old_predicted", "old_achieved")
+    }
     coefficients = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
     return pd.DataFrame(
-        {"case": "made up", "seed": 2, "for": "CY", "coefficient": coefficients, "seconds": 75.0, **widths, **parts}
+        {
+            "case": "made up",
+            "seed": 2,
+            "for": "CY",
+            "coefficient": coefficients,
+            "seconds": 75.0,
+            **widths,
+            **parts,
+        }
     )
 
 
 def test_the_verdict_says_no_where_a_prediction_is_off():
     rows = made_up()
-    seeds = pd.concat([rows.assign(seed=k, achieved=rows["predicted"] * (1.0 + 0.01 * k)) for k in range(3)])
+    seeds = pd.concat(
+        [rows.assign(seed=k, achieved=rows["predicted"] * (1.0 + 0.01 * k)) for k in range(3)]
+    )
     seeds["achieved_parameter"] = seeds["predicted_parameter"]
     assert verdict(narrowings(seeds)) == []
     assert "| CY |" in tables(seeds)
-    off = seeds.assign(achieved_parameter=0.5 * (seeds["now_parameter"] + seeds["predicted_parameter"]))
+    off = seeds.assign(
+        achieved_parameter=0.5 * (seeds["now_parameter"] + seeds["predicted_parameter"])
+    )
     assert any("parameter part is 2.00" in line for line in verdict(narrowings(off)))
     wide = seeds.assign(achieved=0.5 * (seeds["now"] + seeds["achieved"]))
     assert any("of the width" in line for line in verdict(narrowings(wide)))

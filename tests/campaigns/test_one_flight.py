@@ -16,7 +16,11 @@ def flight_with(spread):
 
     def fly(spec):
         true = np.random.default_rng(3).normal(0.0, spread, 40_000)
-        signals = {f"{name}{suffix}": factor * true for name in SIGNALS for suffix, factor in (("", 1.0), ("_measured", 2.0))}
+        signals = {
+            f"{name}{suffix}": factor * true
+            for name in SIGNALS
+            for suffix, factor in (("", 1.0), ("_measured", 2.0))
+        }
         return FlightResult("ok", "", spec.duration_s, {}, {}, signals)
 
     return fly

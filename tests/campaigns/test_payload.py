@@ -26,7 +26,11 @@ def by_mass(slope_per_kg):
         value = 5.0 + 0.1 * float(draw.normal()) + slope_per_kg * payload_kg
         # What the mass does besides to this flight.
         scatter = 0.02 * float(draw.normal()) if PROPERTY in flight.properties else 0.0
-        return value + scatter + 0.3 * sum(flight.properties[f"uq/{name}/level"] for name in COEFFICIENTS)
+        return (
+            value
+            + scatter
+            + 0.3 * sum(flight.properties[f"uq/{name}/level"] for name in COEFFICIENTS)
+        )
 
     return change
 
@@ -34,7 +38,9 @@ def by_mass(slope_per_kg):
 @pytest.fixture(scope="module")
 def constant(tmp_path_factory):
     other = constant_plan()
-    return flown(other, tmp_path_factory.mktemp("constant"), by_mass(0.0), list(other.only(["severe-3"]))[:1])
+    return flown(
+        other, tmp_path_factory.mktemp("constant"), by_mass(0.0), list(other.only(["severe-3"]))[:1]
+    )
 
 
 @pytest.mark.parametrize("slope", [0.12, pytest.param(0.0, marks=pytest.mark.slow)])
@@ -52,7 +58,9 @@ def test_the_slope_is_found_where_there_is_one(constant, tmp_path, slope):
 
 
 def test_a_slope_needs_three_airs():
-    two = pd.DataFrame({"epistemic_id": ["a", "a"], "aleatory_id": [0, 1], "m": [1.0, 2.0], MASS: [1.4, 1.5]})
+    two = pd.DataFrame(
+        {"epistemic_id": ["a", "a"], "aleatory_id": [0, 1], "m": [1.0, 2.0], MASS: [1.4, 1.5]}
+    )
     with pytest.raises(BadInputError, match="needs three at least"):
         effect(two, two.drop(columns=MASS), "m", 1.46)
 
@@ -62,7 +70,11 @@ def test_flights_with_and_without_payload_differ_by_it_alone():
     first = [p.cases(next(iter(p.only(["severe-3"]))))[5] for p in (ours, theirs)]
     assert first[0].flight.properties.keys() - first[1].flight.properties.keys() == {PROPERTY}
     assert replace(first[0].flight, properties=first[1].flight.properties) == first[1].flight
-    masses = [SLUG_KG * case.inputs[MASS] for shard in list(ours.shards())[:1] for case in ours.cases(shard)]
+    masses = [
+        SLUG_KG * case.inputs[MASS]
+        for shard in list(ours.shards())[:1]
+        for case in ours.cases(shard)
+    ]
     assert min(masses) > 0.9 * 21.33
     assert max(masses) < 1.1 * 21.35
     assert len(set(masses)) == 25

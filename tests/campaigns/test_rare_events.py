@@ -161,7 +161,9 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert (alike.plain_hit, alike.plain_flights) == (110, 1000)
     assert alike.plain.lower == pytest.approx(0.0913, abs=1e-3)
     assert alike.plain_per_h.estimate == pytest.approx(0.26)
-    assert alike.plain_per_h.upper / 0.26 == pytest.approx(math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4)
+    assert alike.plain_per_h.upper / 0.26 == pytest.approx(
+        math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4
+    )
     assert alike.observations == 8
     assert alike.compared == 1
     known = [one.probability[0] for one in split]
@@ -173,11 +175,17 @@ def test_rates_agree_with_plain_flights_or_do_not():
     (few,) = rates([15.0], 0.5, split, [counted(0.0, 0.0, 1000, 0.0)])
     assert few.agree is False, "no excursion at all where a hundred are due"
     (rare,) = rates(
-        [15.0], 0.5, [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)], [counted(0.003, 0.003, 1000, 0.003)]
+        [15.0],
+        0.5,
+        [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)],
+        [counted(0.003, 0.003, 1000, 0.003)],
     )
     assert rare.agree is False, "three where a fifth of one is due"
     (alone,) = rates(
-        [15.0], 0.5, [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)], [counted(0.001, 0.001, 1000, 0.001)]
+        [15.0],
+        0.5,
+        [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)],
+        [counted(0.001, 0.001, 1000, 0.001)],
     )
     assert alone.agree is True
     (without,) = rates([15.0], 0.5, split, [])
@@ -194,7 +202,11 @@ def test_paths_of_many_roots_are_chosen_first():
         return Hit(root, kind, frame, 9.0, (Split(1, 1, root, 1, frame),) * splits)
 
     hits = [hit(1, 1, 5), hit(1, 1, 6), hit(2, 0, 7), hit(3, 1, 8, 0)]
-    assert [(one.aleatory_id, one.frame) for one in chosen_hits(hits, 3)] == [(1, 5), (2, 7), (1, 6)]
+    assert [(one.aleatory_id, one.frame) for one in chosen_hits(hits, 3)] == [
+        (1, 5),
+        (2, 7),
+        (1, 6),
+    ]
 
 
 def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
@@ -212,7 +224,9 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
     tuned = short.tune()
     assert tuned.predicted.radius_m == 8.0
     assert tuned.plain_h == pytest.approx(24 * 40.0 / 3600.0)
-    assert list(tuned.predicted.sigmas[:3]) == sorted(tuned.predicted.sigmas[:3]), "the farther ahead the less is known"
+    assert list(tuned.predicted.sigmas[:3]) == sorted(tuned.predicted.sigmas[:3]), (
+        "the farther ahead the less is known"
+    )
     assert tuned.predicted.sigmas[0] < 0.5
     assert list(tuned.levels.scores) == sorted(tuned.levels.scores)
     assert tuned.levels.scores[-1] <= TOP
@@ -226,7 +240,10 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
 def test_states_are_turned_into_the_axes_of_the_circle():
     """East of the centre, flying and blown south: along the circle, not outward."""
     values = {name: np.zeros(1) for name in PROPERTIES}
-    values |= {"nav/east-m": np.array([CENTRE_EAST_M + 100.0]), "velocities/v-north-fps": np.array([-1.0 / FT_M])}
+    values |= {
+        "nav/east-m": np.array([CENTRE_EAST_M + 100.0]),
+        "velocities/v-north-fps": np.array([-1.0 / FT_M]),
+    }
     found = dict(zip(NAMES, regressors(values, np.array([3.0]))[0], strict=True))
     assert found["distance"] == 3.0
     assert found["distance x sine"] == 3.0
@@ -266,7 +283,11 @@ def wrong_in(row: Mapping[str, str]) -> list[str]:
     """Columns of a row of coverage.csv that are not what its means, and the plain flights, say."""
     one = interval([number(row[f"mean_{place}"]) for place in range(coverage.OBSERVATIONS)])
     kept = {name: number(row[name]) for name in ("estimate", "lower", "upper")}
-    found = [name for name, value in kept.items() if value != pytest.approx(getattr(one, name), rel=1e-6, nan_ok=True)]
+    found = [
+        name
+        for name, value in kept.items()
+        if value != pytest.approx(getattr(one, name), rel=1e-6, nan_ok=True)
+    ]
     held = kept["lower"] <= int(row["plain_hit"]) / int(row["plain_flights"]) <= kept["upper"]
     return found + (["held"] if row["held"] != ("yes" if held else "no") else [])
 
@@ -283,7 +304,10 @@ def test_the_committed_intervals_hold_the_rate_of_plain_flights_nine_times_in_te
 def test_means_of_fewer_flights_often_have_no_limits():
     found = rows_of(reproduce.HOME / coverage.table_name(4))
     assert [name for row in found for name in wrong_in(row)] == []
-    assert (sum(row["lower"] == "" for row in found), sum(row["held"] == "yes" for row in found)) == (33, 65)
+    assert (
+        sum(row["lower"] == "" for row in found),
+        sum(row["held"] == "yes" for row in found),
+    ) == (33, 65)
 
 
 def test_a_row_that_was_changed_is_seen():
@@ -291,13 +315,21 @@ def test_a_row_that_was_changed_is_seen():
     assert wrong_in(row) == []
     assert wrong_in({**row, "held": "no" if row["held"] == "yes" else "yes"}) == ["held"]
     assert "upper" in wrong_in({**row, "upper": str(1.01 * float(row["upper"]))})
-    assert wrong_in({**row, "mean_3": str(2.0 * float(row["mean_3"]))}) == ["estimate", "lower", "upper"]
+    assert wrong_in({**row, "mean_3": str(2.0 * float(row["mean_3"]))}) == [
+        "estimate",
+        "lower",
+        "upper",
+    ]
 
 
 def test_the_committed_intervals_hold_what_quadrature_gives():
     truth = closed_form.exact(closed_form.STEPS, closed_form.THRESHOLD, closed_form.REARM)
     found = rows_of(reproduce.HOME / closed_form.TABLE)
-    held = {(paths, name): 0 for paths in {row["paths"] for row in found} for name in ("probability", "events")}
+    held = {
+        (paths, name): 0
+        for paths in {row["paths"] for row in found}
+        for name in ("probability", "events")
+    }
     for row in found:
         for name, true in zip(("probability", "events"), truth, strict=True):
             assert number(row[f"{name}_true"]) == pytest.approx(true, rel=1e-6)
@@ -311,10 +343,16 @@ def test_the_committed_intervals_hold_what_quadrature_gives():
 
 def test_repeats_of_the_closed_form_are_kept_with_their_limits():
     known, none = interval([0.003, 0.004, 0.005]), interval([0.0, 0.004, 0.005])
-    found = closed_form.Coverage((closed_form.Repeat(known, known), closed_form.Repeat(none, known)), (0.004, 0.05))
+    found = closed_form.Coverage(
+        (closed_form.Repeat(known, known), closed_form.Repeat(none, known)), (0.004, 0.05)
+    )
     assert (found.repeats, found.probability, found.events) == (2, 1, 0)
     assert found.ratio == pytest.approx((0.004 + 0.003) / 2 / 0.004)
     first, second = found.rows("splitting")
-    assert (first["probability_held"], first["events_held"], second["probability_held"]) == ("yes", "no", "no")
+    assert (first["probability_held"], first["events_held"], second["probability_held"]) == (
+        "yes",
+        "no",
+        "no",
+    )
     assert second["probability_lower"] == ""
     assert number(first["probability_upper"]) == pytest.approx(known.upper)

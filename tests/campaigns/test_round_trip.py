@@ -15,7 +15,9 @@ def test_short_round_trip_says_which_form_is_right(tmp_path):
     right, _, no_damping = FORMS
     free = ["aero/Cm_0", "aero/Cm_alpha", "aero/Cm_q", "aero/Cm_de"]
     # Not DataFlash: half a microsecond of aileron rolls the aircraft 0.002 rad/s, which one short manoeuvre shows.
-    trips = run(tmp_path, 1, (right, no_damping), free, workers=1, duration_s=12.0, suffix=".parquet")
+    trips = run(
+        tmp_path, 1, (right, no_damping), free, workers=1, duration_s=12.0, suffix=".parquet"
+    )
     assert [t.gap.reached for t in trips] == [True, False]
     assert says_which(trips)
     assert not says_which([trips[1], trips[0].__class__(no_damping, trips[0].fit, trips[0].gap)])
@@ -23,7 +25,9 @@ def test_short_round_trip_says_which_form_is_right(tmp_path):
     assert set(trips[1].fit.names) == set(free) - {"aero/Cm_q"}
     # What was flown again is the XML that was written.
     fdm = open_aircraft(find_aircraft(tmp_path / "right"))
-    assert fdm["aero/Cm_de"] == pytest.approx(trips[0].fit.theta[trips[0].fit.names.index("aero/Cm_de")], rel=1e-4)
+    assert fdm["aero/Cm_de"] == pytest.approx(
+        trips[0].fit.theta[trips[0].fit.names.index("aero/Cm_de")], rel=1e-4
+    )
     text = (tmp_path / "round-trip.md").read_text()
     assert text == markdown(trips)
     assert "| SLM |" in text

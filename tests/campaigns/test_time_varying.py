@@ -20,7 +20,9 @@ from uqharness.statistics.pbox import Sample, containment, envelope, pbox
 _SCRIPT = campaign_script("time-varying")
 main = _SCRIPT.main
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -80,7 +82,9 @@ def gentle(spec):
     draw = np.random.default_rng([spec.seed_turbulence, spec.seed_noise])
     level = spec.properties.get("uq/CX/level", 0.5)
     metrics = {name: (1.0 + 9.0 * level) * float(draw.gamma(4.0)) for name in fakes.ERROR_METRICS}
-    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics | {"loss_of_control": 0.0}, {}, {})
+    return FlightResult(
+        "ok", "", spec.burn_in_s + spec.duration_s, metrics | {"loss_of_control": 0.0}, {}, {}
+    )
 
 
 CX_ALONE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 60") + (
@@ -120,7 +124,10 @@ def test_unlike_campaigns_are_not_compared(folders, capsys):
     other = CX_ALONE.replace("duration_s = 150", "duration_s = 90").replace("seed = 7", "seed = 8")
     spec = read_campaign(fakes.campaign_file(folders, other))
     run_campaign(spec, folders / "other", executor=SerialExecutor(), fly=gentle)
-    assert main([str(folders / "corners"), str(folders / "other"), "--out", str(folders / "study")]) == 2
+    assert (
+        main([str(folders / "corners"), str(folders / "other"), "--out", str(folders / "study")])
+        == 2
+    )
     message = capsys.readouterr().err
     assert "[aleatory] duration_s (150.0 and 90.0)" in message
     assert "[campaign] seed (7 and 8)" in message
@@ -128,7 +135,10 @@ def test_unlike_campaigns_are_not_compared(folders, capsys):
 
 
 def test_the_committed_campaigns_fly_the_same_air():
-    read = [read_campaign(PROJECT_ROOT / "campaigns" / "time-varying" / f"{name}.toml") for name in ("walks", "corners")]
+    read = [
+        read_campaign(PROJECT_ROOT / "campaigns" / "time-varying" / f"{name}.toml")
+        for name in ("walks", "corners")
+    ]
     assert read[0].aleatory == read[1].aleatory
     assert read[0].campaign == read[1].campaign
     assert read[0].epistemic.bounds == read[1].epistemic.bounds

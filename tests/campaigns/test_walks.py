@@ -34,10 +34,14 @@ def between(spread):
 @pytest.fixture(scope="module")
 def corners(tmp_path_factory):
     plan = corners_plan()
-    return flown(plan, tmp_path_factory.mktemp("corners"), between(1.0), list(plan.only(["severe-3"]))[:1])
+    return flown(
+        plan, tmp_path_factory.mktemp("corners"), between(1.0), list(plan.only(["severe-3"]))[:1]
+    )
 
 
-@pytest.mark.parametrize(("spread", "verdict", "area"), [(0.5, "inside", 0.5), (1.5, "outside", 1.5)])
+@pytest.mark.parametrize(
+    ("spread", "verdict", "area"), [(0.5, "inside", 0.5), (1.5, "outside", 1.5)]
+)
 def test_walks_within_the_corners_and_beyond(corners, tmp_path, spread, verdict, area):
     told = STUDY.tables(PLAN, flown(PLAN, tmp_path / "shards", between(spread)), tmp_path, corners)
     frame = pd.read_csv(tmp_path / "containment.csv").set_index("metric")
@@ -56,7 +60,9 @@ def test_walks_within_the_corners_and_beyond(corners, tmp_path, spread, verdict,
 def test_walks_fly_the_air_of_the_corners():
     ours, theirs = STUDY.plan(), corners_plan()
     shards = [next(iter(plan.only(["severe-3"]))) for plan in (ours, theirs)]
-    first = [plan.cases(shard)[0].flight for plan, shard in zip((ours, theirs), shards, strict=True)]
+    first = [
+        plan.cases(shard)[0].flight for plan, shard in zip((ours, theirs), shards, strict=True)
+    ]
     assert first[0].seed_turbulence == first[1].seed_turbulence
     assert first[0].seed_noise == first[1].seed_noise
     assert ours.spec.epistemic.bounds == theirs.spec.epistemic.bounds
@@ -64,7 +70,9 @@ def test_walks_fly_the_air_of_the_corners():
 
 
 def test_a_round_that_is_not_complete_is_left_out():
-    walks = pd.DataFrame({"epistemic_id": ["a", "b", "a", "b", "a"], "aleatory_id": [0, 0, 1, 1, 2]})
+    walks = pd.DataFrame(
+        {"epistemic_id": ["a", "b", "a", "b", "a"], "aleatory_id": [0, 0, 1, 1, 2]}
+    )
     corner = pd.DataFrame({"epistemic_id": ["x"] * 3, "aleatory_id": [1, 2, 3]})
     outer, inner = common_airs(corner, walks)
     assert outer["aleatory_id"].tolist() == [1]

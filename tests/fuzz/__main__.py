@@ -21,17 +21,34 @@ def main(argv: list[str] | None = None) -> int:
     """Run the fuzzer or reproduce one input; the exit code."""
     formats = all_formats()
     parser = argparse.ArgumentParser(
-        prog="python -m tests.fuzz", description="Mutated inputs of every format, each with a judged outcome.",
-        epilog=_EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m tests.fuzz",
+        description="Mutated inputs of every format, each with a judged outcome.",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     amount = parser.add_mutually_exclusive_group()
-    amount.add_argument("--seconds", type=float, metavar="N", help="for so long, formats in turn (default 60)")
+    amount.add_argument(
+        "--seconds", type=float, metavar="N", help="for so long, formats in turn (default 60)"
+    )
     amount.add_argument("--inputs", type=int, metavar="N", help="so many of each format")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="first seed of each format (default 0)")
-    parser.add_argument("--format", action="append", choices=sorted(formats), metavar="F", help="this format alone (repeatable)")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="first seed of each format (default 0)"
+    )
+    parser.add_argument(
+        "--format",
+        action="append",
+        choices=sorted(formats),
+        metavar="F",
+        help="this format alone (repeatable)",
+    )
     parser.add_argument("--list", action="store_true", help="name the formats")
     parser.add_argument("--json", action="store_true", help="machine-readable output")
-    parser.add_argument("--reproduce", nargs=2, metavar=("FORMAT", "SEED"), help="write one input here and show its outcome")
+    parser.add_argument(
+        "--reproduce",
+        nargs=2,
+        metavar=("FORMAT", "SEED"),
+        help="write one input here and show its outcome",
+    )
     args = parser.parse_args(argv)
     if args.list:
         print("\n".join(formats))
@@ -39,7 +56,9 @@ def main(argv: list[str] | None = None) -> int:
     if args.reproduce:
         name, seed = args.reproduce
         if name not in formats or not seed.lstrip("-").isdigit() or int(seed) < SOUND:
-            parser.error(f"--reproduce {name} {seed}: a format (see --list) and a seed from {SOUND} are needed")
+            parser.error(
+                f"--reproduce {name} {seed}: a format (see --list) and a seed from {SOUND} are needed"
+            )
         return _reproduce(name, int(seed))
     if args.seed < 0:
         parser.error(f"--seed {args.seed}: must not be negative")
@@ -48,7 +67,9 @@ def main(argv: list[str] | None = None) -> int:
     if args.inputs is not None:
         wanted = by_number(names, args.seed, args.inputs)
     else:
-        wanted = by_time({n: formats[n].share for n in names}, counts, args.seed, args.seconds or 60.0)
+        wanted = by_time(
+            {n: formats[n].share for n in names}, counts, args.seed, args.seconds or 60.0
+        )
     findings: list[Outcome] = []
 
     def tell(found: Outcome) -> None:
@@ -57,7 +78,14 @@ def main(argv: list[str] | None = None) -> int:
 
     run(wanted, counts, tell)
     if args.json:
-        print(json.dumps({"formats": {n: asdict(c) for n, c in counts.items()}, "findings": [asdict(f) for f in findings]}))
+        print(
+            json.dumps(
+                {
+                    "formats": {n: asdict(c) for n, c in counts.items()},
+                    "findings": [asdict(f) for f in findings],
+                }
+            )
+        )
     else:
         print(table(counts))
     return 1 if findings else 0
@@ -72,9 +100,17 @@ def table(counts: dict[str, Counts]) -> str:
         rows.append(
             f"{name:<22}{c.inputs:>8}{c.results:>9}{c.refusals:>9}{c.findings:>9}{c.slowest_s:>11.2f}{c.largest_MB:>12.0f}  {seeds}"
         )
-    sums = [sum(getattr(c, key) for c in counts.values()) for key in ("inputs", "results", "refusals", "findings")]
-    most = [max((getattr(c, key) for c in counts.values()), default=0.0) for key in ("slowest_s", "largest_MB")]
-    rows.append(f"{'all':<22}{sums[0]:>8}{sums[1]:>9}{sums[2]:>9}{sums[3]:>9}{most[0]:>11.2f}{most[1]:>12.0f}")
+    sums = [
+        sum(getattr(c, key) for c in counts.values())
+        for key in ("inputs", "results", "refusals", "findings")
+    ]
+    most = [
+        max((getattr(c, key) for c in counts.values()), default=0.0)
+        for key in ("slowest_s", "largest_MB")
+    ]
+    rows.append(
+        f"{'all':<22}{sums[0]:>8}{sums[1]:>9}{sums[2]:>9}{sums[3]:>9}{most[0]:>11.2f}{most[1]:>12.0f}"
+    )
     return "\n".join(rows)
 
 

@@ -31,7 +31,10 @@ def _grows(place: Path, seed: int) -> None:
 
 
 def _grows_in_a_child(place: Path, seed: int) -> None:
-    subprocess.run([sys.executable, "-c", "import time; x = bytearray(b'x') * 300_000_000; time.sleep(0.1)"], check=True)
+    subprocess.run(
+        [sys.executable, "-c", "import time; x = bytearray(b'x') * 300_000_000; time.sleep(0.1)"],
+        check=True,
+    )
 
 
 def _writes(place: Path, seed: int) -> None:
@@ -44,7 +47,9 @@ def _writes_far_away(place: Path, seed: int) -> None:
 
 def _writes_unseen(place: Path, seed: int) -> None:
     """By another program, as JSBSim does, of which the interpreter knows nothing."""
-    subprocess.run([sys.executable, "-c", f"open({str(place.parent / 'canary.txt')!r}, 'w')"], check=True)
+    subprocess.run(
+        [sys.executable, "-c", f"open({str(place.parent / 'canary.txt')!r}, 'w')"], check=True
+    )
 
 
 def _removes(place: Path, seed: int) -> None:
@@ -99,26 +104,44 @@ def _fine(place: Path, seed: int) -> None:
 
 
 BAD = {
-    "raises": _raises, "hangs": _hangs, "grows": _grows, "grows-in-a-child": _grows_in_a_child, "writes": _writes,
-    "writes-far-away": _writes_far_away, "writes-unseen": _writes_unseen, "removes": _removes, "leaves": _leaves,
-    "listens": _listens, "listens-in-a-child": _listens_in_a_child, "unpickles": _unpickles, "runs": _runs, "aborts": _aborts,
-    "leaves-the-process": _leaves_the_process, "bare-error": _refuses_a_layer_late,
-    "says-nothing": _refuses_with(""), "names-no-file": _refuses_with("something is wrong"),
-    "prints-escapes": _refuses_with("{place}: \x1b[31mred"), "prints-bidi": _refuses_with("{place}: \u202egnp.exe"),
+    "raises": _raises,
+    "hangs": _hangs,
+    "grows": _grows,
+    "grows-in-a-child": _grows_in_a_child,
+    "writes": _writes,
+    "writes-far-away": _writes_far_away,
+    "writes-unseen": _writes_unseen,
+    "removes": _removes,
+    "leaves": _leaves,
+    "listens": _listens,
+    "listens-in-a-child": _listens_in_a_child,
+    "unpickles": _unpickles,
+    "runs": _runs,
+    "aborts": _aborts,
+    "leaves-the-process": _leaves_the_process,
+    "bare-error": _refuses_a_layer_late,
+    "says-nothing": _refuses_with(""),
+    "names-no-file": _refuses_with("something is wrong"),
+    "prints-escapes": _refuses_with("{place}: \x1b[31mred"),
+    "prints-bidi": _refuses_with("{place}: \u202egnp.exe"),
     "prints-a-traceback": _refuses_with("{place}: Traceback (most recent call last)"),
     "says-too-much": _refuses_with("{place}: first\nand more of it without a file"),
     "quotes-everything": _refuses_with("{place}: " + "x" * 9000),
-}  # fmt: skip
+}
 GOOD = {
-    "fine": _fine, "refuses": _refuses_with("{place}/input.bin: is damaged; copy it again"),
+    "fine": _fine,
+    "refuses": _refuses_with("{place}/input.bin: is damaged; copy it again"),
     "lists": _refuses_with("{place}/a.toml:1: one\n{place}/a.toml:2: two"),
-}  # fmt: skip
+}
 
 
 def formats() -> dict[str, Format]:
     """Both kinds; every input is one file of the corpus."""
     source = ({"input.bin": "settings/effects.toml"},)
-    return {name: Format(name, source, ("input.bin",), lambda data, _: data, run) for name, run in (BAD | GOOD).items()}
+    return {
+        name: Format(name, source, ("input.bin",), lambda data, _: data, run)
+        for name, run in (BAD | GOOD).items()
+    }
 
 
 if __name__ == "__main__":

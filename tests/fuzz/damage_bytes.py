@@ -110,6 +110,18 @@ def _appended(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 _KINDS = (
-    _cut, _flips, _flips_in_header, _flips_in_footer, _one_flip, _one_flip, _zeros, _noise, _twice, _removed, _swapped,
-    _integer, _integer, _appended,
-)  # fmt: skip
+    _cut,
+    _flips,
+    _flips_in_header,
+    _flips_in_footer,
+    _one_flip,
+    _one_flip,
+    _zeros,
+    _noise,
+    _twice,
+    _removed,
+    _swapped,
+    _integer,
+    _integer,
+    _appended,
+)

@@ -31,7 +31,9 @@ def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
     out = io.BytesIO()
     compression = str(rng.choice(["zstd", "snappy", "gzip", "none", "brotli"]))
     try:
-        pq.write_table(table, out, compression=compression, row_group_size=int(rng.choice([3, 100, 10**6])))
+        pq.write_table(
+            table, out, compression=compression, row_group_size=int(rng.choice([3, 100, 10**6]))
+        )
     except (pa.ArrowException, ValueError, TypeError):  # what Parquet cannot hold is no input
         return damage_bytes.damaged(data, rng)
     return out.getvalue()
@@ -100,10 +102,14 @@ def _fill(table: pa.Table, rng: np.random.Generator) -> pa.Table:
     if pa.types.is_floating(column.type):
         values = np.array(column.to_numpy(), dtype=float)
         where = slice(None) if rng.random() < 0.5 else slice(n // 3, n // 3 + 2)
-        values[where] = float(rng.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324, 7.0, -1.0]))
+        values[where] = float(
+            rng.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324, 7.0, -1.0])
+        )
         return _with(table, k, pa.array(values, column.type))
     if pa.types.is_integer(column.type):
-        return _with(table, k, pa.array([int(rng.choice([0, -1, 1, 2**31, -(2**62)]))] * n, column.type))
+        return _with(
+            table, k, pa.array([int(rng.choice([0, -1, 1, 2**31, -(2**62)]))] * n, column.type)
+        )
     if pa.types.is_string(column.type):
         text = hostile.string(rng).encode("utf-8", "replace").decode()
         return _with(table, k, pa.array([text] * n))
@@ -148,7 +154,21 @@ def _metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
     return table.replace_schema_metadata(kept)
 
 
-_PARQUET = (_lose, _lose, _double, _rename, _swap, _retype, _retype, _retype, _fill, _fill, _nulls, _rows, _metadata)
+_PARQUET = (
+    _lose,
+    _lose,
+    _double,
+    _rename,
+    _swap,
+    _retype,
+    _retype,
+    _retype,
+    _fill,
+    _fill,
+    _nulls,
+    _rows,
+    _metadata,
+)
 
 
 def sqlite_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -177,7 +197,13 @@ def _statement(base: sqlite3.Connection, rng: np.random.Generator) -> None:
     column = columns[int(rng.integers(0, len(columns)))]
     kind = int(rng.integers(0, 12))
     some = " where rowid % 2" if rng.random() < 0.3 else ""
-    if "without rowid" in (base.execute("select sql from sqlite_master where name = ?", (table,)).fetchone()[0] or "").lower():
+    if (
+        "without rowid"
+        in (
+            base.execute("select sql from sqlite_master where name = ?", (table,)).fetchone()[0]
+            or ""
+        ).lower()
+    ):
         some = ""
     if kind == 0:
         base.execute(f'drop table "{table}"')
@@ -204,19 +230,25 @@ def _statement(base: sqlite3.Connection, rng: np.random.Generator) -> None:
         _rewrite_json(base, table, column, rng)
     else:
         new: Any = value(rng)
-        if (isinstance(new, int) and not -(2**63) <= new < 2**63) or not isinstance(new, (int, float, str, type(None))):
+        if (isinstance(new, int) and not -(2**63) <= new < 2**63) or not isinstance(
+            new, (int, float, str, type(None))
+        ):
             new = rng.bytes(9)
         base.execute(f'update or ignore "{table}" set "{column}" = ?{some}', (new,))
 
 
-def _rewrite_json(base: sqlite3.Connection, table: str, column: str, rng: np.random.Generator) -> None:
+def _rewrite_json(
+    base: sqlite3.Connection, table: str, column: str, rng: np.random.Generator
+) -> None:
     """Cells that hold JSON, injured as JSON."""
     for (text,) in base.execute(f'select distinct "{column}" from "{table}" limit 3').fetchall():
         try:
             new = json.dumps(damaged_tree(json.loads(text), rng))
         except (TypeError, ValueError):
             new = "{" + str(text)
-        base.execute(f'update or ignore "{table}" set "{column}" = ? where "{column}" = ?', (new, text))
+        base.execute(
+            f'update or ignore "{table}" set "{column}" = ? where "{column}" = ?', (new, text)
+        )
 
 
 class _Runs:
@@ -242,13 +274,20 @@ def npz_damage(data: bytes, rng: np.random.Generator) -> bytes:
         members[f"../{name}"] = members.pop(name)
     elif kind in (3, 4) and "header.npy" in members:
         header = json.loads(np.load(io.BytesIO(members["header.npy"])).tobytes())
-        members["header.npy"] = _array(np.frombuffer(json.dumps(damaged_tree(header, rng)).encode(), np.uint8))
+        members["header.npy"] = _array(
+            np.frombuffer(json.dumps(damaged_tree(header, rng)).encode(), np.uint8)
+        )
     elif kind == 5:
         members[name] = _array(np.array([_Runs()], dtype=object))
     elif kind == 6:
-        members[name] = _claims(tuple(int(rng.choice([0, 3, 10**6, 10**10])) for _ in range(int(rng.integers(1, 4)))), rng)
+        members[name] = _claims(
+            tuple(int(rng.choice([0, 3, 10**6, 10**10])) for _ in range(int(rng.integers(1, 4)))),
+            rng,
+        )
     elif kind == 7:
-        members[name] = _array(np.zeros(tuple(int(rng.choice([0, 1, 3, 7])) for _ in range(int(rng.integers(0, 4))))))
+        members[name] = _array(
+            np.zeros(tuple(int(rng.choice([0, 1, 3, 7])) for _ in range(int(rng.integers(0, 4)))))
+        )
     else:
         old = np.load(io.BytesIO(members[name]))
         types = ["f2", "i8", "U5", "S3", "c16", "M8[s]", "?"]
@@ -271,5 +310,7 @@ def _claims(shape: tuple[int, ...], rng: np.random.Generator) -> bytes:
     """An array whose header promises more than follows."""
     out = io.BytesIO()
     descr = str(rng.choice(["<f8", "|O", "<U1000000", "|V9999999"]))
-    np.lib.format.write_array_header_1_0(out, {"descr": descr, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        out, {"descr": descr, "fortran_order": False, "shape": shape}
+    )
     return out.getvalue() + bytes(800)

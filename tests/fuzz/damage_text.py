@@ -92,8 +92,19 @@ def _plain(value: float) -> str:
 
 
 _LINES: tuple[Callable[[Lines, np.random.Generator], Lines], ...] = (
-    _lost, _doubled, _moved, _joined, _broken, _word, _word, _word, _word, _odd_bytes, _empty, _long_line,
-)  # fmt: skip
+    _lost,
+    _doubled,
+    _moved,
+    _joined,
+    _broken,
+    _word,
+    _word,
+    _word,
+    _word,
+    _odd_bytes,
+    _empty,
+    _long_line,
+)
 
 
 def damaged_table(data: bytes, rng: np.random.Generator) -> bytes:
@@ -140,7 +151,24 @@ def _swap_names(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 def _fill_column(rows: list[list[str]], rng: np.random.Generator) -> None:
     k = _column(rows, rng)
-    new = str(rng.choice(["", "nan", "inf", "text", "0", "1e300", "-1", "1e999", '"', "True", "2024-01-01", "1e-320"]))
+    new = str(
+        rng.choice(
+            [
+                "",
+                "nan",
+                "inf",
+                "text",
+                "0",
+                "1e300",
+                "-1",
+                "1e999",
+                '"',
+                "True",
+                "2024-01-01",
+                "1e-320",
+            ]
+        )
+    )
     start = int(rng.integers(1, max(2, len(rows))))
     for row in rows[1:] if rng.random() < 0.6 else rows[start : start + 5]:
         if k < len(row):
@@ -159,12 +187,16 @@ def _scale_column(rows: list[list[str]], rng: np.random.Generator) -> None:
 def _one_cell(rows: list[list[str]], rng: np.random.Generator) -> None:
     row = rows[int(rng.integers(0, len(rows)))]
     if row:
-        row[int(rng.integers(0, len(row)))] = hostile.string(rng) if rng.random() < 0.5 else _plain(hostile.number(rng))
+        row[int(rng.integers(0, len(row)))] = (
+            hostile.string(rng) if rng.random() < 0.5 else _plain(hostile.number(rng))
+        )
 
 
 def _shuffle_rows(rows: list[list[str]], rng: np.random.Generator) -> None:
     body = rows[1:]
-    rows[1:] = [body[int(k)] for k in rng.permutation(len(body))] if rng.random() < 0.5 else body[::-1]
+    rows[1:] = (
+        [body[int(k)] for k in rng.permutation(len(body))] if rng.random() < 0.5 else body[::-1]
+    )
 
 
 def _few_rows(rows: list[list[str]], rng: np.random.Generator) -> None:
@@ -177,6 +209,18 @@ def _ragged(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 
 _COLUMNS = (
-    _lose_column, _lose_column, _double_column, _rename_column, _swap_names, _fill_column, _fill_column, _fill_column,
-    _scale_column, _one_cell, _one_cell, _shuffle_rows, _few_rows, _ragged,
-)  # fmt: skip
+    _lose_column,
+    _lose_column,
+    _double_column,
+    _rename_column,
+    _swap_names,
+    _fill_column,
+    _fill_column,
+    _fill_column,
+    _scale_column,
+    _one_cell,
+    _one_cell,
+    _shuffle_rows,
+    _few_rows,
+    _ragged,
+)

@@ -125,15 +125,30 @@ def _empty(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
 
 
 _KINDS: tuple[Callable[[Any, Any, np.random.Generator, Any], None], ...] = (
-    _delete, _delete, _replace, _replace, _same_type, _same_type, _same_type, _rename, _add, _move, _wrap, _empty,
-)  # fmt: skip
+    _delete,
+    _delete,
+    _replace,
+    _replace,
+    _same_type,
+    _same_type,
+    _same_type,
+    _rename,
+    _add,
+    _move,
+    _wrap,
+    _empty,
+)
 
 
 def json_damage(data: bytes, rng: np.random.Generator) -> bytes:
     """A JSON document with injured content; one in ten is injured as text besides."""
     text = json.dumps(damaged_tree(json.loads(data), rng), indent=None if rng.random() < 0.5 else 1)
     text = _written_out(text, rng)
-    return damaged_text(text.encode(), rng) if rng.random() < 0.1 else text.encode("utf-8", "surrogatepass")
+    return (
+        damaged_text(text.encode(), rng)
+        if rng.random() < 0.1
+        else text.encode("utf-8", "surrogatepass")
+    )
 
 
 def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -142,13 +157,19 @@ def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
         return damaged_text(data, rng)
     tree = damaged_tree(tomllib.loads(data.decode()), rng)
     text = _written_out(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
-    return damaged_text(text.encode("utf-8", "surrogatepass"), rng) if rng.random() < 0.1 else text.encode("utf-8", "surrogatepass")
+    return (
+        damaged_text(text.encode("utf-8", "surrogatepass"), rng)
+        if rng.random() < 0.1
+        else text.encode("utf-8", "surrogatepass")
+    )
 
 
 def _written_out(text: str, rng: np.random.Generator) -> str:
     """The markers for depth and for long integers as what they stand for."""
     depth = int(rng.choice(_PLACES))
-    return text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth).replace(json.dumps(_LONG), "9" * int(rng.choice(_PLACES)))
+    return text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth).replace(
+        json.dumps(_LONG), "9" * int(rng.choice(_PLACES))
+    )
 
 
 def toml_text(tree: dict[str, Any]) -> str:
@@ -159,12 +180,18 @@ def toml_text(tree: dict[str, Any]) -> str:
             head += _section(json.dumps(key), item)
         elif _is_section(item):
             for row in item:
-                head += [f"[[{json.dumps(key)}]]", *(f"{json.dumps(k)} = {_toml(v)}" for k, v in row.items())]
+                head += [
+                    f"[[{json.dumps(key)}]]",
+                    *(f"{json.dumps(k)} = {_toml(v)}" for k, v in row.items()),
+                ]
     return "\n".join(head) + "\n"
 
 
 def _section(name: str, rows: dict[str, Any]) -> list[str]:
-    out = [f"[{name}]", *(f"{json.dumps(k)} = {_toml(v)}" for k, v in rows.items() if not _has_tables(v))]
+    out = [
+        f"[{name}]",
+        *(f"{json.dumps(k)} = {_toml(v)}" for k, v in rows.items() if not _has_tables(v)),
+    ]
     for key, item in rows.items():
         if _has_tables(item):
             out += _section(f"{name}.{json.dumps(key)}", item)
@@ -176,7 +203,9 @@ def _has_tables(item: Any) -> bool:
 
 
 def _is_section(item: Any) -> bool:
-    return isinstance(item, dict) or (isinstance(item, list) and bool(item) and all(isinstance(row, dict) for row in item))
+    return isinstance(item, dict) or (
+        isinstance(item, list) and bool(item) and all(isinstance(row, dict) for row in item)
+    )
 
 
 def _toml(item: Any) -> str:

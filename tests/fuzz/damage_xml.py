@@ -37,11 +37,11 @@ _ELEMENTS = (
     '<function name="../x"><value>nan</value></function>',
     '<property value="1">a b/c$d</property>',
     '<property value="1e999">gusts/more</property>',
-    '<table><independentVar>aero/nothing</independentVar><tableData>0 1\n0 1</tableData></table>',
+    "<table><independentVar>aero/nothing</independentVar><tableData>0 1\n0 1</tableData></table>",
     '<axis name="X"><function name="q"><nosuch/></function></axis>',
     '<axis name="WARP"/>',
     '<event name="e" continuous="true"><condition>1 gt 0</condition><set name="fcs/elevator-cmd-norm" value="nan"/></event>',
-    '<event><condition/><notify><property>position/h-agl-ft</property></notify></event>',
+    "<event><condition/><notify><property>position/h-agl-ft</property></notify></event>",
     '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="file:///etc/passwd" parse="text"/>',
     '<?xml-stylesheet href="http://127.0.0.1:5161/x.xsl"?>',
     '<tank type="FUEL"><location unit="IN"/><capacity unit="LBS">-1</capacity></tank>',
@@ -49,13 +49,15 @@ _ELEMENTS = (
     '<pid name="p"><input>p</input><kp>nan</kp></pid>',
     '<sensor name="s"><input>s</input><quantization name="q"><bits>99999999</bits><min>0</min><max>0</max></quantization></sensor>',
     '<sensor name="d"><input>x</input><delay type="frames">999999999</delay></sensor>',
-)  # fmt: skip
+)
 _DOCTYPES = (
     '<!DOCTYPE a [<!ENTITY x "y">]>',
     '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
     '<!DOCTYPE a [<!ENTITY % x SYSTEM "http://127.0.0.1:5162/x.dtd"> %x;]>',
     '<!DOCTYPE a SYSTEM "http://127.0.0.1:5163/x.dtd">',
-    '<!DOCTYPE a [<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(12)) + "]>",
+    '<!DOCTYPE a [<!ENTITY a0 "ha">'
+    + "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(12))
+    + "]>",
     '<!DOCTYPE a [<!ENTITY x "&x;">]>',
     '<!DOCTYPE a [<!ATTLIST property value CDATA "7">]>',
 )
@@ -95,12 +97,20 @@ def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = 
         nodes = [node for node in root.iter() if isinstance(node.tag, str)]
         node = nodes[int(rng.integers(0, len(nodes)))]
         _KINDS[int(rng.integers(0, len(_KINDS)))](node, nodes, rng, others)
-    return etree.tostring(root, xml_declaration=True, encoding=str(rng.choice(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"])))
+    return etree.tostring(
+        root,
+        xml_declaration=True,
+        encoding=str(rng.choice(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"])),
+    )
 
 
 def _xml_text(text: str) -> str:
     """What of a text XML may hold at all."""
-    return "".join(c for c in text if c in "\t\n\r" or (c >= " " and not "\ud800" <= c <= "\udfff" and c not in "\ufffe\uffff"))
+    return "".join(
+        c
+        for c in text
+        if c in "\t\n\r" or (c >= " " and not "\ud800" <= c <= "\udfff" and c not in "\ufffe\uffff")
+    )
 
 
 def _delete(node, nodes, rng, others) -> None:
@@ -115,7 +125,22 @@ def _double(node, nodes, rng, others) -> None:
 
 
 def _rename(node, nodes, rng, others) -> None:
-    node.tag = str(rng.choice(["x", "nosuch", "function", "property", "output", "input", "system", "value", "table", "a-b.c"]))
+    node.tag = str(
+        rng.choice(
+            [
+                "x",
+                "nosuch",
+                "function",
+                "property",
+                "output",
+                "input",
+                "system",
+                "value",
+                "table",
+                "a-b.c",
+            ]
+        )
+    )
 
 
 def _move(node, nodes, rng, others) -> None:
@@ -130,7 +155,9 @@ def _attribute(node, nodes, rng, others) -> None:
         if rng.random() < 0.8
         else str(rng.choice(["file", "name", "unit", "type", "value"]))
     )
-    node.set(name, _xml_text(hostile.string(rng)) if rng.random() < 0.6 else str(rng.choice(_NUMBERS)))
+    node.set(
+        name, _xml_text(hostile.string(rng)) if rng.random() < 0.6 else str(rng.choice(_NUMBERS))
+    )
 
 
 def _lose_attribute(node, nodes, rng, others) -> None:
@@ -145,7 +172,9 @@ def _text(node, nodes, rng, others) -> None:
 
 def _number(node, nodes, rng, others) -> None:
     """Something absurd where a number stands."""
-    found = [n for n in nodes if n.text and n.text.strip().replace(".", "").replace("-", "").isdigit()]
+    found = [
+        n for n in nodes if n.text and n.text.strip().replace(".", "").replace("-", "").isdigit()
+    ]
     if found:
         found[int(rng.integers(0, len(found)))].text = str(rng.choice(_NUMBERS))
 
@@ -160,14 +189,30 @@ def _plant(node, nodes, rng, others) -> None:
 def _lend(node, nodes, rng, others) -> None:
     """An element of another file."""
     if others:
-        donor = [n for n in etree.fromstring(others[int(rng.integers(0, len(others)))]).iter() if isinstance(n.tag, str)]
+        donor = [
+            n
+            for n in etree.fromstring(others[int(rng.integers(0, len(others)))]).iter()
+            if isinstance(n.tag, str)
+        ]
         node.append(copy.deepcopy(donor[int(rng.integers(0, len(donor)))]))
 
 
 _KINDS: tuple[Callable[..., None], ...] = (
-    _delete, _delete, _double, _rename, _move, _attribute, _attribute, _lose_attribute, _text, _number, _number, _plant, _plant,
+    _delete,
+    _delete,
+    _double,
+    _rename,
+    _move,
+    _attribute,
+    _attribute,
+    _lose_attribute,
+    _text,
+    _number,
+    _number,
+    _plant,
+    _plant,
     _lend,
-)  # fmt: skip
+)
 
 
 def _declared(data: bytes, rng: np.random.Generator) -> bytes:
@@ -189,7 +234,13 @@ def _deep(data: bytes, rng: np.random.Generator) -> bytes:
     if kind == 0:
         more = b"<%s>" % tag * depth + b"</%s>" % tag * depth
     elif kind == 1:
-        more = b'<function name="deep">' + b"<sum>" * depth + b"<value>1</value>" + b"</sum>" * depth + b"</function>"
+        more = (
+            b'<function name="deep">'
+            + b"<sum>" * depth
+            + b"<value>1</value>"
+            + b"</sum>" * depth
+            + b"</function>"
+        )
     elif kind == 2:
         more = b'<property value="1">a/b</property>' * depth
     else:

@@ -62,7 +62,10 @@ def folder(place: str, under: str = "") -> dict[str, str]:
     root = CORPUS / place
     prefix = f"{under}/" if under else ""
     paths = sorted(path for path in root.rglob("*") if path.is_file())
-    return {f"{prefix}{path.relative_to(root).as_posix()}": os.path.relpath(path, CORPUS) for path in paths}
+    return {
+        f"{prefix}{path.relative_to(root).as_posix()}": os.path.relpath(path, CORPUS)
+        for path in paths
+    }
 
 
 def all_formats() -> dict[str, Format]:

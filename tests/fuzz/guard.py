@@ -25,7 +25,13 @@ _CHANGES = frozenset(
 )
 # Their last argument is the open folder that a relative path begins at, or -1.
 _FROM_A_FOLDER = frozenset({"os.remove", "os.rmdir", "os.mkdir"})
-_NETWORK = ("socket.bind", "socket.connect", "socket.sendto", "socket.getaddrinfo", "socket.gethostbyname")
+_NETWORK = (
+    "socket.bind",
+    "socket.connect",
+    "socket.sendto",
+    "socket.getaddrinfo",
+    "socket.gethostbyname",
+)
 # Matplotlib asks it for fonts, once.
 _HARMLESS = frozenset({"fc-list"})
 _PROGRAMS = ("os.system", "os.exec", "os.posix_spawn", "os.startfile", "os.fork")
@@ -54,15 +60,27 @@ class Guard:
             return
         if event == "open":
             path, mode, flags = args
-            writes = flags & _WRITES if isinstance(flags, int) else isinstance(mode, str) and not set(mode) <= set("rbtU")
+            writes = (
+                flags & _WRITES
+                if isinstance(flags, int)
+                else isinstance(mode, str) and not set(mode) <= set("rbtU")
+            )
             if writes and isinstance(path, (str, bytes)):
                 self._changed("writes", path)
         elif event in _CHANGES:
-            for path in args[:2] if event in ("os.rename", "os.link") else args[1:2] if event == "os.symlink" else args[:1]:
+            for path in (
+                args[:2]
+                if event in ("os.rename", "os.link")
+                else args[1:2]
+                if event == "os.symlink"
+                else args[:1]
+            ):
                 if isinstance(path, (str, bytes, os.PathLike)):
                     self._changed(event, _from(args[-1], path) if event in _FROM_A_FOLDER else path)
         elif event in _NETWORK:
-            address = args[1] if event in ("socket.bind", "socket.connect", "socket.sendto") else args[:2]
+            address = (
+                args[1] if event in ("socket.bind", "socket.connect", "socket.sendto") else args[:2]
+            )
             if not isinstance(address, (str, bytes)):  # a name in the file system is no network
                 self.seen.append(f"{event} {address!r}")
         elif event in _PROGRAMS and event != "os.fork":
@@ -76,7 +94,10 @@ class Guard:
 
     def _changed(self, deed: str, path: Any) -> None:
         full = os.path.abspath(os.fsdecode(path))
-        if not any(full == root or full.startswith(root + os.sep) for root in self._allowed) and full != os.devnull:
+        if (
+            not any(full == root or full.startswith(root + os.sep) for root in self._allowed)
+            and full != os.devnull
+        ):
             self.seen.append(f"{deed} {full}")
 
 
@@ -116,7 +137,11 @@ def internet_sockets(pids: list[int]) -> list[str]:
     for kind in ("tcp", "tcp6", "udp", "udp6"):
         with contextlib.suppress(OSError):
             rows = Path(f"/proc/{pids[0]}/net/{kind}").read_text().splitlines()[1:]
-            found += [f"{kind} {row.split()[1]} -> {row.split()[2]}" for row in rows if row.split()[9] in mine]
+            found += [
+                f"{kind} {row.split()[1]} -> {row.split()[2]}"
+                for row in rows
+                if row.split()[9] in mine
+            ]
     return found
 
 

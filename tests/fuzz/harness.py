@@ -69,7 +69,12 @@ class Counts:
 class Worker:
     """A child that tries inputs, with a folder of its own. ``module``: what it runs (another one in the harness' own tests)."""
 
-    def __init__(self, module: str = "tests.fuzz.worker", limit_s: float = LIMIT_S, limit_mb: float = LIMIT_MB) -> None:
+    def __init__(
+        self,
+        module: str = "tests.fuzz.worker",
+        limit_s: float = LIMIT_S,
+        limit_mb: float = LIMIT_MB,
+    ) -> None:
         self._module, self._limit_s, self._limit_mb = module, limit_s, limit_mb
         self._child: subprocess.Popen[bytes] | None = None
         self._answers: Any = None
@@ -99,7 +104,11 @@ class Worker:
             largest = max([largest, *(resident_mb(pid) for pid in pids)])
             waited = time.monotonic() - started
             if waited > limit_s or largest > 2 * self._limit_mb:
-                what = f"no answer after {waited:.0f} s" if waited > limit_s else f"{largest:.0f} MB and growing"
+                what = (
+                    f"no answer after {waited:.0f} s"
+                    if waited > limit_s
+                    else f"{largest:.0f} MB and growing"
+                )
                 self.close()
                 return Outcome(name, seed, "finding", what, waited, largest)
         line = self._answers.readline()
@@ -134,21 +143,32 @@ class Worker:
         read, write = os.pipe()
         environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "UQ_"))}
         environment |= {
-            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]), "TMPDIR": str(self.base / "tmp"),
-            "HOME": str(self.base / "home"), "MPLCONFIGDIR": str(self.base / "home" / ".cache" / "mpl"), "PYTHONSAFEPATH": "1",
-            "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1",
-        }  # fmt: skip
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
+            "TMPDIR": str(self.base / "tmp"),
+            "HOME": str(self.base / "home"),
+            "MPLCONFIGDIR": str(self.base / "home" / ".cache" / "mpl"),
+            "PYTHONSAFEPATH": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+            "OMP_NUM_THREADS": "1",
+            "PYTHONFAULTHANDLER": "1",
+        }
         self._child = subprocess.Popen(
             [sys.executable, "-m", self._module, str(self.base), str(write)],
-            stdin=subprocess.PIPE, pass_fds=[write], cwd=self.base / "cwd", env=environment, start_new_session=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            pass_fds=[write],
+            cwd=self.base / "cwd",
+            env=environment,
+            start_new_session=True,
+        )
         os.close(write)
         self._answers = os.fdopen(read, "rb")
         self._served = 0
 
     def _last_words(self) -> str:
         with contextlib.suppress(OSError):
-            return " ".join((self.base / "printed.txt").read_bytes()[-500:].decode("utf-8", "replace").split())
+            return " ".join(
+                (self.base / "printed.txt").read_bytes()[-500:].decode("utf-8", "replace").split()
+            )
         return ""
 
     def close(self) -> None:
@@ -185,7 +205,9 @@ def by_number(names: Iterable[str], seed: int, inputs: int) -> Iterator[tuple[st
             yield name, k
 
 
-def by_time(shares: dict[str, float], counts: dict[str, Counts], seed: int, seconds: float) -> Iterator[tuple[str, int]]:
+def by_time(
+    shares: dict[str, float], counts: dict[str, Counts], seed: int, seconds: float
+) -> Iterator[tuple[str, int]]:
     """Seeds of each format from ``seed`` on, the next of the one that has had least of its share, for so long."""
     end = time.monotonic() + seconds
     following = dict.fromkeys(shares, seed)

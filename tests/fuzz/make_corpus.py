@@ -51,9 +51,15 @@ def logs() -> None:
     write_text_log(out / "flight.log", flown)
     write_tlog(out / "flight.tlog", flown, every=2)
     us = np.rint(flown["time_s"] * 1e6).astype(np.int64)
-    names = {"gyro_rad": ("p_radps", "q_radps", "r_radps"), "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2")}
+    names = {
+        "gyro_rad": ("p_radps", "q_radps", "r_radps"),
+        "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2"),
+    }
     imu = {f"{g}[{i}]": flown[n] for g, members in names.items() for i, n in enumerate(members)}
-    write_ulog(out / "flight.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": flown["V_mps"]})})
+    write_ulog(
+        out / "flight.ulg",
+        {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": flown["V_mps"]})},
+    )
     flown.write(out / "flight.csv")
     flown.write(out / "flight.parquet")
     settings = CORPUS / "settings"
@@ -62,12 +68,27 @@ def logs() -> None:
     _bomb(out / "bomb-of-table.parquet", "time", "speed_kts", "q_degps")
     header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"
     columns = [flown["time_s"], flown["V_mps"] / 0.3048, flown["q_radps"], flown["elevator_deg"]]
-    np.savetxt(out / "flight.jsbsim", np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.7g")
-    own = pd.DataFrame({
-        "time": flown["time_s"], "speed_kts": flown["V_mps"] / 0.514444, "q_degps": np.degrees(flown["q_radps"]),
-        "pitch_deg": np.degrees(flown["theta_rad"]), "C2": 1500 + 20 * flown["elevator_deg"], "lat": 45.0 + 1e-5 * flown["time_s"],
-        "lon": 0.0, "alt_m": flown["h_m"], "one": 1.0,
-    }).round(5)  # fmt: skip
+    np.savetxt(
+        out / "flight.jsbsim",
+        np.column_stack(columns),
+        delimiter=",",
+        header=header,
+        comments="",
+        fmt="%.7g",
+    )
+    own = pd.DataFrame(
+        {
+            "time": flown["time_s"],
+            "speed_kts": flown["V_mps"] / 0.514444,
+            "q_degps": np.degrees(flown["q_radps"]),
+            "pitch_deg": np.degrees(flown["theta_rad"]),
+            "C2": 1500 + 20 * flown["elevator_deg"],
+            "lat": 45.0 + 1e-5 * flown["time_s"],
+            "lon": 0.0,
+            "alt_m": flown["h_m"],
+            "one": 1.0,
+        }
+    ).round(5)
     own.to_csv(out / "table.csv", index=False)
     own.assign(note="fine").to_parquet(out / "table.parquet", index=False)
 
@@ -76,7 +97,9 @@ def _bomb(path: Path, *names: str) -> None:
     """Two hundred million rows of the same numbers: some kilobytes of file, gigabytes of memory for who believes in it."""
     rows = 10_000_000
     piece = pa.table({name: np.zeros(rows) for name in names})
-    with pq.ParquetWriter(path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows) as writer:
+    with pq.ParquetWriter(
+        path, piece.schema, compression="zstd", write_statistics=False, max_rows_per_page=rows
+    ) as writer:
         for _ in range(20):
             writer.write_table(piece, row_group_size=rows)
 
@@ -96,20 +119,31 @@ def results() -> None:
     folders.compared(root / "compare")
     _fit(root / "fit")
     (root / "bounds").mkdir()
-    form = made_up_form({"CX": ("V_mps", "alpha_rad"), "Cm": ("alpha_rad", "q_radps")}, orders={"CX": 1, "Cm": 2})
+    form = made_up_form(
+        {"CX": ("V_mps", "alpha_rad"), "Cm": ("alpha_rad", "q_radps")}, orders={"CX": 1, "Cm": 2}
+    )
     form.write(root / "bounds" / "model-form.json")
     folders.covered(root / "coverage")
     folders.refined(root / "refined")
     _campaign(root / "campaign")
     _study(root)
     _instrumented(root)
-    found = run_study(lambda a, b, w: {"y": a * b + w, "z": a - b}, {"a": (0.0, 1.0), "b": (-1.0, 2.0)}, {"w": _normal()},
-                      samples=16, draws=4)  # fmt: skip
+    found = run_study(
+        lambda a, b, w: {"y": a * b + w, "z": a - b},
+        {"a": (0.0, 1.0), "b": (-1.0, 2.0)},
+        {"w": _normal()},
+        samples=16,
+        draws=4,
+    )
     write_study(found, root / "study.npz")
     (root / "stage.data").write_bytes(dump(_stage()))
     _wire(root)
     shutil.rmtree(CORPUS / "results", ignore_errors=True)
-    shutil.copytree(root, CORPUS / "results", ignore=shutil.ignore_patterns("*.lock", "report.html", "figures", "input"))
+    shutil.copytree(
+        root,
+        CORPUS / "results",
+        ignore=shutil.ignore_patterns("*.lock", "report.html", "figures", "input"),
+    )
 
 
 def _normal() -> object:
@@ -122,7 +156,11 @@ def _fit(folder: Path) -> None:
     """A covariance for the parameters that are identified, so that a campaign can draw from it."""
     path = folder / "fit.json"
     document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"names": ["aero/Cm_q", "aero/Cl_0"], "cov": [[0.16, 1e-7], [1e-7, 1e-10]]}))
+    path.write_text(
+        json.dumps(
+            document | {"names": ["aero/Cm_q", "aero/Cl_0"], "cov": [[0.16, 1e-7], [1e-7, 1e-10]]}
+        )
+    )
 
 
 def _campaign(folder: Path) -> None:
@@ -135,9 +173,13 @@ def _campaign(folder: Path) -> None:
     beside = folder.parent / "input"
     beside.mkdir()
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [3, 6]")
-    text = text.replace("bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }",
-                        'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.01 }')  # fmt: skip
-    text = text.replace("flights = 3", "flights = 2") + '\n[stop]\nrule = "decide"\nlook_every = 1\n'
+    text = text.replace(
+        "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }",
+        'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.01 }',
+    )
+    text = (
+        text.replace("flights = 3", "flights = 2") + '\n[stop]\nrule = "decide"\nlook_every = 1\n'
+    )
     spec = read_campaign(fakes.campaign_file(beside, text))
     run_campaign(spec, folder, executor=SerialExecutor(), fly=fakes.by_corner)
 
@@ -149,7 +191,10 @@ def _study(root: Path) -> None:
     inside = root / "study"
     for name in ("fit", "coverage"):
         shutil.copytree(root / name, inside / name)
-    stages = [folders.stage("identify", "identify", "fit"), folders.stage("validate", "validate-bounds", "coverage")]
+    stages = [
+        folders.stage("identify", "identify", "fit"),
+        folders.stage("validate", "validate-bounds", "coverage"),
+    ]
     folders.written(inside, "study.json", {"format": "study 1", **folders.study(stages)})
 
 
@@ -160,8 +205,17 @@ def _instrumented(root: Path) -> None:
     copy = _SCRATCH / "aircraft" / "dart"
     shutil.copytree(CORPUS / "aircraft" / "dart", copy)
     with contextlib.redirect_stdout(io.StringIO()):
-        code = command_line(["instrument", str(copy), "--out", str(root / "instrumented" / "dart"), "--constant", "CX=0.01,Cm=0.02",
-                             "--no-check"])  # fmt: skip
+        code = command_line(
+            [
+                "instrument",
+                str(copy),
+                "--out",
+                str(root / "instrumented" / "dart"),
+                "--constant",
+                "CX=0.01,Cm=0.02",
+                "--no-check",
+            ]
+        )
     assert code == 0
     shutil.move(root / "instrumented" / "dart", root / "moved")
     (root / "instrumented").rmdir()
@@ -171,24 +225,37 @@ def _instrumented(root: Path) -> None:
 def _stage() -> object:
     """What a stage may hold: numbers, arrays, texts, nested."""
     return {
-        "values": np.arange(6.0).reshape(2, 3), "names": ["a", "b"], ("pair", 1): (1, 2.5, None, True),
+        "values": np.arange(6.0).reshape(2, 3),
+        "names": ["a", "b"],
+        ("pair", 1): (1, 2.5, None, True),
         "flags": np.array([True, False]),
-        "labels": np.array(["x", "y"], dtype=object), "text": "fine", "where": {"deep": [{"er": b"bytes"}]}, "nan": float("nan"),
-    }  # fmt: skip
+        "labels": np.array(["x", "y"], dtype=object),
+        "text": "fine",
+        "where": {"deep": [{"er": b"bytes"}]},
+        "nan": float("nan"),
+    }
 
 
 def _wire(root: Path) -> None:
     """An order and an answer as they go over Dask's wire."""
     from tests.helpers.campaign_fakes import small_spec
     from uqharness.campaign.cases import build_cases
-    from uqharness.campaign.execution.dask_orders import OWN_FLIGHT, Answer, Order, answer_text, order_text
+    from uqharness.campaign.execution.dask_orders import (
+        OWN_FLIGHT,
+        Answer,
+        Order,
+        answer_text,
+        order_text,
+    )
     from uqharness.campaign.execution.worker import CaseOutcome, Group
     from uqharness.campaign.run import find_mission
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]
     group = Group("", ((case.case_id, case.flight),))
-    order = Order(OWN_FLIGHT, False, group, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3")))
+    order = Order(
+        OWN_FLIGHT, False, group, ("ab" * 32, "cd" * 32), (("uqharness", "0"), ("jsbsim", "1.3.3"))
+    )
     (root / "order.json").write_text(order_text(order))
     outcome = CaseOutcome("4c4000eebc386034", "ok", "", 210.0, {"cross_track_median_m": 2.5}, {})
     (root / "answer.json").write_text(answer_text(Answer((outcome,))))

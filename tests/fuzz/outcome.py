@@ -27,7 +27,9 @@ def command(*arguments: str) -> None:
 
     made = _parser()
     cli.build_parser = lambda: made  # made once: a parser costs more than most inputs
-    out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
+    out, err = (
+        io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)
+    )
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code: Any = cli.main(list(arguments))
@@ -49,7 +51,9 @@ def _parser() -> Any:
     return build_parser()
 
 
-def call(function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()) -> Any:
+def call(
+    function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()
+) -> Any:
     """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds some)."""
     from sysid.errors import LogError
     from uqharness.errors import BadInputError
@@ -81,14 +85,20 @@ def faults(text: str, places: tuple[str, ...]) -> str:
     named = [any(place in line for place in places) for line in lines]
     if not any(named):
         return f"names no file: {lines[0][:200]}"
-    if len(lines) > 1 and not all(named[:-1] if re.fullmatch(r"and \d+ more", lines[-1]) else named):
+    if len(lines) > 1 and not all(
+        named[:-1] if re.fullmatch(r"and \d+ more", lines[-1]) else named
+    ):
         return f"is more than a sentence: {' | '.join(lines)[:300]}"
     return ""
 
 
 def control_characters(text: str) -> str:
     """Those in ``text`` that a terminal would act on, as their names; "" for none."""
-    odd = {c for c in text if (unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t") or c in _BIDI}
+    odd = {
+        c
+        for c in text
+        if (unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t") or c in _BIDI
+    }
     return ", ".join(sorted(f"U+{ord(c):04X}" for c in odd))
 
 

@@ -13,9 +13,13 @@ from tests.fuzz.formats import CORPUS, Format, folder
 from tests.fuzz.outcome import call, command
 
 _FILES = {
-    "aircraft-xml": "dart/dart.xml", "system-xml": "dart/Systems/gusts.xml", "engine-xml": "dart/Engines/motor.xml",
-    "propeller-xml": "dart/Engines/prop.xml", "start-xml": "dart/cruise.xml", "script-xml": "script.xml",
-}  # fmt: skip
+    "aircraft-xml": "dart/dart.xml",
+    "system-xml": "dart/Systems/gusts.xml",
+    "engine-xml": "dart/Engines/motor.xml",
+    "propeller-xml": "dart/Engines/prop.xml",
+    "start-xml": "dart/cruise.xml",
+    "script-xml": "script.xml",
+}
 _SOURCE = {**folder("aircraft/dart", "dart"), "script.xml": "aircraft/script.xml"}
 _BARE = {name: place for name, place in _SOURCE.items() if not name.endswith(".toml")}
 
@@ -30,7 +34,11 @@ def _read(place: Path, seed: int) -> None:
 
     def readers() -> None:
         from uqharness.plugin.instrument import Bounds, plan
-        from uqharness.simulator.aircraft import content_hash, find_aircraft, refuse_unknown_operations
+        from uqharness.simulator.aircraft import (
+            content_hash,
+            find_aircraft,
+            refuse_unknown_operations,
+        )
         from uqharness.simulator.aircraft_files import opened
         from uqharness.simulator.mission import read_script
 
@@ -49,7 +57,16 @@ def _fly(place: Path, seed: int) -> None:
     """Commands that end in JSBSim: its own child process judges the aircraft first."""
     aircraft = str(place / "dart")
     if seed % 3 == 0:
-        command("fly", aircraft, "--script", str(place / "script.xml"), "--duration-s", "1", "--out", str(place / "out.csv"))
+        command(
+            "fly",
+            aircraft,
+            "--script",
+            str(place / "script.xml"),
+            "--duration-s",
+            "1",
+            "--out",
+            str(place / "out.csv"),
+        )
     elif seed % 3 == 1:
         command("modes", aircraft, "--speed-mps", "22", "--altitude-m", "100")
     else:
@@ -75,9 +92,19 @@ def _format(name: str, file: str, run: Callable[[Path, int], None], share: float
 FORMATS = (
     *(_format(name, file, _read, 1.0) for name, file in _FILES.items()),
     *(_format(f"{name}-flown", file, _fly, 1.0) for name, file in _FILES.items()),
-    Format("plugin-xml", (folder("results/instrumented", "dart") | {"script.xml": "aircraft/script.xml"},),
-           ("dart/Systems/model-form.xml",), _mutate, _read),
-    Format("instrument-bounds", (_SOURCE | {"model-form.json": "results/bounds/model-form.json"},), ("model-form.json",),
-           json_damage, _bounded),
-)  # fmt: skip
+    Format(
+        "plugin-xml",
+        (folder("results/instrumented", "dart") | {"script.xml": "aircraft/script.xml"},),
+        ("dart/Systems/model-form.xml",),
+        _mutate,
+        _read,
+    ),
+    Format(
+        "instrument-bounds",
+        (_SOURCE | {"model-form.json": "results/bounds/model-form.json"},),
+        ("model-form.json",),
+        json_damage,
+        _bounded,
+    ),
+)
 """Each kind of XML read by the program alone, and flown; an instrumented aircraft; bounds from a model form."""

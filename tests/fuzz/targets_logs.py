@@ -19,9 +19,19 @@ def _read(name: str, *options: str) -> Callable[[Path, int], None]:
 
     def run(folder: Path, seed: int) -> None:
         log = str(folder / name)
-        more = [str(folder / option) if option.endswith((".toml", ".csv")) else option for option in options]
+        more = [
+            str(folder / option) if option.endswith((".toml", ".csv")) else option
+            for option in options
+        ]
         if seed % 3:
-            command("log", "info", log, "--no-cache", *(["--json"] if seed % 2 else []), *_without_times(more))
+            command(
+                "log",
+                "info",
+                log,
+                "--no-cache",
+                *(["--json"] if seed % 2 else []),
+                *_without_times(more),
+            )
         else:
             command(
                 "log",
@@ -47,8 +57,19 @@ def _without_times(options: list[str]) -> list[str]:
 def _log(kind: str, mutate: Mutator, share: float = 1.0) -> Format:
     # Renamed: the content tells what it is.
     source = {"flight.dat": f"logs/flight.{kind}", "airframe.toml": "aircraft/dart/airframe.toml"}
-    sources = (*(source,) * 9, source | {"flight.dat": "logs/bomb.parquet"}) if kind == "parquet" else (source,)
-    return Format(f"log-{kind}", sources, ("flight.dat",), mutate, _read("flight.dat", "--aircraft", "airframe.toml"), share)
+    sources = (
+        (*(source,) * 9, source | {"flight.dat": "logs/bomb.parquet"})
+        if kind == "parquet"
+        else (source,)
+    )
+    return Format(
+        f"log-{kind}",
+        sources,
+        ("flight.dat",),
+        mutate,
+        _read("flight.dat", "--aircraft", "airframe.toml"),
+        share,
+    )
 
 
 def _text_log(data: bytes, rng: np.random.Generator) -> bytes:
@@ -56,15 +77,24 @@ def _text_log(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _manoeuvres(folder: Path, seed: int) -> None:
-    command("log", "import", str(folder / "flight.parquet"), "--no-cache", "--out", str(folder / "out.parquet"),
-            "--manoeuvres", str(folder / "manoeuvres.csv"))  # fmt: skip
+    command(
+        "log",
+        "import",
+        str(folder / "flight.parquet"),
+        "--no-cache",
+        "--out",
+        str(folder / "out.parquet"),
+        "--manoeuvres",
+        str(folder / "manoeuvres.csv"),
+    )
 
 
 _MAPPED = {"map.toml": "settings/map.toml"}
 
 _TABLES = (
-    *({"table.parquet": "logs/table.parquet", **_MAPPED},) * 9, {"table.parquet": "logs/bomb-of-table.parquet", **_MAPPED},
-)  # fmt: skip
+    *({"table.parquet": "logs/table.parquet", **_MAPPED},) * 9,
+    {"table.parquet": "logs/bomb-of-table.parquet", **_MAPPED},
+)
 FORMATS = (
     _log("bin", damaged),
     _log("log", _text_log),
@@ -73,12 +103,26 @@ FORMATS = (
     _log("csv", damaged_table),
     _log("jsbsim", damaged_table),
     _log("parquet", parquet_damage),
-    Format("mapped-csv", ({"table.csv": "logs/table.csv", **_MAPPED},), ("table.csv",), damaged_table,
-           _read("table.csv", "--map", "map.toml")),
-    Format("mapped-parquet", _TABLES,
-           ("table.parquet",), parquet_damage,
-           _read("table.parquet", "--map", "map.toml")),
-    Format("manoeuvres", ({"manoeuvres.csv": "settings/manoeuvres.csv", "flight.parquet": "logs/flight.parquet"},),
-           ("manoeuvres.csv",), damaged_table, _manoeuvres),
-)  # fmt: skip
+    Format(
+        "mapped-csv",
+        ({"table.csv": "logs/table.csv", **_MAPPED},),
+        ("table.csv",),
+        damaged_table,
+        _read("table.csv", "--map", "map.toml"),
+    ),
+    Format(
+        "mapped-parquet",
+        _TABLES,
+        ("table.parquet",),
+        parquet_damage,
+        _read("table.parquet", "--map", "map.toml"),
+    ),
+    Format(
+        "manoeuvres",
+        ({"manoeuvres.csv": "settings/manoeuvres.csv", "flight.parquet": "logs/flight.parquet"},),
+        ("manoeuvres.csv",),
+        damaged_table,
+        _manoeuvres,
+    ),
+)
 """Importers, tables under a user's map, tables of manoeuvres."""

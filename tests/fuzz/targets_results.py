@@ -19,10 +19,16 @@ from tests.fuzz.outcome import Refused, call, command
 
 Target = Callable[[Path, int], None]
 _QUESTIONS = (
-    ("campaign", "status"), ("campaign", "status", "--json"), ("campaign", "verify"), ("campaign", "verify", "--json"),
-    ("campaign", "report", "--no-tracks"), ("report",), ("sensitivity",), ("campaign", "convergence", "--repeats", "2"),
+    ("campaign", "status"),
+    ("campaign", "status", "--json"),
+    ("campaign", "verify"),
+    ("campaign", "verify", "--json"),
+    ("campaign", "report", "--no-tracks"),
+    ("report",),
+    ("sensitivity",),
+    ("campaign", "convergence", "--repeats", "2"),
     ("campaign", "area", "--value", "cross_track_median_m=9.4"),
-)  # fmt: skip
+)
 
 
 def _ask(place: Path, seed: int) -> None:
@@ -62,7 +68,9 @@ def _report(place: Path, seed: int) -> None:
 
 def _area(kind: str) -> Target:
     """``campaign area`` with a table of flights."""
-    return lambda place, _: command("campaign", "area", str(place), "--flight", str(place / f"flights.{kind}"))
+    return lambda place, _: command(
+        "campaign", "area", str(place), "--flight", str(place / f"flights.{kind}")
+    )
 
 
 def _undo(place: Path, seed: int) -> None:
@@ -120,18 +128,24 @@ def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
 
 def _campaign_file(name: str, mutate: Mutator, run: Target = _ask, share: float = 1.0) -> Format:
     sources = tuple(source for source in _CAMPAIGNS if name in source)
-    return Format(f"campaign-{name.split('.')[0]}", sources, (name,), mutate, run, share, _signed_again)
+    return Format(
+        f"campaign-{name.split('.')[0]}", sources, (name,), mutate, run, share, _signed_again
+    )
 
 
 def _page(name: str, place: str) -> Format:
     """The document of a report page and the pieces of histories beside it."""
     files = folder(f"results/{place}")
-    return Format(name, (files,), tuple(n for n in files if n.endswith(".json")), json_damage, _report)
+    return Format(
+        name, (files,), tuple(n for n in files if n.endswith(".json")), json_damage, _report
+    )
 
 
 def _pieces(name: str, place: str) -> Format:
     files = folder(f"results/{place}")
-    return Format(name, (files,), tuple(n for n in files if n.endswith(".parquet")), parquet_damage, _report)
+    return Format(
+        name, (files,), tuple(n for n in files if n.endswith(".parquet")), parquet_damage, _report
+    )
 
 
 def _json_or_bytes(data: bytes, rng: np.random.Generator) -> bytes:
@@ -162,9 +176,20 @@ FORMATS = (
     _campaign_file("excursions.csv", damaged_table),
     _campaign_file("statements.csv", damaged_table),
     _campaign_file("decisions.csv", damaged_table),
-    Format("area-csv", (_CAMPAIGNS[0] | {"flights.csv": "settings/flights.csv"},), ("flights.csv",), damaged_table, _area("csv")),
-    Format("area-parquet", (_CAMPAIGNS[0] | {"flights.parquet": "settings/flights.parquet"},), ("flights.parquet",),
-           parquet_damage, _area("parquet")),
+    Format(
+        "area-csv",
+        (_CAMPAIGNS[0] | {"flights.csv": "settings/flights.csv"},),
+        ("flights.csv",),
+        damaged_table,
+        _area("csv"),
+    ),
+    Format(
+        "area-parquet",
+        (_CAMPAIGNS[0] | {"flights.parquet": "settings/flights.parquet"},),
+        ("flights.parquet",),
+        parquet_damage,
+        _area("parquet"),
+    ),
     _page("fit-json", "fit"),
     _page("compare-json", "compare"),
     _page("model-form-json", "bounds"),
@@ -173,10 +198,29 @@ FORMATS = (
     _page("study-json", "study"),
     _pieces("histories-parquet", "fit"),
     _pieces("residuals-parquet", "coverage"),
-    Format("instrument-record", (folder("results/instrumented", "dart"),), ("dart/uq-instrument.json",), _json_or_bytes, _undo),
+    Format(
+        "instrument-record",
+        (folder("results/instrumented", "dart"),),
+        ("dart/uq-instrument.json",),
+        _json_or_bytes,
+        _undo,
+    ),
     Format("study-npz", ({"study.npz": "results/study.npz"},), ("study.npz",), npz_damage, _npz),
-    Format("stage-data", ({"stage.data": "results/stage.data"},), ("stage.data",), _stage_damage, _stage, 0.3),
-    Format("dask-wire", ({"order.json": "results/order.json"}, {"order.json": "results/answer.json"}),
-           ("order.json",), _json_or_bytes, _order, 0.3),
-)  # fmt: skip
+    Format(
+        "stage-data",
+        ({"stage.data": "results/stage.data"},),
+        ("stage.data",),
+        _stage_damage,
+        _stage,
+        0.3,
+    ),
+    Format(
+        "dask-wire",
+        ({"order.json": "results/order.json"}, {"order.json": "results/answer.json"}),
+        ("order.json",),
+        _json_or_bytes,
+        _order,
+        0.3,
+    ),
+)
 """A campaign's folder, documents and pieces of report pages, the record of an instrumentation, studies, stages, orders."""

@@ -16,7 +16,14 @@ def _map(place: Path, seed: int) -> None:
 def _card(place: Path, seed: int) -> None:
     """The two readers of a card: that of logs and that of aircraft."""
     if seed % 2:
-        command("log", "info", str(place / "flight.bin"), "--no-cache", "--aircraft", str(place / "dart" / "airframe.toml"))
+        command(
+            "log",
+            "info",
+            str(place / "flight.bin"),
+            "--no-cache",
+            "--aircraft",
+            str(place / "dart" / "airframe.toml"),
+        )
     else:
         from uqharness.simulator.aircraft import find_aircraft
 
@@ -55,17 +62,59 @@ def _study(place: Path, seed: int) -> None:
 
 
 _DART = folder("aircraft/dart", "dart")
-_CAMPAIGN = {**_DART, "script.xml": "aircraft/script.xml", "model-form.json": "results/bounds/model-form.json",
-             "fit.json": "results/fit/fit.json"}  # fmt: skip
+_CAMPAIGN = {
+    **_DART,
+    "script.xml": "aircraft/script.xml",
+    "model-form.json": "results/bounds/model-form.json",
+    "fit.json": "results/fit/fit.json",
+}
 
 FORMATS = (
-    Format("signal-map", ({"map.toml": "settings/map.toml", "table.csv": "logs/table.csv"},), ("map.toml",), toml_damage, _map),
-    Format("card", ({**_DART, "flight.bin": "logs/flight.bin"},), ("dart/airframe.toml",), toml_damage, _card),
-    Format("effects", ({"effects.toml": "settings/effects.toml"},), ("effects.toml",), toml_damage, _effects, 0.3),
-    Format("campaign", tuple({**_CAMPAIGN, "campaign.toml": f"settings/{name}.toml"} for name in ("campaign", "sampled", "steady")),
-           ("campaign.toml",), toml_damage, _campaign),
-    Format("campaign-inputs", ({**_CAMPAIGN, "campaign.toml": "settings/sampled.toml"},), ("model-form.json", "fit.json"),
-           json_damage, _campaign),
-    Format("study", ({**_CAMPAIGN, "study.toml": "settings/study.toml"},), ("study.toml",), toml_damage, _study),
-)  # fmt: skip
+    Format(
+        "signal-map",
+        ({"map.toml": "settings/map.toml", "table.csv": "logs/table.csv"},),
+        ("map.toml",),
+        toml_damage,
+        _map,
+    ),
+    Format(
+        "card",
+        ({**_DART, "flight.bin": "logs/flight.bin"},),
+        ("dart/airframe.toml",),
+        toml_damage,
+        _card,
+    ),
+    Format(
+        "effects",
+        ({"effects.toml": "settings/effects.toml"},),
+        ("effects.toml",),
+        toml_damage,
+        _effects,
+        0.3,
+    ),
+    Format(
+        "campaign",
+        tuple(
+            {**_CAMPAIGN, "campaign.toml": f"settings/{name}.toml"}
+            for name in ("campaign", "sampled", "steady")
+        ),
+        ("campaign.toml",),
+        toml_damage,
+        _campaign,
+    ),
+    Format(
+        "campaign-inputs",
+        ({**_CAMPAIGN, "campaign.toml": "settings/sampled.toml"},),
+        ("model-form.json", "fit.json"),
+        json_damage,
+        _campaign,
+    ),
+    Format(
+        "study",
+        ({**_CAMPAIGN, "study.toml": "settings/study.toml"},),
+        ("study.toml",),
+        toml_damage,
+        _study,
+    ),
+)
 """Signal maps, cards, effects, campaigns (and the model form and the fit that one names), studies."""

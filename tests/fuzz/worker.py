@@ -59,7 +59,13 @@ class Bench:
         deeds = [*deeds, *self._changes(before), *self._left_behind(temporary)]
         if deeds:
             outcome, what = "finding", "; ".join(dict.fromkeys(deeds))[:600]
-        return {"outcome": outcome, "what": what, "s": seconds, "MB": megabytes, "resident": resident_mb()}
+        return {
+            "outcome": outcome,
+            "what": what,
+            "s": seconds,
+            "MB": megabytes,
+            "resident": resident_mb(),
+        }
 
     def _put(self, files: dict[str, bytes]) -> None:
         shutil.rmtree(self.place, ignore_errors=True)
@@ -80,12 +86,18 @@ class Bench:
 
     def _changes(self, before: dict[str, tuple[int, int]]) -> list[str]:
         after = self._seen()
-        new = [f"leaves {path}" for path in after if path not in before or after[path] != before[path]]
+        new = [
+            f"leaves {path}" for path in after if path not in before or after[path] != before[path]
+        ]
         gone = [f"removes {path}" for path in before if path not in after]
         for path in after:
             if path not in before and os.path.isfile(path):
                 os.unlink(path)
-        return [*new, *gone, *(f"opens the network: {row}" for row in internet_sockets([os.getpid()]))]
+        return [
+            *new,
+            *gone,
+            *(f"opens the network: {row}" for row in internet_sockets([os.getpid()])),
+        ]
 
     def _left_behind(self, before: set[str]) -> list[str]:
         now = set(os.listdir(self._temporary))
@@ -95,13 +107,20 @@ class Bench:
             shutil.rmtree(self._temporary / name, ignore_errors=True)
         kept = sum(len(os.listdir(self._temporary / name)) for name in own)
         much = [f"keeps {kept} temporary folders"] if kept > _MOST_KEPT else []
-        return [*(f"leaves {name} among temporary files" for name in sorted(now - own - before)), *much]
+        return [
+            *(f"leaves {name} among temporary files" for name in sorted(now - own - before)),
+            *much,
+        ]
 
 
 def _last_words(error: BaseException) -> str:
     """The error and where it was raised, innermost of the project's own lines last."""
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [f for f in frames if "site-packages" not in f.filename and f"{os.sep}fuzz{os.sep}" not in f.filename]
+    ours = [
+        f
+        for f in frames
+        if "site-packages" not in f.filename and f"{os.sep}fuzz{os.sep}" not in f.filename
+    ]
     where = " < ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in reversed(ours[-3:]))
     return f"{type(error).__name__}: {str(error)[:300]!r} at {where or 'the harness'}"
 

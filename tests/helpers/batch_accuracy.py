@@ -18,34 +18,56 @@ Points = tuple[np.ndarray, ...]
 
 def _signed(rng: np.random.Generator, count: int, low: float, high: float) -> np.ndarray:
     """Numbers of both signs whose size is 2^low to 2^high, evenly in the exponent."""
-    return np.ldexp(rng.uniform(1, 2, count), 0) * np.exp2(np.floor(rng.uniform(low, high, count))) * rng.choice([-1.0, 1.0], count)
+    return (
+        np.ldexp(rng.uniform(1, 2, count), 0)
+        * np.exp2(np.floor(rng.uniform(low, high, count)))
+        * rng.choice([-1.0, 1.0], count)
+    )
 
 
 def _angles(rng: np.random.Generator, n: int) -> Points:
     near = np.round(rng.uniform(-6e5, 6e5, n // 4)) * (np.pi / 2)
     return (
-        np.concatenate([rng.uniform(-8, 8, n // 4), rng.uniform(-1e6, 1e6, n // 4), _signed(rng, n - 3 * (n // 4), -60, 19), near]),
+        np.concatenate(
+            [
+                rng.uniform(-8, 8, n // 4),
+                rng.uniform(-1e6, 1e6, n // 4),
+                _signed(rng, n - 3 * (n // 4), -60, 19),
+                near,
+            ]
+        ),
     )
 
 
 def _ratios(rng: np.random.Generator, n: int) -> Points:
     return (
         np.concatenate(
-            [rng.uniform(-1, 1, n // 2), 1 - np.exp2(rng.uniform(-53, 0, n // 4)), _signed(rng, n - n // 2 - n // 4, -60, -1)]
+            [
+                rng.uniform(-1, 1, n // 2),
+                1 - np.exp2(rng.uniform(-53, 0, n // 4)),
+                _signed(rng, n - n // 2 - n // 4, -60, -1),
+            ]
         ),
     )
 
 
 def _positives(rng: np.random.Generator, n: int) -> Points:
     wide = np.abs(_signed(rng, n // 3, -1074, 1023))
-    return (np.concatenate([wide, rng.uniform(0.5, 2, n // 3), 1 + _signed(rng, n - 2 * (n // 3), -50, -3)]),)
+    return (
+        np.concatenate(
+            [wide, rng.uniform(0.5, 2, n // 3), 1 + _signed(rng, n - 2 * (n // 3), -50, -3)]
+        ),
+    )
 
 
 def _powers(rng: np.random.Generator, n: int) -> Points:
     half = n // 2
     x = np.concatenate([rng.uniform(0, 4, half), np.abs(_signed(rng, n - half, -1000, 1000))])
     y = np.concatenate(
-        [rng.uniform(-30, 30, half), rng.uniform(-1, 1, n - half) * 700 / np.maximum(np.abs(np.log(x[half:])), 1e-3)]
+        [
+            rng.uniform(-30, 30, half),
+            rng.uniform(-1, 1, n - half) * 700 / np.maximum(np.abs(np.log(x[half:])), 1e-3),
+        ]
     )
     return x, y
 
@@ -56,8 +78,12 @@ POINTS: dict[str, Callable[[np.random.Generator, int], Points]] = {
     "tan": _angles,
     "asin": _ratios,
     "acos": _ratios,
-    "atan": lambda r, n: (np.concatenate([_signed(r, n // 2, -60, 60), r.uniform(-4, 4, n - n // 2)]),),
-    "exp": lambda r, n: (np.concatenate([r.uniform(-745, 709.7, n // 2), _signed(r, n - n // 2, -60, 6)]),),
+    "atan": lambda r, n: (
+        np.concatenate([_signed(r, n // 2, -60, 60), r.uniform(-4, 4, n - n // 2)]),
+    ),
+    "exp": lambda r, n: (
+        np.concatenate([r.uniform(-745, 709.7, n // 2), _signed(r, n - n // 2, -60, 6)]),
+    ),
     "log": _positives,
     "log2": _positives,
     "log10": _positives,
@@ -88,15 +114,22 @@ def values(operation: str, points: Points, exponent: float | None = None) -> np.
 
 def errors(operation: str, points: Points, result: np.ndarray) -> np.ndarray:
     """Errors in units of the last place of the exact result, NaN where the exact result is no double's neighbour."""
-    exact = {"log2": lambda x: mp.log(x, 2), "pow": mp.power, "fmod": mp.fmod, "log10": lambda x: mp.log(x, 10)}.get(
-        operation, getattr(mp, operation, None)
-    )
+    exact = {
+        "log2": lambda x: mp.log(x, 2),
+        "pow": mp.power,
+        "fmod": mp.fmod,
+        "log10": lambda x: mp.log(x, 10),
+    }.get(operation, getattr(mp, operation, None))
     assert exact is not None
     out = np.empty(len(result))
     with mp.workprec(140 if operation != "fmod" else 400):
-        for k, (arguments, got) in enumerate(zip(zip(*(p.tolist() for p in points), strict=True), result.tolist(), strict=True)):
+        for k, (arguments, got) in enumerate(
+            zip(zip(*(p.tolist() for p in points), strict=True), result.tolist(), strict=True)
+        ):
             true = (
-                abs(mp.fmod(*map(abs, arguments))) * (1 if arguments[0] > 0 else -1) if operation == "fmod" else exact(*arguments)
+                abs(mp.fmod(*map(abs, arguments))) * (1 if arguments[0] > 0 else -1)
+                if operation == "fmod"
+                else exact(*arguments)
             )
             nearest = float(true)
             if np.isinf(nearest):

@@ -26,10 +26,32 @@ T, S = "<p>i/t</p>", "<p>i/s</p>"  # truth values
 SIX = f"{A}{B}{C}{U}<p>i/u2</p><p>i/u3</p>"
 
 EXACT: Mapping[str, str] = {
-    **{op: f"<{op}>{A}{B}{C}</{op}>" for op in ("sum", "difference", "product", "avg", "min", "max")},
-    **{f"{op} of one": f"<{op}>{A}</{op}>" for op in ("sum", "difference", "product", "avg", "min", "max")},
-    **{op: f"<{op}>{A}{B}</{op}>" for op in ("quotient", "lt", "le", "gt", "ge", "eq", "nq", "fmod", "roundmultiple")},
-    **{op: f"<{op}>{A}</{op}>" for op in ("abs", "sign", "floor", "ceil", "integer", "fraction", "toradians", "todegrees", "sqrt")},
+    **{
+        op: f"<{op}>{A}{B}{C}</{op}>"
+        for op in ("sum", "difference", "product", "avg", "min", "max")
+    },
+    **{
+        f"{op} of one": f"<{op}>{A}</{op}>"
+        for op in ("sum", "difference", "product", "avg", "min", "max")
+    },
+    **{
+        op: f"<{op}>{A}{B}</{op}>"
+        for op in ("quotient", "lt", "le", "gt", "ge", "eq", "nq", "fmod", "roundmultiple")
+    },
+    **{
+        op: f"<{op}>{A}</{op}>"
+        for op in (
+            "abs",
+            "sign",
+            "floor",
+            "ceil",
+            "integer",
+            "fraction",
+            "toradians",
+            "todegrees",
+            "sqrt",
+        )
+    },
     "quotient by 0": f"<quotient>{A}{T}</quotient>",
     "fmod by 0": f"<fmod>{A}{T}</fmod>",
     "roundmultiple of one": f"<roundmultiple>{A}</roundmultiple>",
@@ -68,8 +90,15 @@ TRANSCENDENTAL: Mapping[str, str] = {
 """Operations that call the C library in JSBSim: at most 2 units in the last place apart."""
 
 ROTATIONS: Mapping[str, str] = {
-    **{f"rotation_{w} {k}": f"<rotation_{w}>{SIX}<v>{k}</v></rotation_{w}>" for w in ("bf_to_wf", "wf_to_bf") for k in (1, 2, 3)},
-    **{f"rotation_{w}_local": f"<rotation_{w}_local>{SIX}</rotation_{w}_local>" for w in ("alpha", "beta", "gamma")},
+    **{
+        f"rotation_{w} {k}": f"<rotation_{w}>{SIX}<v>{k}</v></rotation_{w}>"
+        for w in ("bf_to_wf", "wf_to_bf")
+        for k in (1, 2, 3)
+    },
+    **{
+        f"rotation_{w}_local": f"<rotation_{w}_local>{SIX}</rotation_{w}_local>"
+        for w in ("alpha", "beta", "gamma")
+    },
 }
 """Sums of products of sines: apart by rounding of the largest term."""
 
@@ -77,7 +106,10 @@ ROTATIONS: Mapping[str, str] = {
 def arguments(rows: int, seed: int = 1) -> dict[str, np.ndarray]:
     """Random inputs, special numbers among them."""
     rng = np.random.default_rng(seed)
-    out = {name: rng.normal(size=rows) * np.exp2(rng.integers(-3, 4, rows)) for name in ("i/a", "i/b", "i/c")}
+    out = {
+        name: rng.normal(size=rows) * np.exp2(rng.integers(-3, 4, rows))
+        for name in ("i/a", "i/b", "i/c")
+    }
     for name in ("i/a", "i/b"):
         out[name][rng.integers(0, rows, rows // 50)] = 0.0
         out[name][rng.integers(0, rows, rows // 50)] = -0.0
@@ -102,7 +134,9 @@ def translated(functions: Mapping[str, str], inputs: Mapping[str, np.ndarray]) -
     return lower(builder.finish(outputs))
 
 
-def compared(functions: Mapping[str, str], inputs: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def compared(
+    functions: Mapping[str, str], inputs: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """JSBSim's values and ours by name."""
     numbered = {f"o/f{k}": body for k, body in enumerate(functions.values())}
     theirs = oracle.evaluate(numbered, inputs)
@@ -125,15 +159,26 @@ def ulps(theirs: np.ndarray, ours: np.ndarray) -> np.ndarray:
 def main() -> None:
     """The table."""
     inputs = arguments(20_000)
-    for title, group in (("exact", EXACT), ("transcendental", TRANSCENDENTAL), ("rotations", ROTATIONS)):
+    for title, group in (
+        ("exact", EXACT),
+        ("transcendental", TRANSCENDENTAL),
+        ("rotations", ROTATIONS),
+    ):
         theirs, ours = compared(group, inputs)
         for name in group:
             share = np.mean(same_bits(theirs[name], ours[name])) * 100
             scale = np.nanmax(np.abs(np.where(np.isfinite(theirs[name]), theirs[name], np.nan)))
             with np.errstate(all="ignore"):
-                apart = np.nanmax(np.where(np.isfinite(theirs[name]), np.abs(theirs[name] - ours[name]), 0)) / scale
+                apart = (
+                    np.nanmax(
+                        np.where(np.isfinite(theirs[name]), np.abs(theirs[name] - ours[name]), 0)
+                    )
+                    / scale
+                )
             worst = ulps(theirs[name], ours[name]).max()
-            print(f"{title:15s} {name:25s} {share:8.3f} % same bits, at most {worst:.3g} ulp, {apart:.2g} of the largest")
+            print(
+                f"{title:15s} {name:25s} {share:8.3f} % same bits, at most {worst:.3g} ulp, {apart:.2g} of the largest"
+            )
 
 
 if __name__ == "__main__":

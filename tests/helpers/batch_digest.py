@@ -15,7 +15,9 @@ def function() -> Function:
     """All of them, of inputs x and y."""
     b = Builder()
     x, y = b.input("x"), b.input("y")
-    return lower(b.finish({name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()}))
+    return lower(
+        b.finish({name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()})
+    )
 
 
 def points() -> dict[str, np.ndarray]:
@@ -23,7 +25,10 @@ def points() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(2024)
     u = rng.random((8, 4000)) * 2 - 1
     wide = u[0] * u[1] * u[2] * 8.0
-    return {"x": np.concatenate([u[3], wide, u[4] * 700.0, u[5] * 1e6]), "y": np.concatenate([u[6], u[7] * 30.0, u[0] * 3.0, u[1]])}
+    return {
+        "x": np.concatenate([u[3], wide, u[4] * 700.0, u[5] * 1e6]),
+        "y": np.concatenate([u[6], u[7] * 30.0, u[0] * 3.0, u[1]]),
+    }
 
 
 def digest(outputs: dict[str, np.ndarray]) -> str:

@@ -17,7 +17,12 @@ from uqharness.simulator import engine
 
 RUNNING = '<property value="-1">propulsion/set-running</property>'
 """For a script: every engine runs."""
-HEAVY = flights.MASS.replace(">47<", ">2000<").replace(">4<", ">1000<").replace(">6<", ">1400<").replace(">8<", ">2000<")
+HEAVY = (
+    flights.MASS.replace(">47<", ">2000<")
+    .replace(">4<", ">1000<")
+    .replace(">6<", ">1400<")
+    .replace(">8<", ">2000<")
+)
 MOTOR = '<?xml version="1.0"?><electric_engine name="m"><power unit="WATTS">600</power></electric_engine>'
 BRUSHLESS = (
     '<?xml version="1.0"?><brushless_dc_motor name="m"><maxvolts>12</maxvolts><velocityconstant>90</velocityconstant>'
@@ -69,10 +74,13 @@ VARIABLE_PITCH = """<?xml version="1.0"?><propeller name="p" version="1.1">
 0 1.0
 3000 1.1</tableData></table></propeller>"""
 FILES: Mapping[str, str] = {
-    "Engines/motor.xml": MOTOR, "Engines/brushless.xml": BRUSHLESS, "Engines/fixed.xml": FIXED_PITCH,
-    "Engines/variable.xml": VARIABLE_PITCH, "Engines/direct.xml": '<?xml version="1.0"?><direct name="d"/>',
+    "Engines/motor.xml": MOTOR,
+    "Engines/brushless.xml": BRUSHLESS,
+    "Engines/fixed.xml": FIXED_PITCH,
+    "Engines/variable.xml": VARIABLE_PITCH,
+    "Engines/direct.xml": '<?xml version="1.0"?><direct name="d"/>',
     "Engines/nozzle.xml": '<?xml version="1.0"?><nozzle name="n"><area unit="FT2">0.0001</area></nozzle>',
-}  # fmt: skip
+}
 AERODYNAMICS = """<aerodynamics>
 <axis name="LIFT"><function name="aero/l"><product><p>aero/qbar-area</p><v>5</v><p>aero/alpha-rad</p></product></function></axis>
 <axis name="DRAG"><function name="aero/d"><product><p>aero/qbar-area</p><v>.3</v></product></function></axis>
@@ -88,14 +96,33 @@ TOTALS = [f"forces/fb{a}-{which}-lbs" for a in "xyz" for which in ("prop", "tota
 MASS = ["inertia/mass-slugs", "inertia/weight-lbs", *(f"inertia/cg-{a}-in" for a in "xyz")] + [
     f"inertia/{name}-slugs_ft2" for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 ]
-MOTION = ["velocities/u-fps", "velocities/p-rad_sec", "velocities/q-rad_sec", "attitude/phi-rad", "accelerations/udot-ft_sec2"]
+MOTION = [
+    "velocities/u-fps",
+    "velocities/p-rad_sec",
+    "velocities/q-rad_sec",
+    "attitude/phi-rad",
+    "accelerations/udot-ft_sec2",
+]
 PROPELLER = (
-    "propeller-rpm", "engine-rpm", "thrust-lbs", "advance-ratio", "blade-angle", "thrust-coefficient", "helical-tip-Mach",
-    "prop-induced-velocity_fps", "propeller-power-ftlbps", "propeller-torque-ftlb", "y-position", "z-position", "power-hp",
-)  # fmt: skip
+    "propeller-rpm",
+    "engine-rpm",
+    "thrust-lbs",
+    "advance-ratio",
+    "blade-angle",
+    "thrust-coefficient",
+    "helical-tip-Mach",
+    "prop-induced-velocity_fps",
+    "propeller-power-ftlbps",
+    "propeller-torque-ftlb",
+    "y-position",
+    "z-position",
+    "power-hp",
+)
 
 
-def mounted(motor: str, thruster: str, number: int = 0, feed: str = "", extra: str | None = None) -> str:
+def mounted(
+    motor: str, thruster: str, number: int = 0, feed: str = "", extra: str | None = None
+) -> str:
     """An ``<engine>`` that names its files; each number has another place, direction and sense."""
     k = number
     more = f"<sense>{1 - 2 * k}</sense><p_factor>{5 * k}</p_factor>" if extra is None else extra
@@ -117,7 +144,9 @@ def tank(contents: float, more: str = "", capacity: float = 12.0) -> str:
 
 def aircraft(propulsion: str, mass: str = flights.MASS, systems: str = "") -> str:
     """An aircraft with this in its ``<propulsion>``."""
-    return flights.aircraft(f"<propulsion>{propulsion}</propulsion>{systems}{AERODYNAMICS}", mass=mass)
+    return flights.aircraft(
+        f"<propulsion>{propulsion}</propulsion>{systems}{AERODYNAMICS}", mass=mass
+    )
 
 
 def of(number: int, names: tuple[str, ...] | list[str]) -> list[str]:
@@ -126,7 +155,9 @@ def of(number: int, names: tuple[str, ...] | list[str]) -> list[str]:
     return [base + name for name in names]
 
 
-def levers(frames: int, engines: int = 1, seed: int = 0, most: float = 1.0) -> dict[str, np.ndarray]:
+def levers(
+    frames: int, engines: int = 1, seed: int = 0, most: float = 1.0
+) -> dict[str, np.ndarray]:
     """Throttle, propeller and feather levers and a wind that step at random."""
     rng = np.random.default_rng(seed)
 
@@ -176,18 +207,28 @@ class Case:
             return flights.by_jsbsim(fdm, self.inputs, self.records, self.frames)
 
     def ours(
-        self, text: str | None = None, files: Mapping[str, str] | None = None, events: str | None = None
+        self,
+        text: str | None = None,
+        files: Mapping[str, str] | None = None,
+        events: str | None = None,
     ) -> dict[str, np.ndarray]:
         """The same by the translation, of other files where they are given."""
-        with self._craft(text or self.text, files or self.files, self.events if events is None else events) as made:
+        with self._craft(
+            text or self.text, files or self.files, self.events if events is None else events
+        ) as made:
             return flights.by_batch(made, self.inputs, self.records, self.frames)
 
-    def _craft(self, text: str, files: Mapping[str, str], events: str) -> AbstractContextManager[flights.Craft]:
+    def _craft(
+        self, text: str, files: Mapping[str, str], events: str
+    ) -> AbstractContextManager[flights.Craft]:
         return flights.craft(text, {**flights.START, **self.start}, events, files)
 
 
 def refusal(text: str, files: Mapping[str, str], events: str = "") -> str:
     """What is said of a ``<propulsion>`` when it is read; JSBSim itself may refuse it too, and is not asked."""
-    with flights.craft(text, files=files, events=events) as made, pytest.raises(BadInputError) as error:
+    with (
+        flights.craft(text, files=files, events=events) as made,
+        pytest.raises(BadInputError) as error,
+    ):
         read_propulsion(made.sources(), Values(lambda _: 0.0))
     return str(error.value)

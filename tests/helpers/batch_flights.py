@@ -36,14 +36,25 @@ MASS = """<mass_balance><ixx unit="SLUG*FT2">4</ixx><iyy unit="SLUG*FT2">6</iyy>
 <ixz unit="SLUG*FT2">.3</ixz><emptywt unit="LBS">47</emptywt>
 <location name="CG" unit="IN"><x>0</x><y>.1</y><z>0</z></location></mass_balance>"""
 START: Mapping[str, float] = {
-    "ic/lat-geod-rad": 0.875, "ic/long-gc-rad": 0.5, "ic/h-sl-ft": 1500.0, "ic/psi-true-rad": 1.25, "ic/theta-rad": 0.125,
-    "ic/phi-rad": 0.375, "ic/u-fps": 70.0, "ic/v-fps": 3.0, "ic/w-fps": 2.0, "ic/p-rad_sec": 0.25, "ic/q-rad_sec": -0.125,
+    "ic/lat-geod-rad": 0.875,
+    "ic/long-gc-rad": 0.5,
+    "ic/h-sl-ft": 1500.0,
+    "ic/psi-true-rad": 1.25,
+    "ic/theta-rad": 0.125,
+    "ic/phi-rad": 0.375,
+    "ic/u-fps": 70.0,
+    "ic/v-fps": 3.0,
+    "ic/w-fps": 2.0,
+    "ic/p-rad_sec": 0.25,
+    "ic/q-rad_sec": -0.125,
     "ic/r-rad_sec": 0.0625,
-}  # fmt: skip
+}
 """A start that 44 bits hold."""
 
 
-def aircraft(body: str, metrics: str = METRICS, mass: str = MASS, ground: str = "<ground_reactions/>") -> str:
+def aircraft(
+    body: str, metrics: str = METRICS, mass: str = MASS, ground: str = "<ground_reactions/>"
+) -> str:
     """The XML of an aircraft; ``body`` has its systems, forces and aerodynamics."""
     head = '<?xml version="1.0"?>\n<fdm_config name="point" version="2.0" release="ALPHA">'
     return f"{head}{metrics}{mass}{ground}\n{body}\n</fdm_config>\n"
@@ -81,7 +92,10 @@ class Craft:
 
 @contextmanager
 def craft(
-    text: str, start: Mapping[str, float] = START, events: str = "", files: Mapping[str, str] | None = None
+    text: str,
+    start: Mapping[str, float] = START,
+    events: str = "",
+    files: Mapping[str, str] | None = None,
 ) -> Iterator[Craft]:
     """The aircraft in a scratch folder; ``files`` are others of its folder."""
     with scratch_folder("craft") as scratch:
@@ -89,7 +103,9 @@ def craft(
         for place in (folder, scratch.path / "engine", scratch.path / "systems"):
             place.mkdir(parents=True)
         (folder / "point.xml").write_text(text)
-        (folder / "start.xml").write_text('<?xml version="1.0"?><initialize name="start"></initialize>')
+        (folder / "start.xml").write_text(
+            '<?xml version="1.0"?><initialize name="start"></initialize>'
+        )
         for name, content in (files or {}).items():
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text(content)
@@ -97,7 +113,9 @@ def craft(
         yield Craft(scratch.path, start)
 
 
-def translated(made: Craft, records: Sequence[str], inputs: Sequence[str] = (), varying: Sequence[str] = ()) -> Flight:
+def translated(
+    made: Craft, records: Sequence[str], inputs: Sequence[str] = (), varying: Sequence[str] = ()
+) -> Flight:
     """The programs; ``inputs`` are fed, ``varying`` differ between lanes. Raises BadInputError."""
     sources = made.sources()
     values = Values(initial_values(made.open), constant_properties(sources))
@@ -112,7 +130,9 @@ def refused(text: str, events: str = "", files: Mapping[str, str] | None = None)
     return str(error.value)
 
 
-def by_jsbsim(fdm: Any, inputs: Series, records: Sequence[str], frames: int) -> dict[str, np.ndarray]:
+def by_jsbsim(
+    fdm: Any, inputs: Series, records: Sequence[str], frames: int
+) -> dict[str, np.ndarray]:
     """What JSBSim has behind its initialising frames and behind each frame; the host sets row k before frame k."""
     engine.run_ic(fdm)
     sets = [(engine.handle(fdm, name), values) for name, values in inputs.items()]
@@ -127,7 +147,9 @@ def by_jsbsim(fdm: Any, inputs: Series, records: Sequence[str], frames: int) -> 
     return dict(zip(records, out, strict=True))
 
 
-def started(flight: Flight, conditions: Mapping[str, float], settings: Mapping[str, float] | None = None) -> dict[str, np.ndarray]:
+def started(
+    flight: Flight, conditions: Mapping[str, float], settings: Mapping[str, float] | None = None
+) -> dict[str, np.ndarray]:
     """Slots of one lane behind the initialising frames."""
     values = start_state({name: np.array([conditions[name]]) for name in CONDITIONS})
     values |= {name: np.array([value]) for name, value in (settings or {}).items()}
@@ -137,34 +159,55 @@ def started(flight: Flight, conditions: Mapping[str, float], settings: Mapping[s
 
 
 def flown(
-    program: Program, values: Mapping[str, np.ndarray], frames: int, feeds: Mapping[str, Feed] | None = None, first: int = 1
+    program: Program,
+    values: Mapping[str, np.ndarray],
+    frames: int,
+    feeds: Mapping[str, Feed] | None = None,
+    first: int = 1,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The slots of one lane behind ``frames`` frames, and the records (records, frames)."""
     flyer = flyer_of(program, frames)
-    state = begun(flyer.program, 1, {name: value for name, value in values.items() if name in flyer.program.slots})
+    state = begun(
+        flyer.program,
+        1,
+        {name: value for name, value in values.items() if name in flyer.program.slots},
+    )
     records = flyer.fly(state, first, frames, feeds)
-    return {name: slot(flyer.program, state, name, 1) for name in flyer.program.slots}, records[:, 0]
+    return {name: slot(flyer.program, state, name, 1) for name in flyer.program.slots}, records[
+        :, 0
+    ]
 
 
-def by_batch(made: Craft, inputs: Series, records: Sequence[str], frames: int) -> dict[str, np.ndarray]:
+def by_batch(
+    made: Craft, inputs: Series, records: Sequence[str], frames: int
+) -> dict[str, np.ndarray]:
     """The same by the translation."""
     fdm = made.open()
     flight = translated(made, records, list(inputs))
     begin = {name: float(values[0]) for name, values in inputs.items()}
     # JSBSim takes the wind of its initial conditions, which may be a rounding of nothing.
-    begin |= {f"atmosphere/wind-{axis}-fps": float(fdm[f"ic/vw-{axis}-fps"]) for axis in ("north", "east", "down")}
+    begin |= {
+        f"atmosphere/wind-{axis}-fps": float(fdm[f"ic/vw-{axis}-fps"])
+        for axis in ("north", "east", "down")
+    }
     values = started(flight, {name: float(fdm[name]) for name in CONDITIONS}, begin)
     feeds = {}
     if inputs:
-        table = np.ascontiguousarray(np.stack([values[1:] for values in inputs.values()], axis=1), dtype=np.float64)
+        table = np.ascontiguousarray(
+            np.stack([values[1:] for values in inputs.values()], axis=1), dtype=np.float64
+        )
         feeds["inputs"] = Feed(table, 0, np.zeros(1, dtype=np.int64))
     if NORMALS in flight.frame.streams:
         rows = Turbulence(int(made.start.get("atmosphere/randomseed", 0))).rows(max(frames, 1))
         feeds[NORMALS.name] = Feed(rows.array, 0, np.zeros(1, dtype=np.int64))
-    before = {name: values[name][0] if name in values else flight.frame.slots[name] for name in flight.frame.records}
+    before = {
+        name: values[name][0] if name in values else flight.frame.slots[name]
+        for name in flight.frame.records
+    }
     _, rows = flown(flight.frame, values, frames, feeds)
     return {
-        name: np.concatenate([[before[c]], rows[k]]) for k, (name, c) in enumerate(zip(records, flight.frame.records, strict=True))
+        name: np.concatenate([[before[c]], rows[k]])
+        for k, (name, c) in enumerate(zip(records, flight.frame.records, strict=True))
     }
 
 
@@ -177,7 +220,10 @@ def apart(theirs: Series, ours: Series, floor: float = 1e-3) -> dict[str, float]
         with np.errstate(invalid="ignore"):
             gap = np.where(same, 0.0, np.abs(there - here))
         finite = np.abs(there[np.isfinite(there)])
-        out[name] = float(np.max(np.where(np.isnan(gap), np.inf, gap)) / max(floor, finite.max() if finite.size else 0.0))
+        out[name] = float(
+            np.max(np.where(np.isnan(gap), np.inf, gap))
+            / max(floor, finite.max() if finite.size else 0.0)
+        )
     return out
 
 
@@ -201,7 +247,9 @@ def compared(
         theirs = by_jsbsim(fdm, inputs, records, frames)
         if changed is None and changed_events is None:
             return apart(theirs, by_batch(made, inputs, records, frames), floor)
-    with craft(changed or text, start, events if changed_events is None else changed_events) as made:
+    with craft(
+        changed or text, start, events if changed_events is None else changed_events
+    ) as made:
         return apart(theirs, by_batch(made, inputs, records, frames), floor)
 
 

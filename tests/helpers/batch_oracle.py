@@ -37,7 +37,11 @@ _ENGINE = '<engine file="motor"><thruster file="jet"/></engine>'
 def model(body: str, engines: int = 0) -> str:
     """The XML of the model whose system holds ``body``, with so many electric engines."""
     text = _MODEL.replace("{body}", body)
-    return text.replace(" <system", f" <propulsion>{_ENGINE * engines}</propulsion>\n <system", 1) if engines else text
+    return (
+        text.replace(" <system", f" <propulsion>{_ENGINE * engines}</propulsion>\n <system", 1)
+        if engines
+        else text
+    )
 
 
 def loaded(text: str, dt_s: float, files: Mapping[str, str] | None = None) -> Any:
@@ -63,11 +67,16 @@ def load(body: str) -> Any:
 
 
 def evaluate(
-    functions: Mapping[str, str], inputs: Mapping[str, np.ndarray], extra: str = "", outputs: Sequence[str] | None = None
+    functions: Mapping[str, str],
+    inputs: Mapping[str, np.ndarray],
+    extra: str = "",
+    outputs: Sequence[str] | None = None,
 ) -> dict[str, np.ndarray]:
     """What JSBSim makes of named ``<function>`` bodies, a frame a row of ``inputs`` (property to values)."""
     declared = "\n".join(f'<property value="1">{name}</property>' for name in inputs)
-    text = "\n".join(f'<function name="{name}">{body}</function>' for name, body in functions.items())
+    text = "\n".join(
+        f'<function name="{name}">{body}</function>' for name, body in functions.items()
+    )
     fdm = load(declared + "\n" + text + "\n" + extra)
     manager = fdm.get_property_manager()
     sets = [(manager.get_node(name), values.tolist()) for name, values in inputs.items()]

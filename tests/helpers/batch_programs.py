@@ -34,13 +34,19 @@ def mixed(seed: int = 0, sections: int = 6, operations: int = 40) -> Program:
         read = [b.load(str(name)) for name in rng.choice(readable, 8, replace=False)]
         # Noise that a lane does not have is NaN, which would soon be everywhere.
         pool = [value.eq(value).choose(value, 0.25) for value in read]
-        pool += [b.op("pow", b.op("abs", b.load("constant a")), 1.7), b.op("sin", b.load("constant b")) / b.load("constant a")]
+        pool += [
+            b.op("pow", b.op("abs", b.load("constant a")), 1.7),
+            b.op("sin", b.load("constant b")) / b.load("constant a"),
+        ]
         random_operations(b, rng, pool, operations)
         for name in rng.choice(names, 8, replace=False):
             value = pool[int(rng.integers(len(pool) // 2, len(pool)))]
             b.store(str(name), bounded(value) * 0.5 + b.load(str(name)) * 0.25)
         made.append(Section(f"part {number}", b.finish({}), whens[number % len(whens)]))
-    streams = (Stream("wind", ("w0", "w1"), every=2), Stream("noise", ("n0",), every=3, counter="count"))
+    streams = (
+        Stream("wind", ("w0", "w1"), every=2),
+        Stream("noise", ("n0",), every=3, counter="count"),
+    )
     return Program(tuple(made), slots, streams, (*names[:6], "frame", "n0", "w1"))
 
 
@@ -76,7 +82,10 @@ def random_operations(b: Builder, rng: np.random.Generator, pool: list[Value], c
         elif kind == 8:
             pool.append(b.op("max", b.op("min", x, y), -3.0))
         elif kind == 9:
-            pool.append(b.op("atan2", x, y) + b.op("lookup", b.table([0.1, -0.2, 0.3]), b.op("abs", y) * 2.0))
+            pool.append(
+                b.op("atan2", x, y)
+                + b.op("lookup", b.table([0.1, -0.2, 0.3]), b.op("abs", y) * 2.0)
+            )
         else:
             name = _ONE[int(rng.integers(len(_ONE)))]
             size = bounded(x)

@@ -39,27 +39,74 @@ BODY = f"""<system name="host">{"".join(f"<property>{name}</property>" for name 
  <axis name="YAW"><function name="aero/n"><property>i/n</property></function></axis>
 </aerodynamics>"""
 RECORDS = (
-    *(f"position/{f}-{a}-ft" for f in ("eci", "ecef") for a in "xyz"), *(f"velocities/eci-{a}-fps" for a in "xyz"),
-    "position/h-sl-ft", "position/geod-alt-ft", "position/h-agl-ft", "position/lat-geod-rad", "position/long-gc-rad",
-    "position/radius-to-vehicle-ft", "inertial/sea-level-radius_ft",
-    *(f"velocities/{a}-fps" for a in "uvw"), *(f"velocities/v-{a}-fps" for a in ("north", "east", "down")),
-    *(f"velocities/{a}-rad_sec" for a in "pqr"), *(f"velocities/{a}i-rad_sec" for a in "pqr"),
-    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")), *(f"velocities/{a}dot-rad_sec" for a in ("phi", "theta", "psi")),
-    "atmosphere/T-R", "atmosphere/P-psf", "atmosphere/rho-slugs_ft3", "atmosphere/a-fps", "velocities/vt-fps", "velocities/mach",
-    "velocities/ve-fps", "velocities/vg-fps", "aero/qbar-psf", "aero/alpha-rad", "aero/beta-rad", "aero/alphadot-rad_sec",
-    "aero/betadot-rad_sec", "aero/bi2vel", "aero/ci2vel", "flight-path/gamma-rad", "flight-path/psi-gt-rad",
-    *(f"forces/fb{a}-total-lbs" for a in "xyz"), *(f"moments/{a}-total-lbsft" for a in "lmn"),
-    *(f"accelerations/{a}dot-ft_sec2" for a in "uvw"), *(f"accelerations/{a}dot-rad_sec2" for a in "pqr"),
-    *(f"accelerations/{a}idot-rad_sec2" for a in "pqr"), "accelerations/gravity-ft_sec2",
-    *(f"accelerations/{a}" for a in ("Nx", "Ny", "Nz")), *(f"accelerations/a-pilot-{a}-ft_sec2" for a in "xyz"),
-)  # fmt: skip
+    *(f"position/{f}-{a}-ft" for f in ("eci", "ecef") for a in "xyz"),
+    *(f"velocities/eci-{a}-fps" for a in "xyz"),
+    "position/h-sl-ft",
+    "position/geod-alt-ft",
+    "position/h-agl-ft",
+    "position/lat-geod-rad",
+    "position/long-gc-rad",
+    "position/radius-to-vehicle-ft",
+    "inertial/sea-level-radius_ft",
+    *(f"velocities/{a}-fps" for a in "uvw"),
+    *(f"velocities/v-{a}-fps" for a in ("north", "east", "down")),
+    *(f"velocities/{a}-rad_sec" for a in "pqr"),
+    *(f"velocities/{a}i-rad_sec" for a in "pqr"),
+    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")),
+    *(f"velocities/{a}dot-rad_sec" for a in ("phi", "theta", "psi")),
+    "atmosphere/T-R",
+    "atmosphere/P-psf",
+    "atmosphere/rho-slugs_ft3",
+    "atmosphere/a-fps",
+    "velocities/vt-fps",
+    "velocities/mach",
+    "velocities/ve-fps",
+    "velocities/vg-fps",
+    "aero/qbar-psf",
+    "aero/alpha-rad",
+    "aero/beta-rad",
+    "aero/alphadot-rad_sec",
+    "aero/betadot-rad_sec",
+    "aero/bi2vel",
+    "aero/ci2vel",
+    "flight-path/gamma-rad",
+    "flight-path/psi-gt-rad",
+    *(f"forces/fb{a}-total-lbs" for a in "xyz"),
+    *(f"moments/{a}-total-lbsft" for a in "lmn"),
+    *(f"accelerations/{a}dot-ft_sec2" for a in "uvw"),
+    *(f"accelerations/{a}dot-rad_sec2" for a in "pqr"),
+    *(f"accelerations/{a}idot-rad_sec2" for a in "pqr"),
+    "accelerations/gravity-ft_sec2",
+    *(f"accelerations/{a}" for a in ("Nx", "Ny", "Nz")),
+    *(f"accelerations/a-pilot-{a}-ft_sec2" for a in "xyz"),
+)
 INTEGRATOR = "simulation/integrator/{}/{}"
 STATES: Mapping[str, Mapping[str, float]] = {
-    "rapid roll": {"ic/p-rad_sec": 6.0, "ic/q-rad_sec": -1.0, "ic/r-rad_sec": 0.5, "ic/lat-geod-rad": 0.8},
-    "60 degrees north, high": {"ic/lat-geod-rad": 1.05, "ic/h-sl-ft": 30000.0, "ic/u-fps": 400.0, "ic/phi-rad": 1.2},
-    "southern hemisphere, reversed": {"ic/lat-geod-rad": -0.6, "ic/long-gc-rad": -2.5, "ic/psi-true-rad": 4.5, "ic/v-fps": 20.0},
+    "rapid roll": {
+        "ic/p-rad_sec": 6.0,
+        "ic/q-rad_sec": -1.0,
+        "ic/r-rad_sec": 0.5,
+        "ic/lat-geod-rad": 0.8,
+    },
+    "60 degrees north, high": {
+        "ic/lat-geod-rad": 1.05,
+        "ic/h-sl-ft": 30000.0,
+        "ic/u-fps": 400.0,
+        "ic/phi-rad": 1.2,
+    },
+    "southern hemisphere, reversed": {
+        "ic/lat-geod-rad": -0.6,
+        "ic/long-gc-rad": -2.5,
+        "ic/psi-true-rad": 4.5,
+        "ic/v-fps": 20.0,
+    },
     "nearly vertical": {"ic/theta-rad": 1.5607, "ic/w-fps": 8.0, "ic/lat-geod-rad": 0.1},
-    "slow, tumbling": {"ic/u-fps": 5.0, "ic/w-fps": 30.0, "ic/q-rad_sec": 2.0, "ic/theta-rad": -1.0},
+    "slow, tumbling": {
+        "ic/u-fps": 5.0,
+        "ic/w-fps": 30.0,
+        "ic/q-rad_sec": 2.0,
+        "ic/theta-rad": -1.0,
+    },
 }
 """Starts beside ``START``."""
 _BACK = 5
@@ -72,7 +119,9 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def _after(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+    return np.array(
+        [a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))]
+    )
 
 
 def attitude(fdm: Any) -> np.ndarray:
@@ -111,12 +160,18 @@ def state(fdm: Any) -> dict[str, np.ndarray]:
 
 def integrators(rotation: int, translation: int, attitude: int, position: int) -> dict[str, float]:
     """JSBSim's settings of the four."""
-    numbers = {("rate", "rotational"): rotation, ("rate", "translational"): translation,
-               ("position", "rotational"): attitude, ("position", "translational"): position}  # fmt: skip
+    numbers = {
+        ("rate", "rotational"): rotation,
+        ("rate", "translational"): translation,
+        ("position", "rotational"): attitude,
+        ("position", "translational"): position,
+    }
     return {INTEGRATOR.format(*key): float(number) for key, number in numbers.items()}
 
 
-def one_frame(start: Mapping[str, float], seed: int = 0, changed: str | None = None, late_wind: bool = False) -> dict[str, float]:
+def one_frame(
+    start: Mapping[str, float], seed: int = 0, changed: str | None = None, late_wind: bool = False
+) -> dict[str, float]:
     """Differences of one frame from a copied state. ``changed`` is the aircraft that is translated, ``late_wind`` has it meet the
     wind of the frame before: for negative controls."""
     rng = np.random.default_rng(seed)
@@ -133,13 +188,21 @@ def one_frame(start: Mapping[str, float], seed: int = 0, changed: str | None = N
                 node.set_double_value(float(value))
             fdm.run()
             history.append(derivatives(fdm))
-        held = {f"#{name}": [v] for part, values in state(fdm).items() for name, v in zip(slots(part), values, strict=True)}
+        held = {
+            f"#{name}": [v]
+            for part, values in state(fdm).items()
+            for name, v in zip(slots(part), values, strict=True)
+        }
         for part in WEIGHTS_PARTS:
             for back in range(4):
                 values = history[-1 - back][part]
                 held |= {f"#{name}": [v] for name, v in zip(slots(part, back), values, strict=True)}
         held["#earth/angle"] = [fdm["position/epa-rad"]]
-        carried = {name: fdm[name] for name in RECORDS if name.startswith(("accelerations/", "velocities/", "aero/"))}
+        carried = {
+            name: fdm[name]
+            for name in RECORDS
+            if name.startswith(("accelerations/", "velocities/", "aero/"))
+        }
         total = _row(fdm, [f"forces/fb{a}-total-lbs" for a in "xyz"]) / fdm["inertia/mass-slugs"]
         held |= {f"#body-acceleration/{k}": [value] for k, value in enumerate(total)}
         for node, value in zip(nodes, rows[-1], strict=True):
@@ -148,9 +211,17 @@ def one_frame(start: Mapping[str, float], seed: int = 0, changed: str | None = N
         theirs = {name: np.array([fdm[name]]) for name in RECORDS}
     with craft(changed or text, start) as made:
         flight = translated(made, RECORDS, INPUTS)
-        values = {name: np.array(value) for name, value in held.items() if name in flight.frame.slots}
-        values |= {name: np.array([value]) for name, value in carried.items() if name in flight.frame.slots}
-        fed = np.where(np.array([late_wind and name.startswith("atmosphere/") for name in INPUTS]), rows[-2], rows[-1])
+        values = {
+            name: np.array(value) for name, value in held.items() if name in flight.frame.slots
+        }
+        values |= {
+            name: np.array([value]) for name, value in carried.items() if name in flight.frame.slots
+        }
+        fed = np.where(
+            np.array([late_wind and name.startswith("atmosphere/") for name in INPUTS]),
+            rows[-2],
+            rows[-1],
+        )
         feed = Feed(np.ascontiguousarray(fed[None, :]), 0, np.zeros(1, dtype=np.int64))
         _, records = flown(flight.frame, values, 1, {"inputs": feed})
     return apart(theirs, dict(zip(RECORDS, records, strict=True)), floor=1e-2)

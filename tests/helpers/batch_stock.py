@@ -28,7 +28,10 @@ from uqharness.simulator.staging import copied
 from uqharness.xml.document import parse_document
 
 DT_S = 1.0 / 120.0
-COMMANDS = tuple(f"fcs/{name}-cmd-norm" for name in ("aileron", "elevator", "rudder", "flap", "speedbrake", "throttle"))
+COMMANDS = tuple(
+    f"fcs/{name}-cmd-norm"
+    for name in ("aileron", "elevator", "rudder", "flap", "speedbrake", "throttle")
+)
 _START = {"ic/h-sl-ft": 5000.0, "ic/vc-kts": 120.0, "ic/gamma-deg": 0.0, "ic/phi-deg": 5.0}
 
 
@@ -61,7 +64,9 @@ def flown_by_both(aircraft: Aircraft, parts: Sequence[System], frames: int, seed
     systems = Systems(parts, DT_S, fdm.get_propulsion().get_num_engines())
     reading = _Reading(fdm)
     systems.trace(reading)
-    given = sorted(n for n in reading.asked - reading.writes if n != CHANNEL_STEP and manager.hasNode(n))
+    given = sorted(
+        n for n in reading.asked - reading.writes if n != CHANNEL_STEP and manager.hasNode(n)
+    )
     made = sorted(n for n in reading.writes if manager.hasNode(n))
     values = values_of(fdm)
     traced = [Frame(step, values, reading.writes | set(given)) for step in (0.0, 0.0, DT_S)]
@@ -71,7 +76,10 @@ def flown_by_both(aircraft: Aircraft, parts: Sequence[System], frames: int, seed
         values.setdefault(name)
     theirs = _by_jsbsim(aircraft, given, made, frames, seed)
     ours = _by_translation(traced, given, made, theirs)
-    return Pair(dict(zip(made, theirs.outputs.T.copy(), strict=True)), dict(zip(made, ours.T.copy(), strict=True)))
+    return Pair(
+        dict(zip(made, theirs.outputs.T.copy(), strict=True)),
+        dict(zip(made, ours.T.copy(), strict=True)),
+    )
 
 
 def _started(staging: Staging) -> Any:
@@ -81,7 +89,9 @@ def _started(staging: Staging) -> Any:
     return fdm
 
 
-def _by_jsbsim(aircraft: Aircraft, given: list[str], made: list[str], frames: int, seed: int) -> _Flown:
+def _by_jsbsim(
+    aircraft: Aircraft, given: list[str], made: list[str], frames: int, seed: int
+) -> _Flown:
     copies = "".join(
         f'<fcs_function name="probe/now-{k}"><function><p>{name}</p></function></fcs_function>'
         f'<actuator name="probe/before-{k}"><input>{name}</input><delay type="frames">2</delay></actuator>'
@@ -97,7 +107,10 @@ def _by_jsbsim(aircraft: Aircraft, given: list[str], made: list[str], frames: in
     engine.run_ic(fdm)
     manager = fdm.get_property_manager()
     commands = [name for name in COMMANDS if manager.hasNode(name) and name not in made]
-    now, before = ([engine.handle(fdm, f"probe/{when}-{k}") for k in range(len(given))] for when in ("now", "before"))
+    now, before = (
+        [engine.handle(fdm, f"probe/{when}-{k}") for k in range(len(given))]
+        for when in ("now", "before")
+    )
     out = [engine.handle(fdm, name) for name in made]
     rng = np.random.default_rng(seed)
     inputs, outputs = np.empty((frames + 1, len(given))), np.empty((frames + 1, len(made)))
@@ -113,13 +126,21 @@ def _by_jsbsim(aircraft: Aircraft, given: list[str], made: list[str], frames: in
     return _Flown(first, inputs, outputs)
 
 
-def _by_translation(traced: Sequence[Frame], given: list[str], made: list[str], theirs: _Flown) -> np.ndarray:
+def _by_translation(
+    traced: Sequence[Frame], given: list[str], made: list[str], theirs: _Flown
+) -> np.ndarray:
     state: dict[str, float] = {}
     for frame, row in zip(traced[:2], (theirs.first, theirs.inputs[0]), strict=True):
         state.update(zip(given, row.tolist(), strict=True))
         state.update(flown_once(frame.program(()), state))
-    flyer = flyer_of(traced[2].program(made, [Stream("given", tuple(given))]), len(theirs.inputs) - 1)
-    held = begun(flyer.program, 1, {name: value for name, value in state.items() if name in flyer.program.slots})
+    flyer = flyer_of(
+        traced[2].program(made, [Stream("given", tuple(given))]), len(theirs.inputs) - 1
+    )
+    held = begun(
+        flyer.program,
+        1,
+        {name: value for name, value in state.items() if name in flyer.program.slots},
+    )
     table = np.ascontiguousarray(theirs.inputs[1:])
     records = flyer.fly(held, 1, len(table), {"given": Feed(table, 0, np.zeros(1, dtype=np.int64))})
     begin = [state.get(name, traced[2].values[name]) for name in made]

@@ -53,7 +53,10 @@ class Pair:
             ours = self.ours[name]
             bad = ~same_bits(theirs, ours) & ~((np.abs(theirs) < 1e-300) & (np.abs(ours) < 1e-300))
             if bad.any():
-                worst = max(worst, float(np.max(np.abs(theirs - ours)[bad] / np.spacing(np.abs(theirs[bad])))))
+                worst = max(
+                    worst,
+                    float(np.max(np.abs(theirs - ours)[bad] / np.spacing(np.abs(theirs[bad])))),
+                )
         return worst
 
 
@@ -74,24 +77,35 @@ def values_of(fdm: Any) -> Values:
 
 
 def traced(
-    parts: Sequence[System], values: Values, inputs: Sequence[str], dt_s: float = DT_S, engines: int = 0, any_step: bool = False
+    parts: Sequence[System],
+    values: Values,
+    inputs: Sequence[str],
+    dt_s: float = DT_S,
+    engines: int = 0,
+    any_step: bool = False,
 ) -> list[Frame]:
     """The two initialising frames and that of the flight. ``any_step``: the step is in slot STEP, not in the program."""
     systems = Systems(parts, dt_s, engines)
     every = Frame(dt_s, values, None, any_step=any_step)
     systems.trace(every)
-    frames = [Frame(step, values, every.writes | set(inputs), (), any_step) for step in (0.0, 0.0, dt_s)]
+    frames = [
+        Frame(step, values, every.writes | set(inputs), (), any_step) for step in (0.0, 0.0, dt_s)
+    ]
     for number, frame in enumerate(frames):
         systems.trace(frame, first=number == 0)
     return frames
 
 
-def run(frames: Sequence[Frame], inputs: Series, records: Sequence[str], draws: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def run(
+    frames: Sequence[Frame], inputs: Series, records: Sequence[str], draws: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
     """What the translation makes of the inputs. The first row is there while initialising, each later one in its frame."""
     rows = len(next(iter(inputs.values())))
     table = np.ascontiguousarray(np.stack([inputs[name] for name in inputs], axis=1))
     streams = [Stream("inputs", tuple(inputs))]
-    state: dict[str, float] = {name: float(table[0, k]) for k, name in enumerate(inputs)} | {STEP: DT_S}
+    state: dict[str, float] = {name: float(table[0, k]) for k, name in enumerate(inputs)} | {
+        STEP: DT_S
+    }
     taken = 0
     for frame in frames[:2]:
         for name, _ in frame.draws:
@@ -111,7 +125,10 @@ def run(frames: Sequence[Frame], inputs: Series, records: Sequence[str], draws: 
     flyer = flyer_of(flight.program(records, streams), rows - 1)
     held = begun(flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots})
     made = flyer.fly(held, 1, rows - 1, feeds)
-    return {name: np.concatenate([[begin[name]], made[k, 0]]) for k, name in enumerate(flyer.program.records)}
+    return {
+        name: np.concatenate([[begin[name]], made[k, 0]])
+        for k, name in enumerate(flyer.program.records)
+    }
 
 
 def flown_once(program: Program, state: Mapping[str, float]) -> dict[str, float]:
@@ -134,7 +151,9 @@ def _draw_rows(frame: Frame, draws: np.ndarray, frames: int) -> tuple[tuple[str,
     return tuple(name for name, _ in frame.draws), series
 
 
-def compared(body: str, inputs: Series, changed: str | None = None, draws: np.ndarray | None = None) -> Pair:
+def compared(
+    body: str, inputs: Series, changed: str | None = None, draws: np.ndarray | None = None
+) -> Pair:
     """The system flown by both. ``changed``: what is translated instead, for a negative control."""
     return _pairs(body, inputs, [body if changed is None else changed], draws)[0]
 
@@ -160,7 +179,10 @@ def refusal(body: str, inputs: Sequence[str] = ("i/a", "i/b")) -> str:
 def random_inputs(frames: int = 3000, seed: int = 1) -> dict[str, np.ndarray]:
     """Noise in i/a, i/b, i/c with 0 among it; a switch i/on that changes now and then; steps in i/step."""
     rng = np.random.default_rng(seed)
-    out = {name: rng.normal(size=frames) * size for name, size in (("i/a", 2.0), ("i/b", 1.0), ("i/c", 1.0))}
+    out = {
+        name: rng.normal(size=frames) * size
+        for name, size in (("i/a", 2.0), ("i/b", 1.0), ("i/c", 1.0))
+    }
     for name in out:
         out[name][rng.integers(0, frames, frames // 50)] = 0.0
     out["i/on"] = np.repeat((rng.random(frames // 4 + 1) > 0.4).astype(float), 4)[:frames]
@@ -168,14 +190,19 @@ def random_inputs(frames: int = 3000, seed: int = 1) -> dict[str, np.ndarray]:
     return out
 
 
-def _pairs(body: str, inputs: Series, ours: Sequence[str], draws: np.ndarray | None, engines: int = 0) -> list[Pair]:
+def _pairs(
+    body: str, inputs: Series, ours: Sequence[str], draws: np.ndarray | None, engines: int = 0
+) -> list[Pair]:
     text = declared(list(inputs))
     fdm = oracle.loaded(oracle.model(text + body, engines), DT_S, oracle.ENGINE_FILES)
     for name, series in inputs.items():
         fdm[name] = float(series[0])
     values = values_of(fdm)
     documents = [document_of(text + part) for part in ours]
-    frames = [traced([System(document, document.root)], values, list(inputs), engines=engines) for document in documents]
+    frames = [
+        traced([System(document, document.root)], values, list(inputs), engines=engines)
+        for document in documents
+    ]
     records = sorted(set(frames[0][2].writes) - set(inputs))
     # A property is asked for once, before it has moved.
     for name in records:

@@ -31,7 +31,14 @@ from tests.helpers import campaign_fakes as fakes
 
 NO_EFFECT, FOUND, SILENT, TRACEBACK = "no effect", "found", "SILENT", "traceback"
 OUTCOMES = (NO_EFFECT, FOUND, SILENT, TRACEBACK)
-TABLES = ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv", "decisions.csv", "sensitivity.csv")
+TABLES = (
+    "cases.parquet",
+    "pbox.parquet",
+    "excursions.csv",
+    "statements.csv",
+    "decisions.csv",
+    "sensitivity.csv",
+)
 JOURNAL, LEFTOVER, MANIFEST = "journal.sqlite", "journal.sqlite-journal", "manifest.json"
 _MARGIN_BYTES = 128
 _REPORTED = (MANIFEST, "cases.parquet", "decisions.csv", "sensitivity.csv")
@@ -66,8 +73,16 @@ def make_folders(root: Path) -> list[Folder]:
     plain, decide = root / "campaign.toml", root / "decide.toml"
     complete = (MANIFEST, JOURNAL, *TABLES)
     return [
-        Folder(root / "plain", plain, tuple(name for name in complete if (root / "plain" / name).exists())),
-        Folder(root / "decide", decide, tuple(name for name in complete if (root / "decide" / name).exists())),
+        Folder(
+            root / "plain",
+            plain,
+            tuple(name for name in complete if (root / "plain" / name).exists()),
+        ),
+        Folder(
+            root / "decide",
+            decide,
+            tuple(name for name in complete if (root / "decide" / name).exists()),
+        ),
         Folder(root / "unfinished", plain, (MANIFEST, JOURNAL)),
         Folder(root / "killed", plain, (JOURNAL, LEFTOVER)),
     ]
@@ -79,7 +94,11 @@ def _fly(root: Path, deciding: str) -> None:
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     text += "[metrics]\nexcursion_radius_m = 15\n"
     plain, decide = fakes.campaign_file(root, text), root / "decide.toml"
-    decide.write_text(deciding.replace("flights = 40", "flights = 8").replace("[metrics]", "[metrics]\nexcursion_radius_m = 15"))
+    decide.write_text(
+        deciding.replace("flights = 40", "flights = 8").replace(
+            "[metrics]", "[metrics]\nexcursion_radius_m = 15"
+        )
+    )
     for name, campaign in (("plain", plain), ("decide", decide)):
         assert _call("campaign", "run", campaign, "--out", root / name, "--serial")[0] == 0
         assert _call("sensitivity", root / name)[0] in (0, 1)
@@ -96,7 +115,11 @@ def _fly(root: Path, deciding: str) -> None:
 def _stop_before_the_tables(folder: Path) -> None:
     from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 
-    rest = {key: value for key, value in read_manifest(folder).items() if key not in ("journal", "tables")}
+    rest = {
+        key: value
+        for key, value in read_manifest(folder).items()
+        if key not in ("journal", "tables")
+    }
     write_manifest(folder, rest | {"state": "interrupted"})
     for name in TABLES:
         (folder / name).unlink(missing_ok=True)
@@ -144,7 +167,9 @@ def look(folder: Folder, place: Path, with_report: bool = True) -> Seen:
         "report after": lambda: ["campaign", "report", place, "--no-tracks"],
     }
     for name, command in words.items():
-        if name.startswith("report") and not (with_report and (folder.path / "cases.parquet").exists()):
+        if name.startswith("report") and not (
+            with_report and (folder.path / "cases.parquet").exists()
+        ):
             continue
         before = _content(place) if name == "run" else {}
         try:
@@ -154,24 +179,36 @@ def look(folder: Folder, place: Path, with_report: bool = True) -> Seen:
         if code == 2 or "was not as it had been written" in err or (name == "verify" and code != 0):
             complaints.append(name)
         if code == 2 and name == "run":
-            changed = any(before.get(key) != value for key, value in _content(place).items() if key in before)
+            changed = any(
+                before.get(key) != value for key, value in _content(place).items() if key in before
+            )
             break
         if code != 2:
             given |= {name: out} if name.startswith("status") else {}
             if name.startswith("report"):
                 given[name] = (place / "report.html").read_bytes()
             if name == "run":
-                given |= {table: (place / table).read_bytes() for table in TABLES[:5] if (place / table).exists()}
+                given |= {
+                    table: (place / table).read_bytes()
+                    for table in TABLES[:5]
+                    if (place / table).exists()
+                }
     return Seen(given, tuple(complaints), changed=changed)
 
 
 def _content(place: Path) -> dict[str, bytes]:
     # What a killed writer left is taken back by whoever opens the journal next.
     but_for = ["run.lock", *((JOURNAL, LEFTOVER) if (place / LEFTOVER).exists() else ())]
-    return {path.name: path.read_bytes() for path in place.iterdir() if path.is_file() and path.name not in but_for}
+    return {
+        path.name: path.read_bytes()
+        for path in place.iterdir()
+        if path.is_file() and path.name not in but_for
+    }
 
 
-def flips(folders: list[Folder], count: int, chance: random.Random) -> Iterator[tuple[Folder, str, int]]:
+def flips(
+    folders: list[Folder], count: int, chance: random.Random
+) -> Iterator[tuple[Folder, str, int]]:
     """Folder, file and bit: half of the bits anywhere in a file, the others near its ends or those of a page."""
     every = [(folder, name) for folder in folders for name in folder.files]
     # The journal is by far the largest, and the one that is read in parts.
@@ -189,14 +226,18 @@ def judge(seen: Seen, reference: Seen) -> str:
     """Outcome of one flip."""
     if seen.traceback:
         return TRACEBACK
-    if seen.changed or any(value != reference.given.get(name) for name, value in seen.given.items()):
+    if seen.changed or any(
+        value != reference.given.get(name) for name, value in seen.given.items()
+    ):
         return SILENT
     if seen.complaints:
         return FOUND if "verify" in seen.complaints else SILENT
     return NO_EFFECT
 
 
-def run(count: int, seed: int, root: Path, say: Callable[[str], None] = lambda _: None) -> dict[str, Counter[str]]:
+def run(
+    count: int, seed: int, root: Path, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Counter[str]]:
     """Outcomes by folder and file; the folders are made in ``root`` unless they are there."""
     with harmless():
         folders = make_folders(root / "made")
@@ -212,7 +253,9 @@ def run(count: int, seed: int, root: Path, say: Callable[[str], None] = lambda _
             outcome = judge(seen, references[folder.path])
             found.setdefault(f"{folder.path.name}/{name}", Counter())[outcome] += 1
             if outcome in (SILENT, TRACEBACK):
-                say(f"flip {number}: {folder.path.name}/{name} bit {bit}: {outcome} {seen.traceback} {seen.complaints}")
+                say(
+                    f"flip {number}: {folder.path.name}/{name} bit {bit}: {outcome} {seen.traceback} {seen.complaints}"
+                )
     return found
 
 
@@ -239,7 +282,9 @@ def harmless() -> Iterator[None]:
 
     made: dict[str, dict[str, bytes]] = {}
 
-    def make_tables(spec: Any, cases: Any, outcomes: Any, decisions: bytes | None = None) -> dict[str, bytes]:
+    def make_tables(
+        spec: Any, cases: Any, outcomes: Any, decisions: bytes | None = None
+    ) -> dict[str, bytes]:
         flown = list(outcomes)
         key = repr((spec.as_dict(), [case.case_id for case in cases], flown, decisions))
         if key not in made:
@@ -261,13 +306,18 @@ def table(found: dict[str, Counter[str]]) -> str:
     rows = [*sorted(found.items()), ("all", sum(found.values(), Counter()))]
     lines = [f"{'file':<28}" + "".join(f"{name:>11}" for name in ("flips", *OUTCOMES))]
     for name, counted in rows:
-        lines.append(f"{name:<28}{counted.total():>11}" + "".join(f"{counted[outcome]:>11}" for outcome in OUTCOMES))
+        lines.append(
+            f"{name:<28}{counted.total():>11}"
+            + "".join(f"{counted[outcome]:>11}" for outcome in OUTCOMES)
+        )
     return "\n".join(lines)
 
 
 def main() -> int:
     """Exit code: 1 if a flip was silent or ended in a traceback."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--flips", type=int, default=500, metavar="N")
     parser.add_argument("--seed", type=int, default=1, metavar="S")
     given = parser.parse_args()

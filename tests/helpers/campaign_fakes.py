@@ -95,7 +95,9 @@ def by_corner(spec: FlightSpec) -> FlightResult:
     rate = 0.0 if spec.wind_mps < 5.0 else {0.0: 0.0, 0.5: 0.2, 1.0: 4.0}[sum(levels) / 2.0]
     draw = np.random.default_rng([spec.seed_turbulence, int(4 * sum(levels))])
     result = steady(spec)
-    return replace(result, metrics=dict(result.metrics) | {"excursions_15m": 2.0 * draw.poisson(rate / 2.0)})
+    return replace(
+        result, metrics=dict(result.metrics) | {"excursions_15m": 2.0 * draw.poisson(rate / 2.0)}
+    )
 
 
 def by_corner_slowly(spec: FlightSpec) -> FlightResult:
@@ -104,12 +106,16 @@ def by_corner_slowly(spec: FlightSpec) -> FlightResult:
     return by_corner(spec)
 
 
-_TRIVIAL = dict.fromkeys([*ERROR_METRICS, *EXCURSIONS, "loss_of_control", "extrapolated_share"], 0.0)
+_TRIVIAL = dict.fromkeys(
+    [*ERROR_METRICS, *EXCURSIONS, "loss_of_control", "extrapolated_share"], 0.0
+)
 
 
 def trivial(spec: FlightSpec) -> FlightResult:
     """Costs nothing, so that what is left is the harness."""
-    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, _TRIVIAL | {"cross_track_max_m": 1.0}, {}, {})
+    return FlightResult(
+        "ok", "", spec.burn_in_s + spec.duration_s, _TRIVIAL | {"cross_track_max_m": 1.0}, {}, {}
+    )
 
 
 def slow(spec: FlightSpec) -> FlightResult:
@@ -138,7 +144,14 @@ def hazardous(spec: FlightSpec) -> FlightResult:
     if kind == 1:
         os.kill(os.getpid(), signal.SIGSEGV)
     if kind == 2:
-        return FlightResult("diverged", "the state was no longer finite at 90.0 s", 90.0, {"excursions_15m": 2.0}, {}, {})
+        return FlightResult(
+            "diverged",
+            "the state was no longer finite at 90.0 s",
+            90.0,
+            {"excursions_15m": 2.0},
+            {},
+            {},
+        )
     if kind == 3:
         raise RuntimeError("a flight that raises")
     if kind == 4:
@@ -173,7 +186,9 @@ def refuses(spec: FlightSpec) -> FlightResult:
 
 def reports_threads(spec: FlightSpec) -> FlightResult:
     names = {"omp": "OMP_NUM_THREADS", "openblas": "OPENBLAS_NUM_THREADS"}
-    return FlightResult("ok", "", 1.0, {key: float(os.environ[name]) for key, name in names.items()}, {}, {})
+    return FlightResult(
+        "ok", "", 1.0, {key: float(os.environ[name]) for key, name in names.items()}, {}, {}
+    )
 
 
 def _end_at_once() -> None:
@@ -208,12 +223,16 @@ def dask_cluster(workers: int = 2) -> Iterator[Any]:
 def undefined_speed(spec: FlightSpec) -> FlightResult:
     result = steady(spec)
     metrics = dict(result.metrics) | {"speed_median_mps": float("nan")}
-    return replace(result, metrics=metrics, undefined={"speed_median_mps": "no speed was commanded"})
+    return replace(
+        result, metrics=metrics, undefined={"speed_median_mps": "no speed was commanded"}
+    )
 
 
 def undefined_excursions(spec: FlightSpec) -> FlightResult:
     result = steady(spec)
-    metrics = {name: value for name, value in result.metrics.items() if not name.startswith("excursions")}
+    metrics = {
+        name: value for name, value in result.metrics.items() if not name.startswith("excursions")
+    }
     return replace(result, metrics=metrics)
 
 
@@ -225,7 +244,9 @@ def main() -> None:
     folder, out, flights, fake, workers, method = sys.argv[1:7]
     executor = ProcessExecutor(int(workers), method)
     here = sys.modules["tests.helpers.campaign_fakes"]
-    run_campaign(small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(here, fake))
+    run_campaign(
+        small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(here, fake)
+    )
 
 
 if __name__ == "__main__":

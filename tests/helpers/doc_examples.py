@@ -124,7 +124,9 @@ def make_runs(line: str, slow: bool) -> bool:
     if words[:1] != ["make"]:
         return True
     for target in words[1:]:
-        if not re.search(rf"^{re.escape(target)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M):
+        if not re.search(
+            rf"^{re.escape(target)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M
+        ):
             raise KeyError(f"the Makefile has no target '{target}'")
     return not any(word in MAKE_LEFT_OUT or (word in MAKE_SLOW and not slow) for word in words[1:])
 
@@ -153,7 +155,9 @@ def examples_of(text: str, name: str) -> list[Example]:
                 found.append(Example(name, line, token.content, kind, marker))
             marker = ()
         elif marker and token.type.endswith("_open"):
-            raise ValueError(f"{name}:{line}: a marker of examples must stand right before its block")
+            raise ValueError(
+                f"{name}:{line}: a marker of examples must stand right before its block"
+            )
     return found
 
 
@@ -163,7 +167,9 @@ def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
     for line in filter(None, map(str.strip, body.splitlines())):
         key, colon, value = line.partition(":")
         if key not in DIRECTIVES or not colon or not value.strip():
-            raise ValueError(f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))}, each with ': ...'")
+            raise ValueError(
+                f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))}, each with ': ...'"
+            )
         if key == "fast" and "=>" not in value:
             raise ValueError(f"{where}: '{line}': fast: OLD => NEW")
         if key in {"leave out", "slow line"} and " -- " not in value:
@@ -182,7 +188,9 @@ def kind_of(text: str, info: str, marker: tuple[tuple[str, str], ...]) -> str:
     if info in {"python", "toml"}:
         return info
     out = [value.split(" -- ")[0].strip() for key, value in marker if key == "leave out"]
-    lines = [line for line in text.splitlines() if line.strip() and not line.strip().startswith("#")]
+    lines = [
+        line for line in text.splitlines() if line.strip() and not line.strip().startswith("#")
+    ]
     lines = [line for line in lines if not any(line.strip().startswith(word) for word in out)]
     first = [program(line) for line in lines if line[0] != " "]
     if info in {"bash", "sh", "shell"} or (first and all(word in PROGRAMS for word in first)):
@@ -255,7 +263,9 @@ class Scratch:
                 self.command(command if slow else example.reduced(command), example, 0)
             if example.kind == "file":
                 path = Path(example.one("file") or "")
-                path.write_text(example.text if slow else example.reduced(example.text), encoding="utf-8")
+                path.write_text(
+                    example.text if slow else example.reduced(example.text), encoding="utf-8"
+                )
             elif example.kind == "shell":
                 commands = example.commands(slow)
                 for number, command in enumerate(commands):
@@ -274,7 +284,9 @@ class Scratch:
 
     def command(self, command: str, example: Example, expected: int) -> None:
         words = shlex.split(command, comments=True)
-        if words[0].removeprefix(".venv/bin/") == "uqharness" and not re.search(r"[|<>;&$`]", command):
+        if words[0].removeprefix(".venv/bin/") == "uqharness" and not re.search(
+            r"[|<>;&$`]", command
+        ):
             code, said = in_process(words[1:])
         elif not self.slow and re.fullmatch(r"python \w+\.py", command):
             code, said = script_in_process(words[1])
@@ -282,10 +294,17 @@ class Scratch:
             path = os.pathsep.join([str(self.folder / ".venv" / "bin"), os.environ.get("PATH", "")])
             environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
             done = subprocess.run(
-                ["bash", "-euc", command], env=environment, capture_output=True, text=True, check=False, timeout=3600
+                ["bash", "-euc", command],
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=3600,
             )
             code, said = done.returncode, done.stdout + done.stderr
-        assert code == expected, f"{example.where}: {command}\nexit code {code}, expected {expected}\n{said[-2000:]}"
+        assert code == expected, (
+            f"{example.where}: {command}\nexit code {code}, expected {expected}\n{said[-2000:]}"
+        )
 
 
 def in_process(words: list[str]) -> tuple[int, str]:
@@ -315,11 +334,15 @@ def check_toml(example: Example) -> None:
         pieces = [tomllib.loads(part) for part in re.split(r"\n\s*\n", example.text)]
     for piece in pieces:
         for name, section in piece.items():
-            assert name in CAMPAIGN_SECTIONS, f"{example.where}: [{name}] is no section of a campaign file; mark it 'file: NAME'"
+            assert name in CAMPAIGN_SECTIONS, (
+                f"{example.where}: [{name}] is no section of a campaign file; mark it 'file: NAME'"
+            )
             try:
                 CAMPAIGN_SECTIONS[name].model_validate(section)
             except ValidationError as error:
-                wrong = [found for found in error.errors() if found["type"] != "missing" and found["loc"]]
+                wrong = [
+                    found for found in error.errors() if found["type"] != "missing" and found["loc"]
+                ]
                 assert not wrong, f"{example.where}: {wrong}"
 
 
@@ -344,7 +367,9 @@ def check_options(command: str, text: str, where: str) -> None:
     if words[:1] != ["uqharness"]:
         return
     for word in words[1:]:
-        verbs = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
+        verbs = next(
+            (a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None
+        )
         if verbs is None or not word.islower():
             break
         assert word in verbs.choices, f"{where}: there is no command 'uqharness {word}'"
@@ -369,13 +394,19 @@ def help_of(module: str, verb: str | None) -> str:
     """What `python -m module [verb] --help` prints. AssertionError where there is no such program."""
     words = [module, *([verb] if verb else []), "--help"]
     if module.split(".")[0] not in OURS:
-        done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, f"{shlex.join(words)}: {done.stderr}"
         return done.stdout
     said, before = io.StringIO(), sys.argv
     sys.argv = list(words)
     # What runs here is imported already, of which runpy warns; starting Python takes two seconds.
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
+    with (
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore")
         try:
             runpy.run_module(module, run_name="__main__")

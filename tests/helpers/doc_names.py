@@ -11,7 +11,9 @@ from pathlib import Path
 from tests.helpers.doc_examples import check_options
 from tests.helpers.places import ROOT
 
-PLACE = re.compile(r"`((?:sysid|uqharness|aircraft|scripts|campaigns|tests|docs)/[\w./-]+\.\w+)(?::([\w.]+))?`")
+PLACE = re.compile(
+    r"`((?:sysid|uqharness|aircraft|scripts|campaigns|tests|docs)/[\w./-]+\.\w+)(?::([\w.]+))?`"
+)
 DOTTED = re.compile(r"`((?:sysid|uqharness)(?:\.[A-Za-z_]\w*)+)`")
 FOLDER = re.compile(r"`((?:sysid|uqharness|aircraft|scripts|campaigns|tests|docs)/[a-z0-9_/-]*/)`")
 COMMAND = re.compile(r"`((?:uqharness|python -m) [^`]+)`")
@@ -25,7 +27,11 @@ def defined(path: Path) -> frozenset[str]:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             names.add(node.name)
         if isinstance(node, ast.ClassDef):
-            names |= {f"{node.name}.{item.name}" for item in node.body if isinstance(item, ast.FunctionDef)}
+            names |= {
+                f"{node.name}.{item.name}"
+                for item in node.body
+                if isinstance(item, ast.FunctionDef)
+            }
     return frozenset(names)
 
 
@@ -69,7 +75,11 @@ def leads_somewhere(name: str) -> bool:
         module, rest = ROOT.joinpath(*parts[:k]), ".".join(parts[k:])
         file = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
         if file.is_file():
-            return not rest or rest in defined(file) or hasattr(importlib.import_module(".".join(parts[:k])), rest)
+            return (
+                not rest
+                or rest in defined(file)
+                or hasattr(importlib.import_module(".".join(parts[:k])), rest)
+            )
         if module.is_dir() and not rest:
             return True
     return False

@@ -31,7 +31,9 @@ def check_outputs(folder: Path) -> int:
             for column in frame.columns:
                 words.meaning(re.sub(r"^(level|variable)_.*/.*", r"\1_<property>", column), told)
             seen += 1
-    documents = {name: told for name, _, told in reference.DOCUMENTS} | {"model-form.json": words.MODEL_FORM}
+    documents = {name: told for name, _, told in reference.DOCUMENTS} | {
+        "model-form.json": words.MODEL_FORM
+    }
     for name, told in documents.items():
         for path in folder.rglob(name):
             assert set(json.loads(path.read_text(encoding="utf-8"))) == set(told), path

@@ -25,4 +25,9 @@ def example_of(thing: object) -> str:
 def public_functions() -> list[tuple[str, str]]:
     """(package, name) of the public functions, none of them loaded: those of their names that do not begin like a class."""
     faces = (uqharness, sysid, uqharness.sensitivity)
-    return [(face.__name__, name) for face in faces for name in face.__all__ if name[0].islower() and name != "sensitivity"]
+    return [
+        (face.__name__, name)
+        for face in faces
+        for name in face.__all__
+        if name[0].islower() and name != "sensitivity"
+    ]

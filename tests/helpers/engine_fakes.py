@@ -47,9 +47,13 @@ class Flown:
     def flight(self, engine: str, flight: FlightSpec) -> FlightResult:
         time.sleep(self.sleep_s if engine == BATCH else 0.0)
         result = fakes.steady(flight)
-        moved = self.offset if engine == BATCH and (flight.duration_s > 10.0 or not self.late) else 0.0
+        moved = (
+            self.offset if engine == BATCH and (flight.duration_s > 10.0 or not self.late) else 0.0
+        )
         moved += self.rounding if engine == ONE_ULP_OFF else 0.0
-        return replace(result, metrics={**result.metrics, self.metric: result.metrics[self.metric] + moved})
+        return replace(
+            result, metrics={**result.metrics, self.metric: result.metrics[self.metric] + moved}
+        )
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,11 @@ class Deadly(Flown):
     seed: int = 0
 
     def flight(self, engine: str, flight: FlightSpec) -> FlightResult:
-        if engine == BATCH and fakes.level_sum(flight) == 6.0 and flight.seed_turbulence == self.seed:
+        if (
+            engine == BATCH
+            and fakes.level_sum(flight) == 6.0
+            and flight.seed_turbulence == self.seed
+        ):
             os.kill(os.getpid(), signal.SIGSEGV)
         return super().flight(engine, flight)
 
@@ -71,7 +79,9 @@ class Raising(Flown):
     seed: int = 0
 
     def __call__(self, engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
-        if engine == BATCH and any(fakes.level_sum(item) == 6.0 and item.seed_turbulence == self.seed for item in flights):
+        if engine == BATCH and any(
+            fakes.level_sum(item) == 6.0 and item.seed_turbulence == self.seed for item in flights
+        ):
             raise RuntimeError("a flight that raises")
         return super().__call__(engine, flights)
 

@@ -17,10 +17,19 @@ _FINE = 4
 LAG = np.array([25.0, 25.0, 25.0, 6.0])  # 1/s, the card's actuators
 # Table 2.1 of the dissertation, one standard deviation.
 NOISE = {
-    "V_mps": 0.5, "alpha_rad": 0.001745, "beta_rad": 0.001745, "phi_rad": 0.00873, "theta_rad": 0.00873,
-    "p_radps": 0.00349, "q_radps": 0.00349, "r_radps": 0.00349, "ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16,
+    "V_mps": 0.5,
+    "alpha_rad": 0.001745,
+    "beta_rad": 0.001745,
+    "phi_rad": 0.00873,
+    "theta_rad": 0.00873,
+    "p_radps": 0.00349,
+    "q_radps": 0.00349,
+    "r_radps": 0.00349,
+    "ax_mps2": 0.16,
+    "ay_mps2": 0.16,
+    "az_mps2": 0.16,
     "h_m": 1.33,
-}  # fmt: skip
+}
 
 
 @lru_cache(maxsize=32)
@@ -30,21 +39,29 @@ def _trim(airframe_key: tuple[tuple[str, float], ...], V: float, h: float) -> tu
     def state(z: Array) -> tuple[Array, Array]:
         alpha, beta, phi, de, da, dr, throttle = z[0], z[1], 0.0, z[2], z[3], z[4], z[5]
         x = np.zeros(12)
-        x[:3] = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        x[:3] = V * np.array(
+            [np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)]
+        )
         x[6], x[7], x[11] = phi, alpha, -h
         return x, np.array([de, da, dr, throttle])
 
-    found = least_squares(lambda z: derivative(airframe, *state(z))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 60.0])
+    found = least_squares(
+        lambda z: derivative(airframe, *state(z))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 60.0]
+    )
     return state(found.x)
 
 
 def doublet(t: Array, at: float, width: float, size: float) -> Array:
-    return size * (((t >= at) & (t < at + width)).astype(float) - ((t >= at + width) & (t < at + 2 * width)))
+    return size * (
+        ((t >= at) & (t < at + width)).astype(float) - ((t >= at + width) & (t < at + 2 * width))
+    )
 
 
 def step_3211(t: Array, at: float, unit: float, size: float) -> Array:
     edges, signs = np.cumsum([0.0, 3.0, 2.0, 1.0, 1.0]) * unit + at, (1, -1, 1, -1)
-    return size * sum(s * ((t >= a) & (t < b)) for s, a, b in zip(signs, edges, edges[1:], strict=False))
+    return size * sum(
+        s * ((t >= a) & (t < b)) for s, a, b in zip(signs, edges, edges[1:], strict=False)
+    )
 
 
 def manoeuvre(kind: str, n: int) -> Array:
@@ -92,15 +109,32 @@ def fly(
         between = 0.5 * (surface + np.vstack([surface[1:], surface[-1:]]))
         x = simulate(airframe, x0, between, fine, rhs)[:-1]
         stride = round(dt / fine)
-        felt = np.array([_specific_force(airframe, s, u, rhs) for s, u in zip(x[::stride], surface[::stride], strict=True)])
-        parts.append(_columns(x[::stride], felt, command[::stride], surface[::stride], dt, number * (seconds + 1.0)))
+        felt = np.array(
+            [
+                _specific_force(airframe, s, u, rhs)
+                for s, u in zip(x[::stride], surface[::stride], strict=True)
+            ]
+        )
+        parts.append(
+            _columns(
+                x[::stride],
+                felt,
+                command[::stride],
+                surface[::stride],
+                dt,
+                number * (seconds + 1.0),
+            )
+        )
         parts[-1]["manoeuvre"] = np.full(len(felt), kind, dtype=object)
     columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     if not positions:
         columns = {name: v for name, v in columns.items() if "_pos_" not in name}
     if seed is not None:
         rng = np.random.default_rng(seed)
-        columns |= {name: columns[name] + std * rng.standard_normal(len(columns[name])) for name, std in NOISE.items()}
+        columns |= {
+            name: columns[name] + std * rng.standard_normal(len(columns[name]))
+            for name, std in NOISE.items()
+        }
     return FlightRecord(columns, Metadata(source="synthetic", dialect="simulation"))
 
 
@@ -111,16 +145,31 @@ def _specific_force(airframe: Airframe, x: Array, u: Array, rhs) -> Array:
     return rhs(airframe, x, u)[:3] + np.cross(x[3:6], x[:3]) - gravity
 
 
-def _columns(x: Array, felt: Array, command: Array, surface: Array, dt: float, start: float) -> dict[str, Array]:
+def _columns(
+    x: Array, felt: Array, command: Array, surface: Array, dt: float, start: float
+) -> dict[str, Array]:
     V = np.linalg.norm(x[:, :3], axis=1)
     return {
         "time_s": start + dt * np.arange(len(x)),
-        "V_mps": V, "alpha_rad": np.arctan2(x[:, 2], x[:, 0]), "beta_rad": np.arcsin(x[:, 1] / V),
-        "phi_rad": x[:, 6], "theta_rad": x[:, 7], "psi_rad": np.mod(x[:, 8], 2 * np.pi),
-        "p_radps": x[:, 3], "q_radps": x[:, 4], "r_radps": x[:, 5],
-        "ax_mps2": felt[:, 0], "ay_mps2": felt[:, 1], "az_mps2": felt[:, 2], "h_m": -x[:, 11],
-        "elevator_deg": command[:, 0], "aileron_deg": command[:, 1], "rudder_deg": command[:, 2],
+        "V_mps": V,
+        "alpha_rad": np.arctan2(x[:, 2], x[:, 0]),
+        "beta_rad": np.arcsin(x[:, 1] / V),
+        "phi_rad": x[:, 6],
+        "theta_rad": x[:, 7],
+        "psi_rad": np.mod(x[:, 8], 2 * np.pi),
+        "p_radps": x[:, 3],
+        "q_radps": x[:, 4],
+        "r_radps": x[:, 5],
+        "ax_mps2": felt[:, 0],
+        "ay_mps2": felt[:, 1],
+        "az_mps2": felt[:, 2],
+        "h_m": -x[:, 11],
+        "elevator_deg": command[:, 0],
+        "aileron_deg": command[:, 1],
+        "rudder_deg": command[:, 2],
         "throttle_pct": command[:, 3],
-        "elevator_pos_deg": surface[:, 0], "aileron_pos_deg": surface[:, 1], "rudder_pos_deg": surface[:, 2],
+        "elevator_pos_deg": surface[:, 0],
+        "aileron_pos_deg": surface[:, 1],
+        "rudder_pos_deg": surface[:, 2],
         "rho_kgpm3": np.array([isa_density(h) for h in -x[:, 11]]),
-    }  # fmt: skip
+    }

@@ -17,5 +17,9 @@ def flying_here() -> Iterator[None]:
     Starting one and compiling the batch engine's program in it costs two seconds, three times a campaign.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ProcessExecutor, "run_groups", lambda self, fly, groups: SerialExecutor().run_groups(fly, groups))
+        patch.setattr(
+            ProcessExecutor,
+            "run_groups",
+            lambda self, fly, groups: SerialExecutor().run_groups(fly, groups),
+        )
         yield

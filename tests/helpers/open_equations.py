@@ -25,9 +25,18 @@ FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 """Measured states; the five of `sysid.aerodynamics.gust_states` follow them in x."""
 OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,9 @@ class OpenEquations:
     def __post_init__(self) -> None:
         unknown = [t for t in self.terms if split_name(t) is None]
         if unknown:
-            raise ValueError(f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms")
+            raise ValueError(
+                f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms"
+            )
 
     @property
     def gusts(self) -> GustStates:
@@ -95,17 +106,23 @@ class OpenEquations:
         M = [qS * m.lengths[k] * C[3 + k] + u[6 + k] - cross[k] for k in range(3)]
         return (*force, *(K[k, 0] * M[0] + K[k, 1] * M[1] + K[k, 2] * M[2] for k in range(3)))
 
-    def _coefficients(self, V: Any, alpha: Any, beta: Any, p: Any, q: Any, r: Any, u: Any, theta: Any) -> list[Any]:
+    def _coefficients(
+        self, V: Any, alpha: Any, beta: Any, p: Any, q: Any, r: Any, u: Any, theta: Any
+    ) -> list[Any]:
         found = variables(V, alpha, beta, p, q, r, u[0], u[1], u[2], self.mass.b, self.mass.c)
         C = [u[10 + k] for k in range(6)]
         for k, name in enumerate(self.terms):
             parsed = split_name(name)
             assert parsed is not None
             column = COEFFICIENTS.index(parsed[0])
-            C[column] = C[column] + theta[k] * (1.0 if parsed[1] == "0" else regressor(parsed[1], found))
+            C[column] = C[column] + theta[k] * (
+                1.0 if parsed[1] == "0" else regressor(parsed[1], found)
+            )
         return C
 
-    def rest(self, coefficients: FloatArray, found: dict[str, FloatArray], values: Sequence[float]) -> FloatArray:
+    def rest(
+        self, coefficients: FloatArray, found: dict[str, FloatArray], values: Sequence[float]
+    ) -> FloatArray:
         """(n, 6) what is left of a model's coefficients (n, 6) when the terms at ``values`` are taken out."""
         out = coefficients.copy()
         for name, value in zip(self.terms, values, strict=True):

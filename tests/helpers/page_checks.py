@@ -18,7 +18,13 @@ _REFERENCES = ("src", "href", "srcset", "data", "action", "poster", "background"
 def problems(page: str) -> list[str]:
     """Everything that is wrong with a page; empty for a good one."""
     tree = html.document_fromstring(page)
-    found = [*_form(page, tree), *_fetched(page, tree), *_figures(tree), *_tables(tree), *_text(tree)]
+    found = [
+        *_form(page, tree),
+        *_fetched(page, tree),
+        *_figures(tree),
+        *_tables(tree),
+        *_text(tree),
+    ]
     if len(page.encode()) > MOST_BYTES:
         found.append(f"{len(page.encode())} bytes")
     return found
@@ -53,7 +59,11 @@ def _form(page: str, tree: html.HtmlElement) -> list[str]:
     if levels[:1] != [1] or levels.count(1) != 1:
         found.append("not one h1 at the top")
     found += [f"h{a} is followed by h{b}" for a, b in pairwise(levels) if b > a + 1]
-    found += ["an empty heading" for e in tree.iter("h1", "h2", "h3", "h4") if not e.text_content().strip()]
+    found += [
+        "an empty heading"
+        for e in tree.iter("h1", "h2", "h3", "h4")
+        if not e.text_content().strip()
+    ]
     first = [e for e in tree.find(".//main") if isinstance(e.tag, str)][1]
     if first.get("class") != "verdict" or not first.findall(".//li"):
         found.append("the verdict does not come first")
@@ -64,7 +74,9 @@ def _fetched(page: str, tree: html.HtmlElement) -> list[str]:
     found = []
     for element in tree.iter(etree.Element):
         for name, value in element.attrib.items():
-            if name.rpartition("}")[2].rpartition(":")[2] in _REFERENCES and not value.startswith("#"):
+            if name.rpartition("}")[2].rpartition(":")[2] in _REFERENCES and not value.startswith(
+                "#"
+            ):
                 found.append(f"{element.tag} fetches {value}")
             if re.search(r"https?://|url\((?!#)", value):
                 found.append(f"{element.tag} names {value}")
@@ -115,11 +127,16 @@ def _tables(tree: html.HtmlElement) -> list[str]:
                 found.append(f"table {caption}: a row that does not fit its head")
             for cell in row:
                 if cell.get("class") and not cell.find(".//span[@class='sign']") is not None:
-                    found.append(f"table {caption}: '{cell.text_content()}' is told by colour alone")
+                    found.append(
+                        f"table {caption}: '{cell.text_content()}' is told by colour alone"
+                    )
     return found
 
 
 def _text(tree: html.HtmlElement) -> list[str]:
     shown = [e for e in tree.find("body").iter(etree.Element) if e.tag != "script"]
     text = " ".join(part for e in shown for part in (e.text, e.tail) if part)
-    return [f"'{word}' in the text" for word in re.findall(r"(?<![\w-])(?:nan|NaN|inf|Infinity)(?![\w-])|None(?!\.)", text)]
+    return [
+        f"'{word}' in the text"
+        for word in re.findall(r"(?<![\w-])(?:nan|NaN|inf|Infinity)(?![\w-])|None(?!\.)", text)
+    ]

@@ -23,7 +23,11 @@ def written(folder, name, document):
 
 
 def pieces(folder, name, columns):
-    write_pieces(folder / name, [("flight1", "roll doublet", TIME), ("flight1", "yaw doublet", TIME + 9.0)], columns)
+    write_pieces(
+        folder / name,
+        [("flight1", "roll doublet", TIME), ("flight1", "yaw doublet", TIME + 9.0)],
+        columns,
+    )
 
 
 def wave(scale=1.0):
@@ -33,18 +37,48 @@ def wave(scale=1.0):
 def identified(folder):
     """An identification with a parameter that is not identified and a channel without noise or value."""
     parameters = {
-        "aero/Cm_q": {"value": -13.5, "std": 0.4, "std_crb": 0.1, "status": "identified", "reason": "", "initial": -9.7},
-        "aero/Cl_0": {"value": 0.001, "std": 1e-5, "std_crb": 1e-5, "status": "identified", "reason": "", "initial": 0.0},
-        "aero/Cn_p": {
-            "value": 0.2, "std": None, "std_crb": None, "status": "not-identified", "reason": "<no> roll", "initial": 0.2,
+        "aero/Cm_q": {
+            "value": -13.5,
+            "std": 0.4,
+            "std_crb": 0.1,
+            "status": "identified",
+            "reason": "",
+            "initial": -9.7,
         },
-    }  # fmt: skip
+        "aero/Cl_0": {
+            "value": 0.001,
+            "std": 1e-5,
+            "std_crb": 1e-5,
+            "status": "identified",
+            "reason": "",
+            "initial": 0.0,
+        },
+        "aero/Cn_p": {
+            "value": 0.2,
+            "std": None,
+            "std_crb": None,
+            "status": "not-identified",
+            "reason": "<no> roll",
+            "initial": 0.2,
+        },
+    }
     fit = {
-        "aircraft": "plane & co", "method": "output error", "converged": True, "parameters": parameters, "names": [], "cov": [],
-        "warnings": ["coloured residuals"], "notes": [], "flights": ["a<b>.parquet"], "flights_sha256": ["ab" * 32],
-        "fit": {"q_radps": {"rms": 0.01, "noise": 0.004, "predictable_share": None}, "V_mps": {"rms": 0.5, "noise": None}},
+        "aircraft": "plane & co",
+        "method": "output error",
+        "converged": True,
+        "parameters": parameters,
+        "names": [],
+        "cov": [],
+        "warnings": ["coloured residuals"],
+        "notes": [],
+        "flights": ["a<b>.parquet"],
+        "flights_sha256": ["ab" * 32],
+        "fit": {
+            "q_radps": {"rms": 0.01, "noise": 0.004, "predictable_share": None},
+            "V_mps": {"rms": 0.5, "noise": None},
+        },
         "command": "uqharness identify plane --flight 'a<b>.parquet' --out out",
-    }  # fmt: skip
+    }
     out = written(folder, "fit.json", fit)
     nothing = [np.full(TIME.size, np.nan)] * 2
     columns = {
@@ -62,17 +96,37 @@ def compared(folder):
     """A comparison with a channel that is not judged."""
     channel = {"theil_u": 0.1, "delay_s": 0.0, "delay_std_s": None}
     document = {
-        "aircraft": "plane", "flight": "flight1", "reached_noise_floor": False, "above": ["q_radps"], "rule": "a rule",
+        "aircraft": "plane",
+        "flight": "flight1",
+        "reached_noise_floor": False,
+        "above": ["q_radps"],
+        "rule": "a rule",
         "channels": {
             "q_radps": {"rms": 0.02, "noise": 0.004, "ratio": 5.0, "judged": True, **channel},
             "psi_rad": {"rms": 0.02, "noise": 1e-9, "ratio": 2e7, "judged": False, **channel},
         },
         "coefficients": {"Cm": {"rms": 0.002, "noise": 0.001, "mean": None}},
-        "manoeuvres": {"roll doublet": {"channels": {"q_radps": 5.0}, "coefficients": {"Cm": None}}},
-        "moments": [{"time_s": 1.0, "channel": "q_radps", "manoeuvre": "roll doublet", "gap": 0.1, "noises": 9.0}], "notes": [],
-    }  # fmt: skip
+        "manoeuvres": {
+            "roll doublet": {"channels": {"q_radps": 5.0}, "coefficients": {"Cm": None}}
+        },
+        "moments": [
+            {
+                "time_s": 1.0,
+                "channel": "q_radps",
+                "manoeuvre": "roll doublet",
+                "gap": 0.1,
+                "noises": 9.0,
+            }
+        ],
+        "notes": [],
+    }
     out = written(folder, "compare.json", document)
-    columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.2), "psi_rad": wave(), "psi_rad_model": wave()}
+    columns = {
+        "q_radps": wave(0.3),
+        "q_radps_model": wave(0.2),
+        "psi_rad": wave(),
+        "psi_rad_model": wave(),
+    }
     pieces(out, "histories.parquet", columns | {"Cm_flight": wave(0.01), "Cm_model": wave(0.02)})
     return out
 
@@ -80,14 +134,26 @@ def compared(folder):
 def refinement(**changes):
     """refinement.json."""
     effect = {
-        "coefficient": "Cm", "term": "p_hat^2", "name": "pitching moment due to roll rate squared", "why": "the tail gains angle",
-        "value": 2.9963, "std": 0.018, "unit": "1", "property": "aero/Cm_p2", "withdrawn": False,
+        "coefficient": "Cm",
+        "term": "p_hat^2",
+        "name": "pitching moment due to roll rate squared",
+        "why": "the tail gains angle",
+        "value": 2.9963,
+        "std": 0.018,
+        "unit": "1",
+        "property": "aero/Cm_p2",
+        "withdrawn": False,
         "evidence": {"t": 164.7, "twice_log_likelihood": None, "interval_95": [2.961, 3.032]},
         "alternatives": [
-            {"term": "da^2", "name": "aileron squared", "separable": False, "would_separate": "a roll at rest"},
+            {
+                "term": "da^2",
+                "name": "aileron squared",
+                "separable": False,
+                "would_separate": "a roll at rest",
+            },
             {"term": "r_hat^2", "name": "yaw rate squared", "separable": True},
         ],
-    }  # fmt: skip
+    }
     where = {
         "coefficient": "Cm",
         "manoeuvre": "roll",
@@ -96,32 +162,62 @@ def refinement(**changes):
         "size": 4.2,
     }
     row = {"rms_before": 0.0071, "rms_after": 0.0034, "noise_rms": 0.0035}
-    gap = {"channels": {"q_radps": row}, "coefficients": {"Cm": row}, "theil": {"before": 0.1, "after": 0.05}}
-    inside = {"width_before": 0.04, "width_after": 0.03, "coverage_before": 0.97, "coverage_after": 0.96}
+    gap = {
+        "channels": {"q_radps": row},
+        "coefficients": {"Cm": row},
+        "theil": {"before": 0.1, "after": 0.05},
+    }
+    inside = {
+        "width_before": 0.04,
+        "width_after": 0.03,
+        "coverage_before": 0.97,
+        "coverage_after": 0.96,
+    }
     inside |= {"coverage_std_before": 0.01, "coverage_std_after": None}
     test = gap | {
-        "intervals": {"reason": None, "confidence": 0.95, "coefficients": {"Cm": inside}}, "pbox": {"reason": "no loiter here"},
-    }  # fmt: skip
+        "intervals": {"reason": None, "confidence": 0.95, "coefficients": {"Cm": inside}},
+        "pbox": {"reason": "no loiter here"},
+    }
     harmful = effect | {
-        "name": "yawing moment due to elevator", "alternatives": [], "withdrawn": True,
+        "name": "yawing moment due to elevator",
+        "alternatives": [],
+        "withdrawn": True,
         "test": {"gap": "grew", "change_of_twice_log_likelihood": -30.0, "std": 5.0},
-    }  # fmt: skip
+    }
     return {
-        "verdict": "effects-found", "effects": [effect], "withdrawn": [harmful], "gap": {"train": gap, "test": test},
+        "verdict": "effects-found",
+        "effects": [effect],
+        "withdrawn": [harmful],
+        "gap": {"train": gap, "test": test},
         "model": "aircraft/plane/plane.xml",
         "disagreement": [where],
-        "remaining": {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []},
+        "remaining": {
+            "unexplained": False,
+            "where": [],
+            "channels_above_noise": {},
+            "coloured_channels": [],
+        },
         "parameters": {"aero/Cm_q": {"value": -13.8, "std": 0.1}},
-        "switch": [{"property": "aero/Cm_p2", "off": 0.0}], "best_refused": None, "notes": [], "train": ["a"], "test": ["b"],
-        "candidates": {"limit": 4.2, "scores": [{"effect": "Cm p_hat^2", "t": 164.7}, {"effect": "Cm da^2", "t": -90.0}]},
-        "command": "uqharness refine plane --train a --test b", "seconds": 9.0,
-    } | changes  # fmt: skip
+        "switch": [{"property": "aero/Cm_p2", "off": 0.0}],
+        "best_refused": None,
+        "notes": [],
+        "train": ["a"],
+        "test": ["b"],
+        "candidates": {
+            "limit": 4.2,
+            "scores": [{"effect": "Cm p_hat^2", "t": 164.7}, {"effect": "Cm da^2", "t": -90.0}],
+        },
+        "command": "uqharness refine plane --train a --test b",
+        "seconds": 9.0,
+    } | changes
 
 
 def refined(folder):
     """A refinement with one effect, a rival it is not told from and one it is."""
     out = written(folder, "refinement.json", refinement())
-    (out / "model.diff").write_text("--- a/plane.xml\n+++ b/plane.xml\n+  <property>aero/Cm_p2</property>\n")
+    (out / "model.diff").write_text(
+        "--- a/plane.xml\n+++ b/plane.xml\n+  <property>aero/Cm_p2</property>\n"
+    )
     q = {"q_radps": wave(0.3), "q_radps_before": wave(0.2), "q_radps_after": wave(0.3)}
     pieces(out, "histories.parquet", q | {"Cm_gap_before": wave(0.01), "Cm_gap_after": wave(0.001)})
     return out
@@ -197,19 +293,39 @@ def tracks(folder):
         distance = largest * np.sin(0.3 * time_s) ** 2
         north, east = ((120.0 + distance) * f(0.2 * time_s) for f in (np.cos, np.sin))
         columns = {"when": when, "model": model, "epistemic_id": "1", "time_s": time_s}
-        rows.append(pd.DataFrame(columns | {"north_m": north, "east_m": east, "distance_m": distance}))
+        rows.append(
+            pd.DataFrame(columns | {"north_m": north, "east_m": east, "distance_m": distance})
+        )
     pd.concat(rows).to_parquet(folder / "tracks.parquet", index=False)
 
 
 def stage(name, kind, folder, **changes):
     """A stage of study.json."""
-    row = {"name": name, "kind": kind, "folder": folder, "command": f"uqharness {kind} ...", "state": "done", "exit": 0}
+    row = {
+        "name": name,
+        "kind": kind,
+        "folder": folder,
+        "command": f"uqharness {kind} ...",
+        "state": "done",
+        "exit": 0,
+    }
     return row | {"seconds": 1.5, "inputs": {"flight.bin": "cd" * 32}, "error": ""} | changes
 
 
 def study(stages, **changes):
     """study.json."""
     said = [{"text": "It holds.", "level": "good"}]
-    row = {"study": "small", "question": "Is it good enough?", "file": "small.toml", "hash": "ef" * 32, "version": "0"}
-    row |= {"state": "done", "command": "uqharness study small.toml --out out", "stages": stages, "verdict": said}
+    row = {
+        "study": "small",
+        "question": "Is it good enough?",
+        "file": "small.toml",
+        "hash": "ef" * 32,
+        "version": "0",
+    }
+    row |= {
+        "state": "done",
+        "command": "uqharness study small.toml --out out",
+        "stages": stages,
+        "verdict": said,
+    }
     return row | changes

@@ -29,20 +29,27 @@ def first_order(n: int, time_s: float, rng: np.random.Generator) -> np.ndarray:
     return x
 
 
-def noise_of(n: int, std: float, spread: float = 0.03, states: Mapping[str, float] | None = None) -> PieceNoise:
+def noise_of(
+    n: int, std: float, spread: float = 0.03, states: Mapping[str, float] | None = None
+) -> PieceNoise:
     """White noise of the accelerometers, ``std`` in CX behind the smoother's weights; states: name -> their noise."""
     gain = np.zeros((n, 6))
     gain[:, 0] = std
     weights = tuple(kernel(HALF, DT).tolist())
     return PieceNoise(
-        (Passage("ax_mps2", "smoothed", gain, weights, spread),), {s: (v, weights) for s, v in (states or {}).items()}, n
+        (Passage("ax_mps2", "smoothed", gain, weights, spread),),
+        {s: (v, weights) for s, v in (states or {}).items()},
+        n,
     )
 
 
 def residuals_of(
-    series: Sequence[np.ndarray], std: float = 0.01, states: Sequence[Mapping[str, np.ndarray]] | None = None,
-    flights: Sequence[int] | None = None, spread: float = 0.03,
-) -> Residuals:  # fmt: skip
+    series: Sequence[np.ndarray],
+    std: float = 0.01,
+    states: Sequence[Mapping[str, np.ndarray]] | None = None,
+    flights: Sequence[int] | None = None,
+    spread: float = 0.03,
+) -> Residuals:
     """CX residuals, one piece a series, called m0, m1, ..., with sensor noise of ``std`` presumed."""
     pieces = []
     for k, y in enumerate(series):
@@ -50,5 +57,14 @@ def residuals_of(
         delta[:, 0] = y
         of_piece = dict(states[k]) if states is not None else {"V_mps": np.full(len(y), 20.0)}
         number = 0 if flights is None else flights[k]
-        pieces.append(ResidualPiece(f"m{k}", DT * np.arange(len(y)), delta, of_piece, number, noise_of(len(y), std, spread)))
+        pieces.append(
+            ResidualPiece(
+                f"m{k}",
+                DT * np.arange(len(y)),
+                delta,
+                of_piece,
+                number,
+                noise_of(len(y), std, spread),
+            )
+        )
     return Residuals(tuple(pieces), DT, Cutoffs())

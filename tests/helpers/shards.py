@@ -13,7 +13,9 @@ from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.flight import FlightResult, FlightSpec
 
 
-def with_medians(change: Callable[[FlightSpec], float]) -> Callable[[str, Sequence[FlightSpec]], list[FlightResult]]:
+def with_medians(
+    change: Callable[[FlightSpec], float],
+) -> Callable[[str, Sequence[FlightSpec]], list[FlightResult]]:
     """An engine whose flights are those of ``fakes.steady`` but for the medians, each of which is ``change`` of the flight."""
 
     def fly_flights(engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
@@ -28,8 +30,17 @@ def with_medians(change: Callable[[FlightSpec], float]) -> Callable[[str, Sequen
 
 
 def flown(
-    plan: Plan, folder: Path, change: Callable[[FlightSpec], float], shards: Iterable[Shard] | None = None
-) -> Path:  # fmt: skip
+    plan: Plan,
+    folder: Path,
+    change: Callable[[FlightSpec], float],
+    shards: Iterable[Shard] | None = None,
+) -> Path:
     """Fly shards of a plan, all unless told, into ``folder``; it is returned."""
-    fly(plan, folder, plan.shards() if shards is None else shards, SerialExecutor(), with_medians(change))
+    fly(
+        plan,
+        folder,
+        plan.shards() if shards is None else shards,
+        SerialExecutor(),
+        with_medians(change),
+    )
     return folder

@@ -17,13 +17,38 @@ Array = NDArray[np.float64]
 
 # Table 2.6 of Hale 2016; the terms no table prints are 0.
 TABLE_2_6: Mapping[str, float] = {
-    "CX_0": -0.038, "CX_alpha": 0.264, "CX_alpha2": 1.86,
-    "CY_0": -0.00015, "CY_beta": -0.298, "CY_p": -0.075, "CY_r": 0.135, "CY_dr": 0.0023,
-    "CZ_0": -0.312, "CZ_alpha": -3.34, "CZ_q": 0.0, "CZ_de": 0.036,
-    "Cl_0": -0.00009, "Cl_beta": -0.01, "Cl_p": -0.296, "Cl_r": 0.0094, "Cl_dr": -0.0003, "Cl_da": 0.0024, "Cl_de": 0.0,
-    "Cm_0": 0.0104, "Cm_alpha": -0.487, "Cm_q": -13.8, "Cm_de": -0.014, "Cm_dr": 0.0,
-    "Cn_0": 7e-6, "Cn_beta": 0.0473, "Cn_p": -0.0225, "Cn_r": -0.075, "Cn_dr": -0.0011, "Cn_da": -7e-6, "Cn_de": 0.0,
-}  # fmt: skip
+    "CX_0": -0.038,
+    "CX_alpha": 0.264,
+    "CX_alpha2": 1.86,
+    "CY_0": -0.00015,
+    "CY_beta": -0.298,
+    "CY_p": -0.075,
+    "CY_r": 0.135,
+    "CY_dr": 0.0023,
+    "CZ_0": -0.312,
+    "CZ_alpha": -3.34,
+    "CZ_q": 0.0,
+    "CZ_de": 0.036,
+    "Cl_0": -0.00009,
+    "Cl_beta": -0.01,
+    "Cl_p": -0.296,
+    "Cl_r": 0.0094,
+    "Cl_dr": -0.0003,
+    "Cl_da": 0.0024,
+    "Cl_de": 0.0,
+    "Cm_0": 0.0104,
+    "Cm_alpha": -0.487,
+    "Cm_q": -13.8,
+    "Cm_de": -0.014,
+    "Cm_dr": 0.0,
+    "Cn_0": 7e-6,
+    "Cn_beta": 0.0473,
+    "Cn_p": -0.0225,
+    "Cn_r": -0.075,
+    "Cn_dr": -0.0011,
+    "Cn_da": -7e-6,
+    "Cn_de": 0.0,
+}
 
 
 @dataclass(frozen=True)
@@ -62,7 +87,13 @@ def thrust(throttle_pct: float, V: float, rho: float) -> float:
 
 
 def coefficients(
-    k: Mapping[str, float], alpha: float, beta: float, p: float, q: float, r: float, u: Sequence[float] | Array
+    k: Mapping[str, float],
+    alpha: float,
+    beta: float,
+    p: float,
+    q: float,
+    r: float,
+    u: Sequence[float] | Array,
 ) -> Array:
     """CX CY CZ Cl Cm Cn at dimensionless rates p, q, r and deflections u = (de, da, dr) [deg]."""
     de, da, dr = u
@@ -71,16 +102,35 @@ def coefficients(
             k["CX_0"] + k["CX_alpha"] * alpha + k["CX_alpha2"] * alpha**2,
             k["CY_0"] + k["CY_beta"] * beta + k["CY_p"] * p + k["CY_r"] * r + k["CY_dr"] * dr,
             k["CZ_0"] + k["CZ_alpha"] * alpha + k["CZ_q"] * q + k["CZ_de"] * de,
-            k["Cl_0"] + k["Cl_beta"] * beta + k["Cl_p"] * p + k["Cl_r"] * r + k["Cl_dr"] * dr + k["Cl_da"] * da + k["Cl_de"] * de,
+            k["Cl_0"]
+            + k["Cl_beta"] * beta
+            + k["Cl_p"] * p
+            + k["Cl_r"] * r
+            + k["Cl_dr"] * dr
+            + k["Cl_da"] * da
+            + k["Cl_de"] * de,
             k["Cm_0"] + k["Cm_alpha"] * alpha + k["Cm_q"] * q + k["Cm_de"] * de + k["Cm_dr"] * dr,
-            k["Cn_0"] + k["Cn_beta"] * beta + k["Cn_p"] * p + k["Cn_r"] * r + k["Cn_dr"] * dr + k["Cn_da"] * da + k["Cn_de"] * de,
+            k["Cn_0"]
+            + k["Cn_beta"] * beta
+            + k["Cn_p"] * p
+            + k["Cn_r"] * r
+            + k["Cn_dr"] * dr
+            + k["Cn_da"] * da
+            + k["Cn_de"] * de,
         ]
     )
 
 
 def rotation_to_body(phi: float, theta: float, psi: float) -> Array:
     """Matrix that turns north-east-down components into body components."""
-    cf, sf, ct, st, cp, sp = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
+    cf, sf, ct, st, cp, sp = (
+        np.cos(phi),
+        np.sin(phi),
+        np.cos(theta),
+        np.sin(theta),
+        np.cos(psi),
+        np.sin(psi),
+    )
     return np.array(
         [
             [ct * cp, ct * sp, -st],
@@ -98,7 +148,15 @@ def derivative(airframe: Airframe, x: Array, u: Array) -> Array:
     V = math.sqrt(ub * ub + vb * vb + wb * wb)
     rho = isa_density(-float(x[11]))
     b2V, c2V = a.b / (2 * V), a.c / (2 * V)
-    C = coefficients(a.coefficients, math.atan2(wb, ub), math.asin(vb / V), p * b2V, q * c2V, r * b2V, (de, da, dr))
+    C = coefficients(
+        a.coefficients,
+        math.atan2(wb, ub),
+        math.asin(vb / V),
+        p * b2V,
+        q * c2V,
+        r * b2V,
+        (de, da, dr),
+    )
     qS = 0.5 * rho * V**2 * a.S
     force = (qS * C[0] + thrust(throttle, V, rho), qS * C[1], qS * C[2])
     return motion(a, x, force, (qS * a.b * C[3], qS * a.c * C[4], qS * a.b * C[5]))
@@ -109,10 +167,21 @@ def motion(airframe: Airframe, x: Array, force: Sequence[float], moment: Sequenc
     # Plain numbers: arrays of three cost ten times as much.
     a = airframe
     ub, vb, wb, p, q, r, phi, theta, psi = x[:9].tolist()
-    cf, sf, ct, st, cp, sp = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta), math.cos(psi), math.sin(psi)
+    cf, sf, ct, st, cp, sp = (
+        math.cos(phi),
+        math.sin(phi),
+        math.cos(theta),
+        math.sin(theta),
+        math.cos(psi),
+        math.sin(psi),
+    )
     X, Y, Z = force
     hx, hy, hz = a.Ixx * p - a.Ixz * r, a.Iyy * q, a.Izz * r - a.Ixz * p
-    L, M, N = moment[0] - (q * hz - r * hy), moment[1] - (r * hx - p * hz), moment[2] - (p * hy - q * hx)
+    L, M, N = (
+        moment[0] - (q * hz - r * hy),
+        moment[1] - (r * hx - p * hz),
+        moment[2] - (p * hy - q * hx),
+    )
     det = a.Ixx * a.Izz - a.Ixz * a.Ixz
     turning = q * sf + r * cf
     return np.array(

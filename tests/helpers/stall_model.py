@@ -19,12 +19,33 @@ Array = NDArray[np.float64]
 
 # Column "actual value" of Table 2.4.
 TABLE_2_4: Mapping[str, float] = {
-    "CL_0": 0.38, "CL_alpha": 3.15, "CL_de": -0.0004, "CD_0": 0.1, "CT_dt": 85.0,
-    "CY_0": 0.0, "CY_beta": -0.248, "CY_p": -0.033, "CY_r": 0.17, "CY_dr": 0.0024,
-    "Cl_0": 0.0, "Cl_beta": -0.0092, "Cl_p": -0.32, "Cl_r": 0.044, "Cl_dr": 0.0002, "Cl_da": 0.0027,
-    "Cm_0": 0.023, "Cm_alpha": -0.55, "Cm_q": -8.5, "Cm_de": -0.012,
-    "Cn_0": 0.0, "Cn_beta": 0.046, "Cn_p": -0.023, "Cn_r": -0.077, "Cn_dr": -0.0011, "Cn_da": -0.00006,
-}  # fmt: skip
+    "CL_0": 0.38,
+    "CL_alpha": 3.15,
+    "CL_de": -0.0004,
+    "CD_0": 0.1,
+    "CT_dt": 85.0,
+    "CY_0": 0.0,
+    "CY_beta": -0.248,
+    "CY_p": -0.033,
+    "CY_r": 0.17,
+    "CY_dr": 0.0024,
+    "Cl_0": 0.0,
+    "Cl_beta": -0.0092,
+    "Cl_p": -0.32,
+    "Cl_r": 0.044,
+    "Cl_dr": 0.0002,
+    "Cl_da": 0.0027,
+    "Cm_0": 0.023,
+    "Cm_alpha": -0.55,
+    "Cm_q": -8.5,
+    "Cm_de": -0.012,
+    "Cn_0": 0.0,
+    "Cn_beta": 0.046,
+    "Cn_p": -0.023,
+    "Cn_r": -0.077,
+    "Cn_dr": -0.0011,
+    "Cn_da": -0.00006,
+}
 
 
 @dataclass(frozen=True)
@@ -68,7 +89,12 @@ def truth(**changes: float) -> StallingAirframe:
 
 
 def body_coefficients(
-    a: StallingAirframe, alpha: float, beta: float, rates: Sequence[float], lag_deg: float, u: Sequence[float]
+    a: StallingAirframe,
+    alpha: float,
+    beta: float,
+    rates: Sequence[float],
+    lag_deg: float,
+    u: Sequence[float],
 ) -> Sequence[float]:
     """CX CY CZ Cl Cm Cn at dimensionless rates and u = (de, da, dr) [deg]."""
     k = a.coefficients
@@ -87,7 +113,10 @@ def body_coefficients(
     lateral = (beta, p, r, dr, da)
     side, roll, yaw = (
         k[f"{name}_0"]
-        + sum(k.get(f"{name}_{term}", 0.0) * v for term, v in zip(("beta", "p", "r", "dr", "da"), lateral, strict=True))
+        + sum(
+            k.get(f"{name}_{term}", 0.0) * v
+            for term, v in zip(("beta", "p", "r", "dr", "da"), lateral, strict=True)
+        )
         for name in ("CY", "Cl", "Cn")
     )
     pitch = k["Cm_0"] + k["Cm_alpha"] * alpha + k["Cm_q"] * q + k["Cm_de"] * de
@@ -117,7 +146,11 @@ def derivative(a: StallingAirframe, x: Array, u: Array) -> Array:
     rho = sixdof.isa_density(-down)
     qS = 0.5 * rho * V**2 * a.S
     hat = (p * a.b / (2.0 * V), q * a.c / (2.0 * V), r * a.b / (2.0 * V))
-    pull = 0.01 * throttle * a.coefficients["CT_dt"] if a.wind_axes else sixdof.thrust(throttle, V, rho)
+    pull = (
+        0.01 * throttle * a.coefficients["CT_dt"]
+        if a.wind_axes
+        else sixdof.thrust(throttle, V, rho)
+    )
     in_plane = ub**2 + wb**2
     # Weight and turning, which do not depend on alphadot.
     along = -a.g * math.sin(theta) - (q * wb - r * vb)

@@ -19,11 +19,17 @@ from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver
 def digest() -> str:
     """SHA-256 of gusts, levels, normals, JSBSim's normals, and the scores of flights made of them."""
     sha = hashlib.sha256()
-    for seed, air in enumerate([(22.2, 100.0, 30.0, 3.66), (61.7, 17.3, 15.0, 11.1), (9.1, 304.0, 45.0, 0.7)]):
+    for seed, air in enumerate(
+        [(22.2, 100.0, 30.0, 3.66), (61.7, 17.3, 15.0, 11.1), (9.1, 304.0, 45.0, 0.7)]
+    ):
         gusts = DrydenGusts(dryden_parameters(*air), 0.01 * (seed + 1), (seed, 5))
         sha.update(np.concatenate([gusts.page(), gusts.page()], axis=1).tobytes())
     for kind, rates in (("walk", (0.02,) * 6), ("white", ())):
-        sha.update(Levels(LevelDriver(kind, 3, "sample-000001", COEFFICIENTS, rates), 0.01).take(20_000).tobytes())
+        sha.update(
+            Levels(LevelDriver(kind, 3, "sample-000001", COEFFICIENTS, rates), 0.01)
+            .take(20_000)
+            .tobytes()
+        )
     sha.update(Normals(np.random.PCG64(12)).take(200_000).tobytes())
     sha.update(JsbsimNormals(2024).take(200_000).tobytes())
     flight = np.cumsum(Normals(np.random.PCG64(5)).take(9 * 9001).reshape(-1, 9), axis=0)
@@ -34,8 +40,20 @@ def digest() -> str:
 
 def scored(columns: np.ndarray) -> bytes:
     """Metrics of a flight straight on, whose signals are those columns (n, 9) of no meaning."""
-    names = ("height_m", "V_mps", "psi_rad", "load_factor", "north_m", "east_m", "vn_mps", "ve_mps", "phi_rad")
-    recorded = Recorded([*names, "alpha_rad"], np.column_stack([columns, columns[:, 0]]), "ok", "", 1.0)
+    names = (
+        "height_m",
+        "V_mps",
+        "psi_rad",
+        "load_factor",
+        "north_m",
+        "east_m",
+        "vn_mps",
+        "ve_mps",
+        "phi_rad",
+    )
+    recorded = Recorded(
+        [*names, "alpha_rad"], np.column_stack([columns, columns[:, 0]]), "ok", "", 1.0
+    )
     metrics = score_from_start(FlightSpec(Path("a"), Path("s"), 1.0), recorded).metrics
     return repr(sorted(metrics.items())).encode()
 

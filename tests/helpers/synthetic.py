@@ -24,7 +24,9 @@ def flight(
     n = round(duration_s * rate_hz)
     t = np.arange(n) / rate_hz
 
-    def wave(size: float, count: int = 5, low: float = 0.1, high: float = 0.9) -> tuple[np.ndarray, ...]:
+    def wave(
+        size: float, count: int = 5, low: float = 0.1, high: float = 0.9
+    ) -> tuple[np.ndarray, ...]:
         """Value, first and second derivative of a sum of sines of about `size`."""
         frequency = 2 * np.pi * rng.uniform(low, high, count)[:, None]
         phase = rng.uniform(0, 2 * np.pi, count)[:, None]
@@ -50,12 +52,38 @@ def flight(
     q = cphi * dtheta + sphi * cth * dpsi
     r = -sphi * dtheta + cphi * cth * dpsi
     dp = ddphi - cth * dtheta * dpsi - sth * ddpsi
-    dq = -sphi * dphi * dtheta + cphi * ddtheta + (cphi * dphi * cth - sphi * sth * dtheta) * dpsi + sphi * cth * ddpsi
-    dr = -cphi * dphi * dtheta - sphi * ddtheta - (sphi * dphi * cth + cphi * sth * dtheta) * dpsi + cphi * cth * ddpsi
+    dq = (
+        -sphi * dphi * dtheta
+        + cphi * ddtheta
+        + (cphi * dphi * cth - sphi * sth * dtheta) * dpsi
+        + sphi * cth * ddpsi
+    )
+    dr = (
+        -cphi * dphi * dtheta
+        - sphi * ddtheta
+        - (sphi * dphi * cth + cphi * sth * dtheta) * dpsi
+        + cphi * cth * ddpsi
+    )
     x, y, z = arm_m
     ax = du + q * w - r * v + G * sth - (q**2 + r**2) * x + (p * q - dr) * y + (p * r + dq) * z
-    ay = dv + r * u - p * w - G * sphi * cth + (p * q + dr) * x - (p**2 + r**2) * y + (q * r - dp) * z
-    az = dw + p * v - q * u - G * cphi * cth + (p * r - dq) * x + (q * r + dp) * y - (p**2 + q**2) * z
+    ay = (
+        dv
+        + r * u
+        - p * w
+        - G * sphi * cth
+        + (p * q + dr) * x
+        - (p**2 + r**2) * y
+        + (q * r - dp) * z
+    )
+    az = (
+        dw
+        + p * v
+        - q * u
+        - G * cphi * cth
+        + (p * r - dq) * x
+        + (q * r + dp) * y
+        - (p**2 + q**2) * z
+    )
     cpsi, spsi = np.cos(psi), np.sin(psi)
     forward = cth * u + sth * (sphi * v + cphi * w)
     side = cphi * v - sphi * w
@@ -88,7 +116,9 @@ def flight(
         for name in ("elevator_deg", "aileron_deg", "rudder_deg"):
             columns[name] = np.round(wave(4.0)[0] * 20) / 20
         columns["throttle_pct"] = np.round(50 + wave(10.0)[0], 1)
-    return FlightRecord(columns, Metadata(source="synthetic", dialect="simulation", grid_hz=rate_hz))
+    return FlightRecord(
+        columns, Metadata(source="synthetic", dialect="simulation", grid_hz=rate_hz)
+    )
 
 
 def integral(y: np.ndarray, rate_hz: float) -> np.ndarray:

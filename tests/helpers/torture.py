@@ -36,9 +36,16 @@ def tear(moment: str) -> None:
                 # A small cache spills, so that half a transaction is in the file when its writer dies.
                 self._database.execute("pragma cache_size = 1")
                 self._database.execute("begin")
-                rows = [(item.case_id, item.status, item.reason, item.flown_s, "{}", "{}", "") for item in batch]
-                rows += [(f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}", "") for index in range(100)]
-                self._database.executemany("insert or replace into outcome values (?,?,?,?,?,?,?)", rows)
+                rows = [
+                    (item.case_id, item.status, item.reason, item.flown_s, "{}", "{}", "")
+                    for item in batch
+                ]
+                rows += [
+                    (f"torn-{index}", "ok", "x" * 1000, 1.0, "{}", "{}", "") for index in range(100)
+                ]
+                self._database.executemany(
+                    "insert or replace into outcome values (?,?,?,?,?,?,?)", rows
+                )
                 _die()
             add(self, batch)
 
@@ -86,8 +93,17 @@ def main() -> None:
 
         executor = DaskExecutor(how)
     as_is = flights == "as-is"
-    spec = read_campaign(Path(folder) / "campaign.toml") if as_is else fakes.small_spec(Path(folder), int(flights))
-    run_campaign(spec, out, executor=executor, fly=getattr(fakes if hasattr(fakes, fake) else engine_fakes, fake))
+    spec = (
+        read_campaign(Path(folder) / "campaign.toml")
+        if as_is
+        else fakes.small_spec(Path(folder), int(flights))
+    )
+    run_campaign(
+        spec,
+        out,
+        executor=executor,
+        fly=getattr(fakes if hasattr(fakes, fake) else engine_fakes, fake),
+    )
 
 
 if __name__ == "__main__":

@@ -33,21 +33,31 @@ def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
     out = folder / name
     shutil.copytree(ROOT / "aircraft" / "espaaro", out, dirs_exist_ok=True)
     xml = out / "espaaro.xml"
-    text = xml.read_text(encoding="utf-8").replace('<fdm_config name="espaaro"', f'<fdm_config name="{name}"')
+    text = xml.read_text(encoding="utf-8").replace(
+        '<fdm_config name="espaaro"', f'<fdm_config name="{name}"'
+    )
     for key, value in airframe.coefficients.items():
         text, found = re.subn(
-            rf'<property value="[^"]*">(aero/{key})</property>', rf'<property value="{value!r}">\1</property>', text
+            rf'<property value="[^"]*">(aero/{key})</property>',
+            rf'<property value="{value!r}">\1</property>',
+            text,
         )
         if found != 1:
             raise ValueError(f"aero/{key} stands {found} times in {xml}")
     for tag, attribute in _MASS.items():
-        text, found = re.subn(rf"(<{tag} unit=[^>]*>)[^<]*(</{tag}>)", rf"\g<1>{getattr(airframe, attribute)!r}\g<2>", text)
+        text, found = re.subn(
+            rf"(<{tag} unit=[^>]*>)[^<]*(</{tag}>)",
+            rf"\g<1>{getattr(airframe, attribute)!r}\g<2>",
+            text,
+        )
         if found != 1:
             raise ValueError(f"<{tag}> stands {found} times in {xml}")
     xml.unlink()
     (out / f"{name}.xml").write_text(text, encoding="utf-8")
     card = (out / "airframe.toml").read_text(encoding="utf-8")
-    card = card.replace('name = "espaaro"', f'name = "{name}"').replace('xml = "espaaro.xml"', f'xml = "{name}.xml"')
+    card = card.replace('name = "espaaro"', f'name = "{name}"').replace(
+        'xml = "espaaro.xml"', f'xml = "{name}.xml"'
+    )
     for key, value in (("S_m2", airframe.S), ("b_m", airframe.b), ("c_m", airframe.c)):
         card = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value!r}", card)
     # The first guesses are the other aeroplane's; its own numbers are in the XML.
@@ -55,5 +65,7 @@ def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
     (out / "airframe.toml").write_text(card, encoding="utf-8")
     for script in out.glob("*.xml"):
         if script.name != f"{name}.xml":
-            script.write_text(script.read_text(encoding="utf-8").replace("espaaro", name), encoding="utf-8")
+            script.write_text(
+                script.read_text(encoding="utf-8").replace("espaaro", name), encoding="utf-8"
+            )
     return out

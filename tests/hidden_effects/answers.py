@@ -15,8 +15,21 @@ from tests.hidden_effects.effects import COEFFICIENTS
 FLOOR = 1.15  # rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
 LARGEST_SET = 3
 VERDICTS = {"effects-found": 0, "no-missing-effect": 0, "unexplained": 1}
-_CHANNELS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps",
-             "ax_mps2", "ay_mps2", "az_mps2", "h_m")  # fmt: skip
+_CHANNELS = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "psi_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+    "h_m",
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +74,10 @@ def accepted(key: str) -> set[str]:
 
 def stands_for(effect: Mapping[str, Any]) -> set[str]:
     """The named effect and what the answer calls inseparable from it."""
-    return {canonical(effect), *(canonical(a) for a in effect.get("alternatives", ()) if a.get("separable") is False)}
+    return {
+        canonical(effect),
+        *(canonical(a) for a in effect.get("alternatives", ()) if a.get("separable") is False),
+    }
 
 
 def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
@@ -81,7 +97,9 @@ def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
     elif case.kind == "pair":
         right = all(any(s & accepted(e.key) for s in sets) for e in hidden)
     else:
-        right = bool(sets) and bool(sets[0] & accepted(hidden[0].key)) and len(sets[0]) <= LARGEST_SET
+        right = (
+            bool(sets) and bool(sets[0] & accepted(hidden[0].key)) and len(sets[0]) <= LARGEST_SET
+        )
     with_twin = [e for e in hidden if e.same and ENTRIES.get(e.same[0]) and _any_body(case, e.key)]
     together = None
     if with_twin:
@@ -105,7 +123,10 @@ def _any_body(case: Case, key: str) -> bool:
     """
     a = case.airframe
     hidden = [e.size for e in case.effects if e.key == key == "Cm:p_hat^2"]
-    return all(abs(isa_density(0.0) * a.S * a.c * a.b**2 * size / 8.0) < math.sqrt(a.Ixx * a.Izz) for size in hidden)
+    return all(
+        abs(isa_density(0.0) * a.S * a.c * a.b**2 * size / 8.0) < math.sqrt(a.Ixx * a.Izz)
+        for size in hidden
+    )
 
 
 def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ...]:
@@ -117,7 +138,9 @@ def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ..
         for e in effects:
             if canonical(e) == truth.key:
                 value, std = e.get("value"), e.get("std")
-                good = isinstance(value, (int, float)) and isinstance(std, (int, float)) and std > 0.0
+                good = (
+                    isinstance(value, (int, float)) and isinstance(std, (int, float)) and std > 0.0
+                )
                 out.append((value - truth.size) / std if good else math.inf)
     return tuple(out)
 
@@ -143,9 +166,11 @@ def at_floor(found: Mapping[str, Any]) -> bool:
     """Every channel of the test flights within FLOOR of its noise after refinement."""
     channels = _judging(found)
     return bool(channels) and all(
-        _positive(c.get("rms_after")) and _positive(c.get("noise_rms")) and c["rms_after"] <= FLOOR * c["noise_rms"]
+        _positive(c.get("rms_after"))
+        and _positive(c.get("noise_rms"))
+        and c["rms_after"] <= FLOOR * c["noise_rms"]
         for c in channels.values()
-    )  # fmt: skip
+    )
 
 
 def _positive(x: object) -> bool:
@@ -154,7 +179,11 @@ def _positive(x: object) -> bool:
 
 def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
     """What refinement.json's contract asks for and the file does not have."""
-    out = [f"no {key}" for key in ("verdict", "disagreement", "effects", "remaining", "gap", "model") if key not in found]
+    out = [
+        f"no {key}"
+        for key in ("verdict", "disagreement", "effects", "remaining", "gap", "model")
+        if key not in found
+    ]
     verdict = found.get("verdict")
     if verdict not in VERDICTS:
         out.append(f"verdict {verdict!r}")
@@ -167,24 +196,38 @@ def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
         out.append("no-missing-effect with effects")
     for e in effects:
         out += [
-            f"effect without {key}" for key in ("term", "name", "why", "value", "std", "evidence", "alternatives") if key not in e
+            f"effect without {key}"
+            for key in ("term", "name", "why", "value", "std", "evidence", "alternatives")
+            if key not in e
         ]
         if ("coefficient" in e) == ("subsystem" in e):
             out.append("effect with both or neither of coefficient and subsystem")
         if len(stands_for(e)) > LARGEST_SET:
             out.append(f"{len(stands_for(e))} inseparable effects")
-        if "coefficient" in e and e.get("property") != property_name(str(e["coefficient"]), str(e.get("term"))):
+        if "coefficient" in e and e.get("property") != property_name(
+            str(e["coefficient"]), str(e.get("term"))
+        ):
             out.append(f"property {e.get('property')!r} for {canonical(e)}")
     for which in ("train", "test"):
         channels = ((found.get("gap") or {}).get(which) or {}).get("channels") or {}
         if not channels:
             out.append(f"gap.{which} without channels")
         for name, c in channels.items():
-            out += [f"gap.{which}.{name} without {key}" for key in ("rms_before", "rms_after", "noise_rms") if key not in c]
+            out += [
+                f"gap.{which}.{name} without {key}"
+                for key in ("rms_before", "rms_after", "noise_rms")
+                if key not in c
+            ]
     return out
 
 
 def property_name(coefficient: str, term: str) -> str:
     """The JSBSim property of a term: _hat dropped, ^n to n, * to _, abs(x) to absx."""
-    text = term.replace("_hat", "").replace("^", "").replace("*", "_").replace("abs(", "abs").replace(")", "")
+    text = (
+        term.replace("_hat", "")
+        .replace("^", "")
+        .replace("*", "_")
+        .replace("abs(", "abs")
+        .replace(")", "")
+    )
     return f"aero/{coefficient}_{text}"

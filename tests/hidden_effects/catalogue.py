@@ -44,7 +44,11 @@ class Entry:
         """The effect at a size that gives about |t| = t in three 90 s flights of Table 2.1's noise in that air."""
         unit = Effect(self.subject, self.term, sizes(air).get(self.key, self.guess), self.form)
         # Commands are late by whole samples.
-        return unit.scaled(t / 10.0) if self.term != "late" else replace(unit, size=1.0 if t < 60.0 else 2.0)
+        return (
+            unit.scaled(t / 10.0)
+            if self.term != "late"
+            else replace(unit, size=1.0 if t < 60.0 else 2.0)
+        )
 
 
 @lru_cache(maxsize=2)
@@ -108,28 +112,78 @@ IN_FORM = (
 
 OFF_FORM = (
     Entry(
-        "Cm", "table(alpha)", -0.08, form="maximum(alpha-0.05,0)",
-        proxies=("Cm:alpha^2", "Cm:alpha^3", "Cm:abs(alpha)*alpha"), core=True,
+        "Cm",
+        "table(alpha)",
+        -0.08,
+        form="maximum(alpha-0.05,0)",
+        proxies=("Cm:alpha^2", "Cm:alpha^3", "Cm:abs(alpha)*alpha"),
+        core=True,
     ),
-    Entry("Cn", "step(beta)", 0.001, form="tanh(beta/0.05)", proxies=("Cn:beta^3", "Cn:abs(beta)*beta"), core=True),
-    Entry("actuator.elevator", "backlash", 0.1, proxies=("actuator.elevator:deadband", "actuator.elevator:lag"), core=True),
-    Entry("Cl", "step(alpha)*p_hat", 0.02, form="(1+tanh(30*(alpha-0.07)))*p_hat", proxies=("Cl:alpha*p_hat", "Cl:alpha^2*p_hat")),
-    Entry("CX", "spoiler(da)", -0.001, form="maximum(abs(da)-3,0)", proxies=("CX:da^2", "CX:abs(da)", "CX:abs(da)*da")),
+    Entry(
+        "Cn",
+        "step(beta)",
+        0.001,
+        form="tanh(beta/0.05)",
+        proxies=("Cn:beta^3", "Cn:abs(beta)*beta"),
+        core=True,
+    ),
+    Entry(
+        "actuator.elevator",
+        "backlash",
+        0.1,
+        proxies=("actuator.elevator:deadband", "actuator.elevator:lag"),
+        core=True,
+    ),
+    Entry(
+        "Cl",
+        "step(alpha)*p_hat",
+        0.02,
+        form="(1+tanh(30*(alpha-0.07)))*p_hat",
+        proxies=("Cl:alpha*p_hat", "Cl:alpha^2*p_hat"),
+    ),
+    Entry(
+        "CX",
+        "spoiler(da)",
+        -0.001,
+        form="maximum(abs(da)-3,0)",
+        proxies=("CX:da^2", "CX:abs(da)", "CX:abs(da)*da"),
+    ),
     Entry("Cm", "wave(t)", 5e-4, form="sin(2.5*t_s)", core=True),
     Entry("Cl", "break(t)", 3e-5, form="where(t_s>45,1,0)"),
     Entry("CZ", "ripple(alpha)", 0.01, form="sin(80*alpha)", proxies=("CZ:alpha^2", "CZ:alpha^3")),
     Entry("actuator.aileron", "late", 1.0, proxies=("actuator.aileron:lag",)),
-    Entry("Cm", "q_hat above alpha", -60.0, form="q_hat*maximum(alpha-0.04,0)", proxies=("Cm:alpha*q_hat", "Cm:alpha^2*q_hat")),
-)  # fmt: skip
+    Entry(
+        "Cm",
+        "q_hat above alpha",
+        -60.0,
+        form="q_hat*maximum(alpha-0.04,0)",
+        proxies=("Cm:alpha*q_hat", "Cm:alpha^2*q_hat"),
+    ),
+)
 
 # Hidden in fresh draws alone (fresh.py), where the size is found for the case's own flights: the guess only has to be small.
 OTHERS = (
     *(Entry("CX", term, 0.01) for term in ("alpha^3", "alpha*q_hat", "dr^2", "da^2")),
-    *(Entry("CY", term, 0.01) for term in ("alpha*p_hat", "alpha*r_hat", "beta^3", "CT", "abs(p_hat)*p_hat")),
-    *(Entry("CZ", term, 0.01) for term in ("beta^2", "alphadot_hat", "alpha*q_hat", "V_rel", "p_hat^2")),
-    *(Entry("Cl", term, 0.001) for term in ("alpha*r_hat", "abs(beta)*beta", "beta*CT", "abs(p_hat)*p_hat", "betadot_hat")),
-    *(Entry("Cm", term, 0.001) for term in ("alpha^3", "abs(beta)", "q_hat*CT", "abs(q_hat)*q_hat", "V_rel", "beta*p_hat")),
-    *(Entry("Cn", term, 0.001) for term in ("beta^3", "CT", "alpha*r_hat", "betadot_hat", "abs(p_hat)*p_hat", "q_hat")),
+    *(
+        Entry("CY", term, 0.01)
+        for term in ("alpha*p_hat", "alpha*r_hat", "beta^3", "CT", "abs(p_hat)*p_hat")
+    ),
+    *(
+        Entry("CZ", term, 0.01)
+        for term in ("beta^2", "alphadot_hat", "alpha*q_hat", "V_rel", "p_hat^2")
+    ),
+    *(
+        Entry("Cl", term, 0.001)
+        for term in ("alpha*r_hat", "abs(beta)*beta", "beta*CT", "abs(p_hat)*p_hat", "betadot_hat")
+    ),
+    *(
+        Entry("Cm", term, 0.001)
+        for term in ("alpha^3", "abs(beta)", "q_hat*CT", "abs(q_hat)*q_hat", "V_rel", "beta*p_hat")
+    ),
+    *(
+        Entry("Cn", term, 0.001)
+        for term in ("beta^3", "CT", "alpha*r_hat", "betadot_hat", "abs(p_hat)*p_hat", "q_hat")
+    ),
     *(Entry("Cn", term, 1e-5) for term in ("dr*CT", "alpha*dr")),
     Entry("propulsion", "inflow", 0.02),
     Entry("actuator.elevator", "rate_limit", 90.0),
@@ -138,7 +192,7 @@ OTHERS = (
     Entry("sensor.q_radps", "scale", 0.01),
     Entry("sensor.r_radps", "scale", 0.01),
     Entry("sensor.p_radps", "delay", 0.005),
-)  # fmt: skip
+)
 
 BATTERY = (*IN_FORM, *OFF_FORM)
 ON_ORDER = (Entry("mass", "cg_in_airframe", 0.03, same=("mass:cg_x",)),)

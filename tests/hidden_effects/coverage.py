@@ -45,7 +45,9 @@ COLUMNS = ("draw", "parameter", "identify", "refine", "apart")
 Row = Mapping[str, Any]
 
 
-def draw(number: int, folder: Path, rate_hz: float = 50.0, light: bool = False) -> tuple[Airframe, Path, list[Path]]:
+def draw(
+    number: int, folder: Path, rate_hz: float = 50.0, light: bool = False
+) -> tuple[Airframe, Path, list[Path]]:
     """The truth of a draw, its aircraft folder, and records of its flights: three to train on, one to test on."""
     airframe = perturbed(Airframe(), np.random.default_rng([24, number]))
     folder = folder / f"draw-{number}"
@@ -57,48 +59,91 @@ def draw(number: int, folder: Path, rate_hz: float = 50.0, light: bool = False) 
     paths = []
     w20_kt = float(np.random.default_rng([25, number]).uniform(6.0, 20.0)) if light else 0.0
     given = cards(f"coverage {number}", w20_kt=w20_kt, rate_hz=rate_hz)
-    for k, record in enumerate(fly([Flight(c, airframe, (), IDEAL if at_once else None) for c in given])):
+    for k, record in enumerate(
+        fly([Flight(c, airframe, (), IDEAL if at_once else None) for c in given])
+    ):
         paths.append(folder / f"flight-{k + 1}.parquet")
         record.write(paths[-1])
     return airframe, aircraft, paths
 
 
-def identified(aircraft: Path, paths: Sequence[Path], light: bool = False) -> dict[str, tuple[float, float]]:
+def identified(
+    aircraft: Path, paths: Sequence[Path], light: bool = False
+) -> dict[str, tuple[float, float]]:
     """Parameter -> value and standard error by `identify`: output error in calm air, else what it chooses by itself."""
     model = find_aircraft(str(aircraft))
     flights, measured = read_flights(paths, model)
-    found = identify(model, flights, measured, method="auto" if light else "output-error", workers=1)
-    return {n: (float(v), float(s)) for n, v, s in zip(found.names, found.theta, found.std, strict=True)}
+    found = identify(
+        model, flights, measured, method="auto" if light else "output-error", workers=1
+    )
+    return {
+        n: (float(v), float(s)) for n, v, s in zip(found.names, found.theta, found.std, strict=True)
+    }
 
 
-def refined(aircraft: Path, train: Sequence[Path], test: Path, out: Path) -> tuple[dict[str, tuple[float, float]], float]:
+def refined(
+    aircraft: Path, train: Sequence[Path], test: Path, out: Path
+) -> tuple[dict[str, tuple[float, float]], float]:
     """Parameter -> value and standard error by `refine`; largest relative difference of its table from `compare`'s.
 
     NaN for every parameter and an infinite difference where refine names something, or fails.
     """
-    given = ["refine", str(aircraft), "--train", *map(str, train), "--test", str(test), "--out", str(out)]
+    given = [
+        "refine",
+        str(aircraft),
+        "--train",
+        *map(str, train),
+        "--test",
+        str(test),
+        "--out",
+        str(out),
+    ]
     code = uqharness([*given, "--no-pbox", "--no-figures", "--workers", "1"])
-    found = json.loads((out / "refinement.json").read_text(encoding="utf-8")) if code in (0, 1) else {}
+    found = (
+        json.loads((out / "refinement.json").read_text(encoding="utf-8")) if code in (0, 1) else {}
+    )
     if found.get("verdict") != "no-missing-effect":
         return {}, math.inf
-    uqharness(["compare", str(out / "aircraft" / "espaaro"), "--flight", str(test), "--out", str(out / "compare"), "--no-figures"])
+    uqharness(
+        [
+            "compare",
+            str(out / "aircraft" / "espaaro"),
+            "--flight",
+            str(test),
+            "--out",
+            str(out / "compare"),
+            "--no-figures",
+        ]
+    )
     other = json.loads((out / "compare" / "compare.json").read_text(encoding="utf-8"))["channels"]
     own = found["gap"]["test"]["channels"]
-    apart = max(abs(own[c]["rms_after"] / own[c]["noise_rms"] / row["ratio"] - 1.0) for c, row in other.items() if row["judged"])
+    apart = max(
+        abs(own[c]["rms_after"] / own[c]["noise_rms"] / row["ratio"] - 1.0)
+        for c, row in other.items()
+        if row["judged"]
+    )
     return {n: (p["value"], p["std"]) for n, p in found["parameters"].items()}, apart
 
 
 def rows_of(
-    number: int, truth: Mapping[str, float], one: Mapping[str, tuple[float, float]], two: Mapping[str, tuple[float, float]],
+    number: int,
+    truth: Mapping[str, float],
+    one: Mapping[str, tuple[float, float]],
+    two: Mapping[str, tuple[float, float]],
     apart: float,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """A row a parameter: (estimate - truth) / std by identify and by refine, and how far apart their tables are."""
     nowhere = (math.nan, math.nan)
     out = []
     for name, (value, std) in one.items():
         own = truth[name.removeprefix("aero/")]
         other, its_std = two.get(name, nowhere)
-        row = {"draw": number, "parameter": name, "identify": (value - own) / std, "refine": (other - own) / its_std}
+        row = {
+            "draw": number,
+            "parameter": name,
+            "identify": (value - own) / std,
+            "refine": (other - own) / its_std,
+        }
         out.append(row | {"apart": apart})
     return out
 
@@ -111,24 +156,43 @@ def marks(rows: Sequence[Row], both: bool = True, light: bool = False) -> tuple[
         z = np.array([float(r[name]) for r in rows])
         held = float(np.mean(np.abs(z) < WIDTH)) if len(z) else math.nan
         rms = float(np.sqrt(np.nanmean(z**2))) if np.isfinite(z).any() else math.nan
-        lines.append((least <= held <= most, f"{name}: {held:.1%} of {len(z)} within {WIDTH} standard errors, rms z {rms:.2f}"))
+        lines.append(
+            (
+                least <= held <= most,
+                f"{name}: {held:.1%} of {len(z)} within {WIDTH} standard errors, rms z {rms:.2f}",
+            )
+        )
     if both:
         apart = [abs(float(r["identify"]) - float(r["refine"])) for r in rows]
         same = sum(a <= SAME_ESTIMATE for a in apart)
-        lines.append((same == len(rows), f"estimates within {SAME_ESTIMATE} standard errors of each other: {same} of {len(rows)}"))
+        lines.append(
+            (
+                same == len(rows),
+                f"estimates within {SAME_ESTIMATE} standard errors of each other: {same} of {len(rows)}",
+            )
+        )
         tables = {int(r["draw"]): float(r["apart"]) for r in rows}
         same = sum(a <= SAME_TABLE for a in tables.values())
-        lines.append((same == len(tables), f"refine's table within {SAME_TABLE:.0%} of compare's: {same} of {len(tables)} draws"))
+        lines.append(
+            (
+                same == len(tables),
+                f"refine's table within {SAME_TABLE:.0%} of compare's: {same} of {len(tables)} draws",
+            )
+        )
     text = "\n".join(f"{'reached' if ok else 'MISSED '}  {words}" for ok, words in lines)
     return bool(rows) and all(ok for ok, _ in lines), text
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--rate-hz", type=float, default=50.0, help="rows a second of the records (default 50)")
+    parser.add_argument(
+        "--rate-hz", type=float, default=50.0, help="rows a second of the records (default 50)"
+    )
     parser.add_argument("--light", action="store_true", help="flights in turbulence")
     parser.add_argument("--identify-only", action="store_true", help="leave refine and compare out")
     given = parser.parse_args(argv)
@@ -142,18 +206,26 @@ def main(argv: list[str] | None = None) -> int:
     for number in (n for n in range(given.first, given.first + given.draws) if n not in done):
         airframe, aircraft, paths = draw(number, given.out, given.rate_hz, given.light)
         one = identified(aircraft, paths[:3], given.light)
-        two, apart = ({}, math.inf) if given.identify_only else refined(
-            aircraft, paths[:3], paths[3], given.out / f"draw-{number}" / "refined"
-        )  # fmt: skip
+        two, apart = (
+            ({}, math.inf)
+            if given.identify_only
+            else refined(aircraft, paths[:3], paths[3], given.out / f"draw-{number}" / "refined")
+        )
         new = rows_of(number, airframe.coefficients, one, two, apart)
         begun = path.is_file()
         with path.open("a", encoding="utf-8", newline="") as handle:
             out = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
             if not begun:
                 out.writeheader()
-            out.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in r.items()} for r in new)
+            out.writerows(
+                {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in r.items()} for r in new
+            )
         rows += new
-        print(f"draw {number}: so far\n{marks(rows, not given.identify_only, given.light)[1]}", file=sys.stderr, flush=True)
+        print(
+            f"draw {number}: so far\n{marks(rows, not given.identify_only, given.light)[1]}",
+            file=sys.stderr,
+            flush=True,
+        )
     reached, text = marks(rows, not given.identify_only, given.light)
     print(text)
     return 0 if reached else 1

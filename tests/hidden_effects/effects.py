@@ -71,7 +71,9 @@ class Effect:
             if self.term not in SENSOR_TERMS:
                 raise ValueError(f"{self.key}: a sensor has {SENSOR_TERMS}")
         elif self.term not in SUBSYSTEMS.get(self.subject, ()):
-            raise ValueError(f"{self.key}: known are {COEFFICIENTS}, sensor.<channel> and {dict(SUBSYSTEMS)}")
+            raise ValueError(
+                f"{self.key}: known are {COEFFICIENTS}, sensor.<channel> and {dict(SUBSYSTEMS)}"
+            )
 
     @property
     def key(self) -> str:
@@ -104,9 +106,22 @@ def compiled(expression: str) -> CodeType:
 
 
 VARIABLES = {
-    "alpha", "beta", "p_hat", "q_hat", "r_hat", "alphadot_hat", "betadot_hat", "de", "da", "dr", "dt", "CT", "V_rel",
-    "h_over_b", "t_s",
-}  # fmt: skip
+    "alpha",
+    "beta",
+    "p_hat",
+    "q_hat",
+    "r_hat",
+    "alphadot_hat",
+    "betadot_hat",
+    "de",
+    "da",
+    "dr",
+    "dt",
+    "CT",
+    "V_rel",
+    "h_over_b",
+    "t_s",
+}
 
 
 def value(expression: str, variables: Mapping[str, Any]) -> Any:

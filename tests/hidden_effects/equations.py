@@ -17,15 +17,39 @@ from tests.helpers.sixdof import TABLE_2_6
 Array = NDArray[np.float64]
 INERTIAS = ("m", "Ixx", "Iyy", "Izz", "Ixz", "S", "c", "b", "g")
 _HIDDEN = (
-    "determinant", "thrust_scale", "inflow", "cg_x", "cg_in_airframe", "stall", "dynamic", "ground", "place_x", "place_y",
-    "place_z", "vane_x", "passes",
-)  # fmt: skip
+    "determinant",
+    "thrust_scale",
+    "inflow",
+    "cg_x",
+    "cg_in_airframe",
+    "stall",
+    "dynamic",
+    "ground",
+    "place_x",
+    "place_y",
+    "place_z",
+    "vane_x",
+    "passes",
+)
 LANE = np.dtype([(name, np.float64) for name in (*TABLE_2_6, *INERTIAS, *_HIDDEN)])
 """Parameters of one flight."""
 VARIABLES = (
-    "alpha", "beta", "p_hat", "q_hat", "r_hat", "alphadot_hat", "betadot_hat", "de", "da", "dr", "dt", "CT", "V_rel",
-    "h_over_b", "t_s",
-)  # fmt: skip
+    "alpha",
+    "beta",
+    "p_hat",
+    "q_hat",
+    "r_hat",
+    "alphadot_hat",
+    "betadot_hat",
+    "de",
+    "da",
+    "dr",
+    "dt",
+    "CT",
+    "V_rel",
+    "h_over_b",
+    "t_s",
+)
 """Places of the variables in ``seen`` (15,)."""
 STACK = 16
 """Numbers that a term may have in hand at once."""
@@ -34,7 +58,9 @@ NEGATE, ABS, TANH, SIN, SQRT, WHERE, INTERP = range(10, 17)
 V_REFERENCE = 22.2  # V_rel = V / 22.2
 FOUND = 19
 """What `_found` fills: the state's derivative (12), specific force (3), V, alpha, beta, rho."""
-ALPHA, BETA, P_HAT, Q_HAT, R_HAT, ALPHADOT, BETADOT, DE, DA, DR, DT, CT, V_REL, H_OVER_B, T_S = range(len(VARIABLES))
+ALPHA, BETA, P_HAT, Q_HAT, R_HAT, ALPHADOT, BETADOT, DE, DA, DR, DT, CT, V_REL, H_OVER_B, T_S = (
+    range(len(VARIABLES))
+)
 
 
 class Terms(NamedTuple):
@@ -138,16 +164,47 @@ def _of_one(o: int, a: float) -> float:
 @njit(cache=True, error_model="numpy")
 def lift_share(alpha_deg: float, lag_deg: float) -> float:
     """What separation leaves of CZ_alpha alpha; constants of eqs 2.25 to 2.40: a1 0.5 per deg, half separated at 11 and -20 deg."""
-    upper, lower = 1.0 - np.tanh(0.5 * (alpha_deg - lag_deg - 11.0)), 1.0 - np.tanh(0.5 * (-20.0 - alpha_deg + lag_deg))
+    upper, lower = (
+        1.0 - np.tanh(0.5 * (alpha_deg - lag_deg - 11.0)),
+        1.0 - np.tanh(0.5 * (-20.0 - alpha_deg + lag_deg)),
+    )
     return ((1.0 + np.sqrt(0.25 * upper * lower)) / 2.0) ** 2
 
 
 @njit(cache=True, error_model="numpy")
-def _found(M: Any, lane: int, terms: Terms, x: Array, s: Array, gust: Array, t_s: float, room: Array, out: Array) -> None:
+def _found(
+    M: Any,
+    lane: int,
+    terms: Terms,
+    x: Array,
+    s: Array,
+    gust: Array,
+    t_s: float,
+    room: Array,
+    out: Array,
+) -> None:
     """The derivative and what is felt and seen of one lane at surfaces s, into ``out`` (FOUND,); ``room`` is to work in."""
     seen, stack, C, now = room[0], room[1], room[2], room[3]
-    u, v, w, p, q, r, phi, theta, psi, down = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[11]
-    sf, cf, st, ct, sp, cp = np.sin(phi), np.cos(phi), np.sin(theta), np.cos(theta), np.sin(psi), np.cos(psi)
+    u, v, w, p, q, r, phi, theta, psi, down = (
+        x[0],
+        x[1],
+        x[2],
+        x[3],
+        x[4],
+        x[5],
+        x[6],
+        x[7],
+        x[8],
+        x[11],
+    )
+    sf, cf, st, ct, sp, cp = (
+        np.sin(phi),
+        np.cos(phi),
+        np.sin(theta),
+        np.cos(theta),
+        np.sin(psi),
+        np.cos(psi),
+    )
     # The air moves in heading axes: rows of the rotation with psi = 0.
     ua = u - (ct * gust[0] - st * gust[2])
     va = v - (sf * st * gust[0] + cf * gust[1] + sf * ct * gust[2])
@@ -164,13 +221,35 @@ def _found(M: Any, lane: int, terms: Terms, x: Array, s: Array, gust: Array, t_s
     de, da, dr, throttle = s[0], s[1], s[2], s[3]
     rpm = ((-0.00522886 * throttle + 1.04281575) * throttle + 11.215278) * throttle + 2329.50786049
     jet = 0.00508 * rpm
-    thrust = (0.07806 * np.pi * 0.415) * rho * jet * (jet - (1.0 + M.inflow) * V) * (1.0 + M.thrust_scale)
+    thrust = (
+        (0.07806 * np.pi * 0.415)
+        * rho
+        * jet
+        * (jet - (1.0 + M.inflow) * V)
+        * (1.0 + M.thrust_scale)
+    )
     C[0] = M.CX_0 + (M.CX_alpha + M.CX_alpha2 * alpha) * alpha
     C[1] = M.CY_0 + M.CY_beta * beta + M.CY_p * ph + M.CY_r * rh + M.CY_dr * dr
     C[2] = M.CZ_0 + M.CZ_alpha * alpha + M.CZ_q * qh + M.CZ_de * de
-    C[3] = M.Cl_0 + M.Cl_beta * beta + M.Cl_p * ph + M.Cl_r * rh + M.Cl_dr * dr + M.Cl_da * da + M.Cl_de * de
+    C[3] = (
+        M.Cl_0
+        + M.Cl_beta * beta
+        + M.Cl_p * ph
+        + M.Cl_r * rh
+        + M.Cl_dr * dr
+        + M.Cl_da * da
+        + M.Cl_de * de
+    )
     C[4] = M.Cm_0 + M.Cm_alpha * alpha + M.Cm_q * qh + M.Cm_de * de + M.Cm_dr * dr
-    C[5] = M.Cn_0 + M.Cn_beta * beta + M.Cn_p * ph + M.Cn_r * rh + M.Cn_dr * dr + M.Cn_da * da + M.Cn_de * de
+    C[5] = (
+        M.Cn_0
+        + M.Cn_beta * beta
+        + M.Cn_p * ph
+        + M.Cn_r * rh
+        + M.Cn_dr * dr
+        + M.Cn_da * da
+        + M.Cn_de * de
+    )
     first, last = terms.first[lane], terms.first[lane + 1]
     if last > first:
         seen[ALPHA], seen[BETA], seen[P_HAT], seen[Q_HAT], seen[R_HAT] = alpha, beta, ph, qh, rh
@@ -207,7 +286,11 @@ def _found(M: Any, lane: int, terms: Terms, x: Array, s: Array, gust: Array, t_s
     L, Mm, N = L - (q * hz - r * hy), Mm - (r * hx - p * hz), N - (p * hy - q * hx)
     turning = q * sf + r * cf
     out[0], out[1], out[2] = udot, vdot, wdot
-    out[3], out[4], out[5] = (M.Izz * L + M.Ixz * N) / M.determinant, Mm / M.Iyy, (M.Ixx * N + M.Ixz * L) / M.determinant
+    out[3], out[4], out[5] = (
+        (M.Izz * L + M.Ixz * N) / M.determinant,
+        Mm / M.Iyy,
+        (M.Ixx * N + M.Ixz * L) / M.determinant,
+    )
     out[6], out[7], out[8] = p + np.tan(theta) * turning, q * cf - r * sf, turning / ct
     out[9] = ct * cp * u + (sf * st * cp - cf * sp) * v + (cf * st * cp + sf * sp) * w
     out[10] = ct * sp * u + (sf * st * sp + cf * cp) * v + (cf * st * sp - sf * cp) * w
@@ -302,9 +385,19 @@ def _breathed(nodes: Array, node_s: float, t_s: float, lane: int, out: Array) ->
 
 @njit(cache=True, error_model="numpy")
 def interval(
-    M: Any, terms: Terms, faults: Faults, nodes: Array, times: Array, steps: int,
-    command: Array, begun_s: Array, dot: Array, x: Array, s: Array, state: Array,
-) -> None:  # fmt: skip
+    M: Any,
+    terms: Terms,
+    faults: Faults,
+    nodes: Array,
+    times: Array,
+    steps: int,
+    command: Array,
+    begun_s: Array,
+    dot: Array,
+    x: Array,
+    s: Array,
+    state: Array,
+) -> None:
     """``steps`` RK4 steps of all lanes from states x (12, B) and positions s (4, B), both moved on with the servos' ``state``.
 
     times: the interval's start, length of a step, spacing of the air's nodes [s]; dot (12, B) at the start.
@@ -312,7 +405,13 @@ def interval(
     """
     t, h, node_s = times[0], times[1], times[2]
     room = np.zeros((4, STACK))
-    own, y, air, one, surfaces = np.empty(12), np.empty(12), np.zeros(6), np.empty(FOUND), np.empty(4)
+    own, y, air, one, surfaces = (
+        np.empty(12),
+        np.empty(12),
+        np.zeros(6),
+        np.empty(FOUND),
+        np.empty(4),
+    )
     k1, total = np.empty(12), np.empty(12)
     for lane in range(x.shape[1]):
         record = M[lane]

@@ -30,13 +30,26 @@ from tests.hidden_effects.equations import (
     VARIABLE,
     VARIABLES,
     WHERE,
-)  # fmt: skip
+)
 
 _OPERATORS = {
-    ast.Add: ADD, ast.Sub: SUBTRACT, ast.Mult: MULTIPLY, ast.Div: DIVIDE, ast.Pow: POWER, ast.Gt: GREATER, ast.Lt: LESS,
+    ast.Add: ADD,
+    ast.Sub: SUBTRACT,
+    ast.Mult: MULTIPLY,
+    ast.Div: DIVIDE,
+    ast.Pow: POWER,
+    ast.Gt: GREATER,
+    ast.Lt: LESS,
     ast.USub: NEGATE,
-}  # fmt: skip
-_FUNCTIONS = {"abs": ABS, "tanh": TANH, "sin": SIN, "sqrt": SQRT, "maximum": MAXIMUM, "where": WHERE}
+}
+_FUNCTIONS = {
+    "abs": ABS,
+    "tanh": TANH,
+    "sin": SIN,
+    "sqrt": SQRT,
+    "maximum": MAXIMUM,
+    "where": WHERE,
+}
 
 
 @dataclass(frozen=True)
@@ -61,15 +74,27 @@ def programme(expression: str, tabled: int = 0) -> Programme:
     steps = [(o, a + tabled if o == INTERP else a) for o, a in steps]
     depth, deepest = 0, 0
     for operation, _ in steps:
-        pushed = 1 if operation <= VARIABLE else -1 if operation <= LESS else -2 if operation == WHERE else 0
+        pushed = (
+            1
+            if operation <= VARIABLE
+            else -1
+            if operation <= LESS
+            else -2
+            if operation == WHERE
+            else 0
+        )
         depth += pushed
         deepest = max(deepest, depth)
     if deepest > STACK:
-        raise ValueError(f"{expression}: {deepest} numbers in hand at once, at most {STACK} are possible")
+        raise ValueError(
+            f"{expression}: {deepest} numbers in hand at once, at most {STACK} are possible"
+        )
     return Programme(tuple(o for o, _ in steps), tuple(a for _, a in steps), tuple(tables))
 
 
-def _add(node: ast.AST, expression: str, steps: list[tuple[int, float]], tables: list[float]) -> None:
+def _add(
+    node: ast.AST, expression: str, steps: list[tuple[int, float]], tables: list[float]
+) -> None:
     match node:
         case ast.Constant(value=int() | float() as number):
             steps.append((NUMBER, float(number)))
@@ -80,9 +105,10 @@ def _add(node: ast.AST, expression: str, steps: list[tuple[int, float]], tables:
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             _add(operand, expression, steps, tables)
             steps.append((NEGATE, 0.0))
-        case ast.BinOp(left=left, op=op, right=right) | ast.Compare(left=left, ops=[op], comparators=[right]) if (
-            type(op) in _OPERATORS
-        ):
+        case (
+            ast.BinOp(left=left, op=op, right=right)
+            | ast.Compare(left=left, ops=[op], comparators=[right])
+        ) if type(op) in _OPERATORS:
             _add(left, expression, steps, tables)
             _add(right, expression, steps, tables)
             steps.append((_OPERATORS[type(op)], 0.0))
@@ -96,4 +122,6 @@ def _add(node: ast.AST, expression: str, steps: list[tuple[int, float]], tables:
                 _add(one, expression, steps, tables)
             steps.append((_FUNCTIONS[name], 0.0))
         case _:
-            raise ValueError(f"{expression}: {ast.unparse(node)} is nothing that a term may contain")
+            raise ValueError(
+                f"{expression}: {ast.unparse(node)} is nothing that a term may contain"
+            )

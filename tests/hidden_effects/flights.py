@@ -20,11 +20,20 @@ Array = NDArray[np.float64]
 STEP_S = 0.004
 # Table 2.1 of the dissertation, one standard deviation.
 NOISE = {
-    "V_mps": 0.5, "alpha_rad": np.radians(0.1), "beta_rad": np.radians(0.1), "phi_rad": np.radians(0.5),
-    "theta_rad": np.radians(0.5), "p_radps": np.radians(0.2), "q_radps": np.radians(0.2), "r_radps": np.radians(0.2),
-    "ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16, "h_m": 1.33,
+    "V_mps": 0.5,
+    "alpha_rad": np.radians(0.1),
+    "beta_rad": np.radians(0.1),
+    "phi_rad": np.radians(0.5),
+    "theta_rad": np.radians(0.5),
+    "p_radps": np.radians(0.2),
+    "q_radps": np.radians(0.2),
+    "r_radps": np.radians(0.2),
+    "ax_mps2": 0.16,
+    "ay_mps2": 0.16,
+    "az_mps2": 0.16,
+    "h_m": 1.33,
     "psi_rad": np.radians(0.5),  # of the same sensor as phi and theta; the table has no heading
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -69,14 +78,18 @@ def _together(flights: Sequence[Flight], step_s: float) -> list[Flown]:
     cards = [f.card for f in flights]
     dt = 1.0 / cards[0].rate_hz
     n = round(cards[0].seconds / dt)
-    model = Model([f.airframe for f in flights], [f.effects for f in flights], [f.drive for f in flights])
+    model = Model(
+        [f.airframe for f in flights], [f.effects for f in flights], [f.drive for f in flights]
+    )
     x0, s0 = trim(model, np.array([c.V_mps for c in cards]), np.array([c.h_m for c in cards]))
     instruments = np.empty((n, 4, len(cards)))
     drawn = []
     for lane, c in enumerate(cards):
         rng = np.random.default_rng([c.seed, 1])
         drawn.append({name: c.noise * std * rng.standard_normal(n) for name, std in NOISE.items()})
-        instruments[:, :, lane] = np.column_stack([drawn[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")])
+        instruments[:, :, lane] = np.column_stack(
+            [drawn[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")]
+        )
     # A dead zone swallows its half: the commands that hold the trim lie beyond it.
     held = s0 + np.sign(s0) * 0.5 * model.deadband
     pilot = Pilot(cards, x0, held, instruments)
@@ -114,16 +127,26 @@ def _air(V: float, h: float, w20_kt: float, b: float, seconds: float, seed: int)
     return turbulence(V, h, w20_kt, b, seconds, np.random.default_rng([seed, 2]))
 
 
-def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array], dt: float) -> FlightRecord:
+def _record(
+    flight: Flight, history: History, lane: int, noise: dict[str, Array], dt: float
+) -> FlightRecord:
     x, card = history.x[:, :, lane], flight.card
     time = dt * np.arange(len(x))
     columns = {
-        "V_mps": history.V[:, lane], "alpha_rad": history.alpha[:, lane], "beta_rad": history.beta[:, lane],
-        "phi_rad": x[:, 6], "theta_rad": x[:, 7], "psi_rad": x[:, 8],
-        "p_radps": x[:, 3], "q_radps": x[:, 4], "r_radps": x[:, 5],
-        "ax_mps2": history.felt[:, 0, lane], "ay_mps2": history.felt[:, 1, lane], "az_mps2": history.felt[:, 2, lane],
+        "V_mps": history.V[:, lane],
+        "alpha_rad": history.alpha[:, lane],
+        "beta_rad": history.beta[:, lane],
+        "phi_rad": x[:, 6],
+        "theta_rad": x[:, 7],
+        "psi_rad": x[:, 8],
+        "p_radps": x[:, 3],
+        "q_radps": x[:, 4],
+        "r_radps": x[:, 5],
+        "ax_mps2": history.felt[:, 0, lane],
+        "ay_mps2": history.felt[:, 1, lane],
+        "az_mps2": history.felt[:, 2, lane],
         "h_m": -x[:, 11] - (card.h_m if card.h_m > 20.0 else 0.0),
-    }  # fmt: skip
+    }
     for effect in flight.effects:
         if effect.subject.startswith("sensor.") and effect.subject not in PLACES:
             name = effect.subject.removeprefix("sensor.")
@@ -135,15 +158,23 @@ def _record(flight: Flight, history: History, lane: int, noise: dict[str, Array]
     positions = history.positions[:, :, lane]
     columns |= {
         "time_s": time,
-        "elevator_deg": commands[:, 0], "aileron_deg": commands[:, 1], "rudder_deg": commands[:, 2],
-        "throttle_pct": commands[:, 3], "rho_kgpm3": history.rho[:, lane],
-    }  # fmt: skip
+        "elevator_deg": commands[:, 0],
+        "aileron_deg": commands[:, 1],
+        "rudder_deg": commands[:, 2],
+        "throttle_pct": commands[:, 3],
+        "rho_kgpm3": history.rho[:, lane],
+    }
     if card.positions:
-        columns |= {f"{s}_pos_deg": positions[:, i] for i, s in enumerate(("elevator", "aileron", "rudder"))}
+        columns |= {
+            f"{s}_pos_deg": positions[:, i] for i, s in enumerate(("elevator", "aileron", "rudder"))
+        }
     labels = np.full(len(time), "", dtype=object)
     for m in card.manoeuvres:
         labels[(time >= m.at_s - 1e-9) & (time < m.at_s + m.length_s - 1e-9)] = m.label
-    return FlightRecord({**columns, "manoeuvre": labels}, Metadata(source="flight", dialect="simulation", grid_hz=1.0 / dt))
+    return FlightRecord(
+        {**columns, "manoeuvre": labels},
+        Metadata(source="flight", dialect="simulation", grid_hz=1.0 / dt),
+    )
 
 
 def earlier(values: Array, rows: int) -> Array:

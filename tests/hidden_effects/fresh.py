@@ -48,7 +48,9 @@ def question(draw: int, number: int) -> Question:
     rng = np.random.default_rng(_seed(name))
     light = bool(rng.random() < 0.35)
     count = int(rng.choice([0, 1, 1, 1, 1, 1, 2]))
-    known = [e for e in (*IN_FORM, *OTHERS) if e.flown == "mixed" and not (light and e.key in _CALM_ONLY)]
+    known = [
+        e for e in (*IN_FORM, *OTHERS) if e.flown == "mixed" and not (light and e.key in _CALM_ONLY)
+    ]
     picked = [known[i] for i in rng.choice(len(known), size=count, replace=False)]
     servo = any(e.subject.startswith("actuator") for e in picked)
     low, high = LIGHT_T if light else CALM_T
@@ -61,17 +63,30 @@ def question(draw: int, number: int) -> Question:
     noise = float(0.5 * 4.0 ** rng.random())
     rate = float(rng.choice([50.0, 50.0, 25.0, 100.0]))
     w20_kt = float(rng.uniform(8.0, 20.0)) if light else 0.0
-    four = cards(name, "mixed", w20_kt, noise, rate, positions=not servo and bool(rng.random() < 0.25))
+    four = cards(
+        name, "mixed", w20_kt, noise, rate, positions=not servo and bool(rng.random() < 0.25)
+    )
     shift = float(rng.uniform(-1.5, 3.0))
     four = tuple(replace(c, V_mps=round(c.V_mps + shift, 2)) for c in four)
     case = Case(
-        name, "null" if not picked else "pair" if count == 2 else "clear", "light" if light else "calm",
-        tuple(e.key for e in picked), (), four[:3], four[3:], airframe, "second" if second else "espaaro",
-    )  # fmt: skip
+        name,
+        "null" if not picked else "pair" if count == 2 else "clear",
+        "light" if light else "calm",
+        tuple(e.key for e in picked),
+        (),
+        four[:3],
+        four[3:],
+        airframe,
+        "second" if second else "espaaro",
+    )
     return Question(signs, t, case)
 
 
-_CALM_ONLY = {e.key for e in IN_FORM if e.subject.startswith("actuator") and e.term in ("deadband", "rate_limit")}
+_CALM_ONLY = {
+    e.key
+    for e in IN_FORM
+    if e.subject.startswith("actuator") and e.term in ("deadband", "rate_limit")
+}
 
 
 def _one_sided(entry: Entry) -> bool:
@@ -96,7 +111,9 @@ def weigh(asked: Question) -> tuple[tuple[float, ...], tuple[float, ...]] | None
             e.scaled(t / s.t if linear else float(np.clip(t / max(s.t, 1e-6), 0.02, 50.0)))
             for e, s, t in zip(effects, alone, asked.t, strict=True)
         ]
-    hidden = [Flight(f.card, f.airframe, tuple(effects)) for f in [*flights, *asked.case.flights("test")]]
+    hidden = [
+        Flight(f.card, f.airframe, tuple(effects)) for f in [*flights, *asked.case.flights("test")]
+    ]
     with np.errstate(all="ignore"):
         told = fly_and_tell(hidden, _COARSE_S)
     for one in told:
@@ -105,7 +122,9 @@ def weigh(asked: Question) -> tuple[tuple[float, ...], tuple[float, ...]] | None
             return None
     if linear and len(effects) < 2:
         return tuple(e.size for e in effects), asked.t
-    return tuple(e.size for e in effects), tuple(s.t for s in strengths(hidden[:3], told[:3], corrected, _COARSE_S))
+    return tuple(e.size for e in effects), tuple(
+        s.t for s in strengths(hidden[:3], told[:3], corrected, _COARSE_S)
+    )
 
 
 def read() -> dict[tuple[int, int], list[Mapping[str, str]]]:
@@ -126,7 +145,9 @@ def fresh(draw: int) -> tuple[list[Case], dict[str, Mapping[str, float]]]:
             continue
         case = question(draw, number).case
         hidden = {r["key"]: r for r in rows if r["key"]}
-        effects = tuple(replace(ENTRIES[k].effect(10.0), size=float(hidden[k]["size"])) for k in case.entries)
+        effects = tuple(
+            replace(ENTRIES[k].effect(10.0), size=float(hidden[k]["size"])) for k in case.entries
+        )
         case = replace(case, effects=effects)
         cases.append(case)
         t[case.id] = {k: float(hidden[k]["t"]) for k in case.entries}
@@ -143,16 +164,27 @@ def main(draw: int, first: int, last: int) -> None:
         if found is None:
             print(f"{draw}/{number}: no such flight", file=sys.stderr, flush=True)
             continue
-        rows = [(draw, number, key, repr(size), f"{t:.1f}") for key, size, t in zip(asked.case.entries, *found, strict=True)]
+        rows = [
+            (draw, number, key, repr(size), f"{t:.1f}")
+            for key, size, t in zip(asked.case.entries, *found, strict=True)
+        ]
         fresh_file = not PATH.is_file()
         with PATH.open("a", encoding="utf-8", newline="") as handle:
-            csv.writer(handle, lineterminator="\n").writerows([COLUMNS] * fresh_file + (rows or [(draw, number, "", "", "")]))
+            csv.writer(handle, lineterminator="\n").writerows(
+                [COLUMNS] * fresh_file + (rows or [(draw, number, "", "", "")])
+            )
         print(f"{draw}/{number}: written", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, what in (("draw", "number of the draw"), ("first", "first case"), ("last", "last case")):
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name, what in (
+        ("draw", "number of the draw"),
+        ("first", "first case"),
+        ("last", "last case"),
+    ):
         parser.add_argument(name, type=int, help=what)
     given = parser.parse_args()
     main(given.draw, given.first, given.last)

@@ -17,8 +17,12 @@ def _sampled(A: Array, B: Array, C: Array, n: int, dt: float, rng: np.random.Gen
     size = len(A)
     cover = solve_continuous_lyapunov(A, -B @ B.T)
     step = expm(A * dt)
-    each = np.linalg.cholesky(cover - step @ cover @ step.T + 1e-15 * np.trace(cover) * np.eye(size))
-    x = np.linalg.cholesky(cover + 1e-15 * np.trace(cover) * np.eye(size)) @ rng.standard_normal(size)
+    each = np.linalg.cholesky(
+        cover - step @ cover @ step.T + 1e-15 * np.trace(cover) * np.eye(size)
+    )
+    x = np.linalg.cholesky(cover + 1e-15 * np.trace(cover) * np.eye(size)) @ rng.standard_normal(
+        size
+    )
     noise = rng.standard_normal((n, size)) @ each.T
     out = np.empty((n, len(C)))
     for k in range(n):
@@ -27,7 +31,9 @@ def _sampled(A: Array, B: Array, C: Array, n: int, dt: float, rng: np.random.Gen
     return out
 
 
-def turbulence(V: float, h: float, w20_kt: float, b: float, seconds: float, rng: np.random.Generator) -> Array:
+def turbulence(
+    V: float, h: float, w20_kt: float, b: float, seconds: float, rng: np.random.Generator
+) -> Array:
     """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S; scales of V, h [m], b [m].
 
     Paragraphs 3.7.1 to 3.7.5 of MIL-F-8785C; q = -dw/dx and r = dv/dx through the span's own lag.

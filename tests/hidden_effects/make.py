@@ -18,22 +18,49 @@ from tests.hidden_effects.cases import LIGHT_KT, SECOND, Case, battery, cards, w
 from tests.hidden_effects.catalogue import ENTRIES
 
 
-def known(keys: list[str], t: float, seed: int, air: str, rate_hz: float, positions: bool, size: float | None) -> Case:
+def known(
+    keys: list[str],
+    t: float,
+    seed: int,
+    air: str,
+    rate_hz: float,
+    positions: bool,
+    size: float | None,
+) -> Case:
     """A case of one's own making: hidden effects by key."""
     entries = [ENTRIES[k] for k in keys]
     flown = next((e.flown for e in entries if e.flown != "mixed"), "mixed")
-    four = cards(f"made {seed}", flown, LIGHT_KT if air == "light" else 0.0, rate_hz=rate_hz, positions=positions)
+    four = cards(
+        f"made {seed}",
+        flown,
+        LIGHT_KT if air == "light" else 0.0,
+        rate_hz=rate_hz,
+        positions=positions,
+    )
     effects = tuple(e.effect(t) for e in entries)
     if size is not None:
         effects = tuple(replace(e, size=size) for e in effects)
-    return Case(f"made {keys} {t} {seed} {air}", "known", air, tuple(keys), effects, four[:3], four[3:], Airframe())
+    return Case(
+        f"made {keys} {t} {seed} {air}",
+        "known",
+        air,
+        tuple(keys),
+        effects,
+        four[:3],
+        four[3:],
+        Airframe(),
+    )
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--list", action="store_true")
     parser.add_argument("--case", nargs="+", default=[], metavar="ID")
-    parser.add_argument("--effect", nargs="+", default=[], metavar="KEY", help="known are: " + ", ".join(ENTRIES))
+    parser.add_argument(
+        "--effect", nargs="+", default=[], metavar="KEY", help="known are: " + ", ".join(ENTRIES)
+    )
     parser.add_argument("--null", action="store_true")
     parser.add_argument("--t", type=float, default=20.0, help="|t| aimed at (default %(default)s)")
     parser.add_argument("--size", type=float, help="size in the term's own unit instead of --t")
@@ -51,14 +78,35 @@ def main(argv: list[str] | None = None) -> None:
         parser.error("--out DIR is needed")
     cases = [every[i] for i in given.case]
     if given.effect or given.null:
-        cases.append(known(given.effect, given.t, given.seed, given.air, given.rate_hz, given.positions, given.size))
-        print("hidden:", *(f"{e.key} = {e.size:.4g}" for e in cases[-1].effects) if cases[-1].effects else ["nothing"])
+        cases.append(
+            known(
+                given.effect,
+                given.t,
+                given.seed,
+                given.air,
+                given.rate_hz,
+                given.positions,
+                given.size,
+            )
+        )
+        print(
+            "hidden:",
+            *(f"{e.key} = {e.size:.4g}" for e in cases[-1].effects)
+            if cases[-1].effects
+            else ["nothing"],
+        )
     given.out.mkdir(parents=True, exist_ok=True)
     if lost := write(cases, given.out):
-        raise SystemExit(f"{', '.join(sorted(lost))}: a flight comes to grief; choose a smaller effect")
+        raise SystemExit(
+            f"{', '.join(sorted(lost))}: a flight comes to grief; choose a smaller effect"
+        )
     for case in cases:
         files = case.files(given.out)
-        aircraft = "espaaro" if case.aircraft == "espaaro" else str(aircraft_folder(case.aircraft, SECOND, given.out))
+        aircraft = (
+            "espaaro"
+            if case.aircraft == "espaaro"
+            else str(aircraft_folder(case.aircraft, SECOND, given.out))
+        )
         train, test = (" ".join(map(str, files[which])) for which in ("train", "test"))
         print(f"uqharness refine {aircraft} --train {train} --test {test} --out ...")
 

@@ -26,7 +26,9 @@ class Pulse:
 
     def at(self, t: Array) -> Array:
         """Increment at times t (n,) from the manoeuvre's start."""
-        parts, signs = ((1, 1), (1, -1)) if self.shape == "doublet" else ((3, 2, 1, 1), (1, -1, 1, -1))
+        parts, signs = (
+            ((1, 1), (1, -1)) if self.shape == "doublet" else ((3, 2, 1, 1), (1, -1, 1, -1))
+        )
         if self.shape == "step":
             parts, signs = (6,), (1,)
         edges = self.after_s + self.unit_s * np.concatenate([[0.0], np.cumsum(parts)])
@@ -68,9 +70,17 @@ class Card:
 
 SLEW_DEG_PER_S = 120.0
 KINDS = (
-    "elevator doublet", "aileron doublet", "rudder doublet", "elevator 3-2-1-1", "aileron 3-2-1-1", "rudder 3-2-1-1",
-    "throttle", "roll and pitch", "loiter", "roll and yaw",
-)  # fmt: skip
+    "elevator doublet",
+    "aileron doublet",
+    "rudder doublet",
+    "elevator 3-2-1-1",
+    "aileron 3-2-1-1",
+    "rudder 3-2-1-1",
+    "throttle",
+    "roll and pitch",
+    "loiter",
+    "roll and yaw",
+)
 """Kinds of manoeuvre in the order in which a flight takes them (from a start of its own)."""
 
 
@@ -139,7 +149,9 @@ def card(
             raise ValueError(f"unknown manoeuvre {kind}; known are {KINDS} and pull")
         if at + length + 1.0 > seconds:
             break
-        found.append(Manoeuvre(kind, at, length, pulses, bank, hands_off=hands_off and kind != "loiter"))
+        found.append(
+            Manoeuvre(kind, at, length, pulses, bank, hands_off=hands_off and kind != "loiter")
+        )
         at += length + (2.0 if kind == "loiter" else 3.0)
         number += 1
     return Card(V_mps, tuple(found), seed, seconds, **rest)  # type: ignore[arg-type]
@@ -165,12 +177,18 @@ class Pilot:
         n = round(cards[0].seconds / dt)
         t = np.arange(n) * dt
         B = len(cards)
-        self.increments, self.bank, self.frozen = np.zeros((n, 4, B)), np.zeros((n, B)), np.zeros((n, B), dtype=bool)
+        self.increments, self.bank, self.frozen = (
+            np.zeros((n, 4, B)),
+            np.zeros((n, B)),
+            np.zeros((n, B), dtype=bool),
+        )
         for lane, flown in enumerate(cards):
             for m in flown.manoeuvres:
                 inside = (t >= m.at_s - 1e-9) & (t < m.at_s + m.length_s - 1e-9)
                 for pulse in m.pulses:
-                    self.increments[:, CONTROLS.index(pulse.control), lane] += pulse.at(t - m.at_s) * inside
+                    self.increments[:, CONTROLS.index(pulse.control), lane] += (
+                        pulse.at(t - m.at_s) * inside
+                    )
                 # The turn is entered before its label begins, so that the labelled stretch is a turn.
                 turning = (t >= m.at_s - 1.0) & (t < m.at_s + m.length_s)
                 self.bank[turning, lane] += np.radians(m.bank_deg)

@@ -17,7 +17,17 @@ from numpy.typing import NDArray
 from tests.helpers.sixdof import TABLE_2_6, Airframe
 from tests.hidden_effects import effects as fx
 from tests.hidden_effects.effects import Effect
-from tests.hidden_effects.equations import FOUND, INERTIAS, LANE, Faults, Terms, advanced, found, interval, rested
+from tests.hidden_effects.equations import (
+    FOUND,
+    INERTIAS,
+    LANE,
+    Faults,
+    Terms,
+    advanced,
+    found,
+    interval,
+    rested,
+)
 from tests.hidden_effects.expressions import programme
 from tests.hidden_effects.gusts import NODE_S
 
@@ -53,7 +63,10 @@ class Model:
     """
 
     def __init__(
-        self, airframes: Sequence[Airframe], effects: Sequence[Sequence[Effect]], drives: Sequence[Drive | None] = ()
+        self,
+        airframes: Sequence[Airframe],
+        effects: Sequence[Sequence[Effect]],
+        drives: Sequence[Drive | None] = (),
     ) -> None:
         self.size = len(airframes)
         servos = [d or Drive(LAG, RATE) for d in drives or [None] * self.size]
@@ -94,7 +107,9 @@ class Model:
             self.lanes[term][lane] += effect.size
         elif subject == "sensor.vane":
             self.lanes["vane_x"][lane] += effect.size
-        elif subject != "record" and not subject.startswith("sensor."):  # sensors are the record's business
+        elif subject != "record" and not subject.startswith(
+            "sensor."
+        ):  # sensors are the record's business
             self.lanes[term][lane] += effect.size
 
 
@@ -121,9 +136,15 @@ def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
     which, size, start, end = zip(*own, strict=True) if own else ((), (), (), ())
     whole = [np.array(v, dtype=np.int64) for v in (first, which, start, end, operations)]
     return Terms(
-        whole[0], whole[1], np.array(size, dtype=float), whole[2], whole[3], whole[4], np.array(arguments, dtype=float),
+        whole[0],
+        whole[1],
+        np.array(size, dtype=float),
+        whole[2],
+        whole[3],
+        whole[4],
+        np.array(arguments, dtype=float),
         np.array(tables, dtype=float),
-    )  # fmt: skip
+    )
 
 
 @dataclass
@@ -145,7 +166,9 @@ def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | 
     """
     air = np.zeros((6, model.size)) if gust is None else gust
     clock = np.full(model.size, t_s) if np.ndim(t_s) == 0 else np.asarray(t_s, dtype=float)
-    out = found(model.lanes, model.terms, np.ascontiguousarray(x), np.ascontiguousarray(s), air, clock)
+    out = found(
+        model.lanes, model.terms, np.ascontiguousarray(x), np.ascontiguousarray(s), air, clock
+    )
     assert len(out) == FOUND
     return Air(out[15], out[16], out[17], out[18], out[12:15], out[:12])
 
@@ -160,7 +183,12 @@ class Servos:
         self.state = np.repeat(s[None], 3, axis=0)
         low, high = (np.array(side) for side in zip(*STOPS, strict=True))
         self.faults = Faults(
-            np.exp(-model.lag * step_s), model.rate * step_s, 0.5 * model.deadband, 0.5 * model.backlash, low, high
+            np.exp(-model.lag * step_s),
+            model.rate * step_s,
+            0.5 * model.deadband,
+            0.5 * model.backlash,
+            low,
+            high,
         )
         self.s = rested(self.faults, self.state)
 
@@ -231,12 +259,24 @@ def integrate(
         if k == n - 1:
             break
         if late:
-            given = np.stack([out.commands[np.maximum(k - model.late[i], 0), i, lanes] for i in range(4)])
+            given = np.stack(
+                [out.commands[np.maximum(k - model.late[i], 0), i, lanes] for i in range(4)]
+            )
         times = np.array([t, h, NODE_S])
         interval(
-            model.lanes, model.terms, servos.faults, gusts, times, steps, np.ascontiguousarray(given), begun, air.dot, x, s,
+            model.lanes,
+            model.terms,
+            servos.faults,
+            gusts,
+            times,
+            steps,
+            np.ascontiguousarray(given),
+            begun,
+            air.dot,
+            x,
+            s,
             servos.state,
-        )  # fmt: skip
+        )
     return out
 
 
@@ -247,7 +287,11 @@ def trim(model: Model, V: Array, h: Array) -> tuple[Array, Array]:
     def state(z: Array) -> tuple[Array, Array]:
         alpha, beta = z[0], z[1]
         x = np.zeros((12, B))
-        x[0], x[1], x[2] = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+        x[0], x[1], x[2] = (
+            V * np.cos(alpha) * np.cos(beta),
+            V * np.sin(beta),
+            V * np.sin(alpha) * np.cos(beta),
+        )
         x[7], x[11] = alpha, -h
         return x, z[2:6]
 

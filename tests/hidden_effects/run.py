@@ -46,7 +46,11 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
     files = case.files(folder / "flights")
     out = folder / "refined" / case.id
     out.parent.mkdir(parents=True, exist_ok=True)
-    aircraft = case.aircraft if case.aircraft == "espaaro" else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
+    aircraft = (
+        case.aircraft
+        if case.aircraft == "espaaro"
+        else str(write_aircraft(case.aircraft, SECOND, folder / "aircraft"))
+    )
     command = [
         "-m",
         "uqharness.cli.main",
@@ -93,9 +97,19 @@ def oracle_gap(case: Case, folder: Path, place: Path, extra: Sequence[str] = ())
     files = twin.files(folder / "flights")
     out = folder / "told" / case.id
     out.mkdir(parents=True, exist_ok=True)
-    aircraft = case.aircraft if case.aircraft == "espaaro" else str(folder / "aircraft" / case.aircraft)
+    aircraft = (
+        case.aircraft if case.aircraft == "espaaro" else str(folder / "aircraft" / case.aircraft)
+    )
     steps = (
-        ["identify", aircraft, "--flight", *map(str, files["train"]), "--out", str(out / "fit"), "--no-figures"],
+        [
+            "identify",
+            aircraft,
+            "--flight",
+            *map(str, files["train"]),
+            "--out",
+            str(out / "fit"),
+            "--no-figures",
+        ],
         [
             "compare",
             str(out / "fit" / "aircraft"),
@@ -111,7 +125,11 @@ def oracle_gap(case: Case, folder: Path, place: Path, extra: Sequence[str] = ())
     path = out / "gap" / "compare.json"
     if not path.is_file():
         return math.nan
-    ratios = [c["ratio"] for c in json.loads(path.read_text(encoding="utf-8"))["channels"].values() if c["judged"]]
+    ratios = [
+        c["ratio"]
+        for c in json.loads(path.read_text(encoding="utf-8"))["channels"].values()
+        if c["judged"]
+    ]
     return math.sqrt(sum(r * r for r in ratios) / len(ratios))
 
 
@@ -141,22 +159,53 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for flights, refinements and answers")
-    parser.add_argument("--fresh", type=int, metavar="DRAW", help="the cases of this draw of fresh.csv, not the battery")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for flights, refinements and answers"
+    )
+    parser.add_argument(
+        "--fresh",
+        type=int,
+        metavar="DRAW",
+        help="the cases of this draw of fresh.csv, not the battery",
+    )
     parser.add_argument("--cases", nargs="+", metavar="ID")
     parser.add_argument("--kinds", help="clear,marginal,null,pair,off-form")
     parser.add_argument("--core", action="store_true", help="the smaller battery")
-    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("I", "N"), help="every N-th case from the I-th")
+    parser.add_argument(
+        "--part",
+        type=int,
+        nargs=2,
+        default=(0, 1),
+        metavar=("I", "N"),
+        help="every N-th case from the I-th",
+    )
     air = parser.add_mutually_exclusive_group()
     air.add_argument("--calm", action="store_true")
     air.add_argument("--turbulence", action="store_true")
-    parser.add_argument("--oracle", action="store_true", help="also what the estimator reaches when told the truth")
+    parser.add_argument(
+        "--oracle", action="store_true", help="also what the estimator reaches when told the truth"
+    )
     parser.add_argument("--table", type=Path, help="where the table goes (default DIR/table.csv)")
-    parser.add_argument("--placebo", action="store_true", help="hand in effects that no case hides (placebo.toml)")
-    parser.add_argument("--workers", type=int, help="handed on to refine: 1 where several of these run side by side")
-    parser.add_argument("--project", type=Path, default=ROOT, help="the project that is examined (default: this one)")
-    parser.add_argument("--keep", action="store_true", help="keep what refine wrote (default: refinement.json alone)")
+    parser.add_argument(
+        "--placebo", action="store_true", help="hand in effects that no case hides (placebo.toml)"
+    )
+    parser.add_argument(
+        "--workers", type=int, help="handed on to refine: 1 where several of these run side by side"
+    )
+    parser.add_argument(
+        "--project",
+        type=Path,
+        default=ROOT,
+        help="the project that is examined (default: this one)",
+    )
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="keep what refine wrote (default: refinement.json alone)",
+    )
     given = parser.parse_args(argv)
     cases = chosen(given)
     folder = given.out.resolve()
@@ -173,7 +222,11 @@ def main(argv: list[str] | None = None) -> int:
         for case in todo[start : start + 10]:
             got = UNASKED if case.id in lost else ask(case, folder, place, options)
             verdict = NOT_FLOWN if case.id in lost else "failed"
-            score = judge(case, got["found"], got["exit"]) if got["found"] else Score(False, verdict, (), 0)
+            score = (
+                judge(case, got["found"], got["exit"])
+                if got["found"]
+                else Score(False, verdict, (), 0)
+            )
             answer = {
                 "exit": got["exit"],
                 "seconds": got["seconds"],
@@ -181,7 +234,9 @@ def main(argv: list[str] | None = None) -> int:
                 "score": asdict(score),
                 "oracle": math.nan,
             }
-            (folder / "answers" / f"{case.id}.json").write_text(json.dumps(answer), encoding="utf-8")
+            (folder / "answers" / f"{case.id}.json").write_text(
+                json.dumps(answer), encoding="utf-8"
+            )
             if not given.keep:
                 _clear(folder / "refined" / case.id)
             print(
@@ -195,7 +250,10 @@ def main(argv: list[str] | None = None) -> int:
         if given.oracle and asked and not math.isfinite(answer["oracle"]):
             answer["oracle"] = oracle_gap(case, folder, place, options)
             path.write_text(json.dumps(answer), encoding="utf-8")
-            print(f"{case.id} {case.kind} {case.air}: told the truth {answer['oracle']:.3f}", file=sys.stderr)
+            print(
+                f"{case.id} {case.kind} {case.air}: told the truth {answer['oracle']:.3f}",
+                file=sys.stderr,
+            )
         rows.append(row(case, answer, t.get(case.id, {})))
     write_table(given.table or folder / "table.csv", rows)
     reached, text = marks(rows)

@@ -46,16 +46,31 @@ def seal(folder: Path, forbidden: Sequence[Path] = (), project: Path = ROOT) -> 
         shutil.rmtree(folder / name, ignore_errors=True)
         shutil.copytree(project / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     closed = tuple(str(p.resolve()) for p in (ROOT / "tests", project / "tests", *forbidden))
-    (folder / "sitecustomize.py").write_text(_GUARD.format(forbidden=closed, root=str(ROOT)), encoding="utf-8")
+    (folder / "sitecustomize.py").write_text(
+        _GUARD.format(forbidden=closed, root=str(ROOT)), encoding="utf-8"
+    )
     return folder
 
 
-def run(folder: Path, arguments: Sequence[str], timeout_s: float | None = None) -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, arguments: Sequence[str], timeout_s: float | None = None
+) -> subprocess.CompletedProcess[str]:
     """python with the arguments, in the sealed folder."""
-    environment = {**os.environ, "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(folder),
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+    }
     return subprocess.run(
-        [sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
-    )  # fmt: skip
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
 
 
 _running: set[int] = set()
@@ -99,13 +114,23 @@ def run_measured(folder: Path, arguments: Sequence[str], timeout_s: float) -> Me
 
     A process of its own starts and measures it: Linux counts the memory of whoever starts a program as the program's own.
     """
-    environment = {**os.environ, "PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(folder),
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+    }
     with tempfile.TemporaryDirectory() as scratch:
         cost = Path(scratch) / "cost"
         child = subprocess.Popen(
-            [sys.executable, "-S", "-c", _MEASURE, str(cost), *arguments], cwd=folder, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-        )  # fmt: skip
+            [sys.executable, "-S", "-c", _MEASURE, str(cost), *arguments],
+            cwd=folder,
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
         _running.add(child.pid)
         try:
             out, err = child.communicate(timeout=timeout_s)

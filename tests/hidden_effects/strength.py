@@ -26,10 +26,27 @@ from tests.hidden_effects.motion import History, Model, integrate
 
 Array = NDArray[np.float64]
 OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
-REPLAY_STEP_S = 0.01  # sensitivities need no more: servos are exact, and what is compared has the same step
-ABSENT = ("CZ_q", "Cm_dr", "Cl_de", "Cn_de")  # carried at zero: an effect if the data want them, no parameter
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
+REPLAY_STEP_S = (
+    0.01  # sensitivities need no more: servos are exact, and what is compared has the same step
+)
+ABSENT = (
+    "CZ_q",
+    "Cm_dr",
+    "Cl_de",
+    "Cn_de",
+)  # carried at zero: an effect if the data want them, no parameter
 PARAMETERS = tuple(n for n in TABLE_2_6 if n not in ABSENT)
 _STARTS = 8  # u v w p q r phi theta
 _MOVES = np.array([1e-2, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
@@ -45,7 +62,10 @@ class Strength:
 
 
 def strengths(
-    flights: Sequence[Flight], flown: Sequence[Flown], corrected: bool = False, step_s: float = REPLAY_STEP_S
+    flights: Sequence[Flight],
+    flown: Sequence[Flown],
+    corrected: bool = False,
+    step_s: float = REPLAY_STEP_S,
 ) -> list[Strength]:
     """Of each effect of the flights (the same in all, at one sample rate), the others counting as nuisance.
 
@@ -54,7 +74,10 @@ def strengths(
     effects = flights[0].effects
     without = [effects[:i] + effects[i + 1 :] for i in range(len(effects))]
     columns, changes, residual = _sensitivities(flights, flown, without, corrected, step_s)
-    return [_Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes]) for i in range(len(effects))]
+    return [
+        _Nuisance(_beside(columns, changes, i), residual).judge([c[i] for c in changes])
+        for i in range(len(effects))
+    ]
 
 
 def strengths_alone(
@@ -79,10 +102,16 @@ def _sensitivities(
     step_s: float,
 ) -> tuple[list[Array], list[list[Array]], list[Array] | None]:
     """Of each segment: columns (n, m, k) of the nuisance, changes (n, m) between its effects and each variant, residual."""
-    pieces = [_Piece(f, told, m, variants) for f, told in zip(flights, flown, strict=True) for m in f.card.manoeuvres]
+    pieces = [
+        _Piece(f, told, m, variants)
+        for f, told in zip(flights, flown, strict=True)
+        for m in f.card.manoeuvres
+    ]
     widths = len(PARAMETERS) + _STARTS * len(pieces) + 3 * len(flights)
     changes, columns, residual = [], [], []
-    for at, (piece, (y, others, S)) in enumerate(zip(pieces, _replayed(pieces, step_s), strict=True)):
+    for at, (piece, (y, others, S)) in enumerate(
+        zip(pieces, _replayed(pieces, step_s), strict=True)
+    ):
         scale = np.array([piece.flight.card.noise * NOISE[c] for c in OUTPUTS])
         whole = np.zeros((*y.shape, widths))
         whole[:, :, : len(PARAMETERS)] = S[:, :, : len(PARAMETERS)]
@@ -94,7 +123,9 @@ def _sensitivities(
         changes.append([(y - other) / scale for other in others])
         columns.append(whole / scale[None, :, None])
         if corrected:
-            residual.append((np.column_stack([piece.flown.record[c][piece.rows] for c in OUTPUTS]) - y) / scale)
+            residual.append(
+                (np.column_stack([piece.flown.record[c][piece.rows] for c in OUTPUTS]) - y) / scale
+            )
     return columns, changes, residual if corrected else None
 
 
@@ -115,25 +146,39 @@ class _Nuisance:
     def _fit(self, blocks: list[Array]) -> Array:
         flat = [part.reshape(-1, part.shape[2]) for part in self.S]
         return np.asarray(
-            _inverse(np.asarray(sum(f.T @ f for f in flat))) @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
+            _inverse(np.asarray(sum(f.T @ f for f in flat)))
+            @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
         )
 
     def judge(self, change: list[Array]) -> Strength:
         d = [part / self.size for part in change]
-        theta = self.inverse @ sum(part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True))
+        theta = self.inverse @ sum(
+            part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True)
+        )
         perp = [e - part @ theta for e, part in zip(d, self.S, strict=True)]
         square, whole = sum(float(np.sum(p**2)) for p in perp), sum(float(np.sum(p**2)) for p in d)
         if square <= 0.0:
             return Strength(0.0, 0.0, 0.0)
-        spread = square if self.left is None else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
+        spread = (
+            square
+            if self.left is None
+            else float(coloured_information([p[:, :, None] for p in perp], self.left)[0, 0])
+        )
         count = sum(p.size for p in d)
-        return Strength(square / float(np.sqrt(spread)), float(np.sqrt(square / whole)), float(np.sqrt(whole / count)))
+        return Strength(
+            square / float(np.sqrt(spread)),
+            float(np.sqrt(square / whole)),
+            float(np.sqrt(whole / count)),
+        )
 
 
 def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> list[Array]:
     """The columns with what every other effect does among them."""
     others = [i for i in range(len(changes[0])) if i != which]
-    return [np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2) for c, d in zip(columns, changes, strict=True)]
+    return [
+        np.concatenate([c, *(d[i][:, :, None] for i in others)], axis=2)
+        for c, d in zip(columns, changes, strict=True)
+    ]
 
 
 def _inverse(information: Array) -> Array:
@@ -146,7 +191,13 @@ def _inverse(information: Array) -> Array:
 class _Piece:
     """One labelled manoeuvre of a flight: its rows and the lanes flown for it."""
 
-    def __init__(self, flight: Flight, flown: Flown, manoeuvre: Manoeuvre, variants: Sequence[tuple[Effect, ...]]) -> None:
+    def __init__(
+        self,
+        flight: Flight,
+        flown: Flown,
+        manoeuvre: Manoeuvre,
+        variants: Sequence[tuple[Effect, ...]],
+    ) -> None:
         self.flight, self.flown = flight, flown
         self.dt = 1.0 / flight.card.rate_hz
         first = int(np.ceil(manoeuvre.at_s / self.dt - 1e-6))
@@ -170,7 +221,11 @@ class _Piece:
     def commands(self, n: int) -> Array:
         """(n, 4, lanes), the last one held on."""
         own = self.flown.commands[self.rows]
-        return np.repeat(np.concatenate([own, np.repeat(own[-1:], n - len(own), axis=0)])[:, :, None], len(self.lanes), axis=2)
+        return np.repeat(
+            np.concatenate([own, np.repeat(own[-1:], n - len(own), axis=0)])[:, :, None],
+            len(self.lanes),
+            axis=2,
+        )
 
 
 def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Array], Array]]:
@@ -179,10 +234,21 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
     dt = pieces[0].dt
     commands = np.concatenate([p.commands(n) for p in pieces], axis=2)
     lanes = [lane for p in pieces for lane in p.lanes]
-    model = Model([a for a, _ in lanes], [e for _, e in lanes], [p.drive for p in pieces for _ in p.lanes])
+    model = Model(
+        [a for a, _ in lanes], [e for _, e in lanes], [p.drive for p in pieces for _ in p.lanes]
+    )
     x0 = np.concatenate([p.starts() for p in pieces], axis=1)
     begun = np.concatenate([np.full(len(p.lanes), p.rows.start * dt) for p in pieces])
-    history = integrate(model, x0, commands[0], n, dt, substeps(dt, step_s), lambda j, air, x: commands[j], begun_s=begun)
+    history = integrate(
+        model,
+        x0,
+        commands[0],
+        n,
+        dt,
+        substeps(dt, step_s),
+        lambda j, air, x: commands[j],
+        begun_s=begun,
+    )
     y = _outputs(history)
     for lane, (_, hidden) in enumerate(lanes):
         for e in hidden:
@@ -196,7 +262,10 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
         first, parameters = 1 + _STARTS, 1 + _STARTS + p.variants
         base = own[:, :, 0]
         S = np.concatenate(
-            [(own[:, :, parameters:] - base[:, :, None]) / p.steps, (own[:, :, 1:first] - base[:, :, None]) / _MOVES],
+            [
+                (own[:, :, parameters:] - base[:, :, None]) / p.steps,
+                (own[:, :, 1:first] - base[:, :, None]) / _MOVES,
+            ],
             axis=2,
         )
         out.append((base, [own[:, :, first + i] for i in range(p.variants)], S))
@@ -205,5 +274,7 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
 
 def _outputs(h: History) -> Array:
     """(n, 11, lanes) as OUTPUTS."""
-    own = np.stack([h.V, h.alpha, h.beta, h.x[:, 6], h.x[:, 7], h.x[:, 3], h.x[:, 4], h.x[:, 5]], axis=1)
+    own = np.stack(
+        [h.V, h.alpha, h.beta, h.x[:, 6], h.x[:, 7], h.x[:, 3], h.x[:, 4], h.x[:, 5]], axis=1
+    )
     return np.concatenate([own, h.felt], axis=1)

@@ -59,7 +59,9 @@ def test_a_draw_is_what_chance_said_and_no_part_of_the_battery():
 
 
 def gap(after=1.0):
-    channels = {"q_radps": {"rms_before": 0.005, "rms_after": 0.00349 * after, "noise_rms": 0.00349}}
+    channels = {
+        "q_radps": {"rms_before": 0.005, "rms_after": 0.00349 * after, "noise_rms": 0.00349}
+    }
     return {"channels": channels, "coefficients": {}, "theil": {"before": 0.1, "after": 0.05}}
 
 
@@ -67,18 +69,35 @@ def effect(key, value=0.0, std=1.0, alternatives=()):
     subject, term = key.split(":")
     coefficient = subject[0] == "C"
     return {
-        "coefficient" if coefficient else "subsystem": subject, "term": term, "name": "n", "why": "w", "value": value, "std": std,
-        "property": property_name(subject, term) if coefficient else "x", "evidence": {},
-        "alternatives": [{"coefficient" if k[0] == "C" else "subsystem": k.split(":")[0], "term": k.split(":")[1],
-                          "evidence": {}, "separable": s} for k, s in alternatives],
-    }  # fmt: skip
+        "coefficient" if coefficient else "subsystem": subject,
+        "term": term,
+        "name": "n",
+        "why": "w",
+        "value": value,
+        "std": std,
+        "property": property_name(subject, term) if coefficient else "x",
+        "evidence": {},
+        "alternatives": [
+            {
+                "coefficient" if k[0] == "C" else "subsystem": k.split(":")[0],
+                "term": k.split(":")[1],
+                "evidence": {},
+                "separable": s,
+            }
+            for k, s in alternatives
+        ],
+    }
 
 
 def refinement(*effects, verdict="", after=1.0):
     return {
-        "verdict": verdict or ("effects-found" if effects else "no-missing-effect"), "disagreement": [], "effects": list(effects),
-        "remaining": {"unexplained": False, "where": []}, "gap": {"train": gap(), "test": gap(after)}, "model": "aircraft/x/x.xml",
-    }  # fmt: skip
+        "verdict": verdict or ("effects-found" if effects else "no-missing-effect"),
+        "disagreement": [],
+        "effects": list(effects),
+        "remaining": {"unexplained": False, "where": []},
+        "gap": {"train": gap(), "test": gap(after)},
+        "model": "aircraft/x/x.xml",
+    }
 
 
 def test_the_right_name_counts_and_a_wrong_one_does_not():
@@ -118,9 +137,15 @@ def test_causes_that_are_the_same_on_the_data():
     # The same moment in turbulence, fifty times as large, is Ixz of 9.8 kg m^2: above sqrt(Ixx Izz), 8.3.
     strong = CASES["Cm:p_hat^2", "clear", "light"]
     assert judge(strong, refinement(effect("Cm:p_hat^2")), 0).together is None
-    weaker = replace(strong, effects=(replace(strong.effects[0], size=0.8 * strong.effects[0].size),))
+    weaker = replace(
+        strong, effects=(replace(strong.effects[0], size=0.8 * strong.effects[0].size),)
+    )
     assert judge(weaker, refinement(effect("Cm:p_hat^2")), 0).together is False
-    assert judge(CASES["sensor.alpha_rad:scale", "clear", "calm"], refinement(effect("sensor.alpha:scale")), 0).right
+    assert judge(
+        CASES["sensor.alpha_rad:scale", "clear", "calm"],
+        refinement(effect("sensor.alpha:scale")),
+        0,
+    ).right
 
 
 def test_nulls_pairs_and_what_has_no_name():
@@ -151,17 +176,34 @@ def test_a_file_that_breaks_its_contract_is_told_so():
 
 
 def table(**change):
-    one = {"kind": "clear", "air": "calm", "verdict": "effects-found", "t": 20.0,
-           "right": 1, "together": "", "spurious": 0, "z": "0.5",
-           "gap": 1.0, "oracle": 1.0,
-           "seconds": 60.0, "faults": ""}  # fmt: skip
+    one = {
+        "kind": "clear",
+        "air": "calm",
+        "verdict": "effects-found",
+        "t": 20.0,
+        "right": 1,
+        "together": "",
+        "spurious": 0,
+        "z": "0.5",
+        "gap": 1.0,
+        "oracle": 1.0,
+        "seconds": 60.0,
+        "faults": "",
+    }
     return {**one, **change}
 
 
 def test_marks_are_reached_and_missed():
     rows = [table()] * 19 + [table(right=0)]
     assert marks(rows)[0]
-    for spoil in ({"right": 0}, {"spurious": 1}, {"z": "3.0"}, {"gap": 1.2}, {"faults": "no gap"}, {"together": 0}):
+    for spoil in (
+        {"right": 0},
+        {"spurious": 1},
+        {"z": "3.0"},
+        {"gap": 1.2},
+        {"faults": "no gap"},
+        {"together": 0},
+    ):
         reached, text = marks(rows + [table(**spoil)] * 6)
         assert not reached, (spoil, text)
         assert "MISSED" in text
@@ -195,7 +237,9 @@ def test_answers_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch, 
     with pytest.raises(KeyboardInterrupt):
         run.main(given)
     assert run.main(given) == 1
-    assert sorted(asked) == sorted([case.id, other.id, other.id if asked[0] == case.id else case.id])
+    assert sorted(asked) == sorted(
+        [case.id, other.id, other.id if asked[0] == case.id else case.id]
+    )
     lines = (tmp_path / "table.csv").read_text().splitlines()
     assert len(lines) == 3
     assert "MISSED" in capsys.readouterr().out
@@ -209,7 +253,9 @@ def test_refine_can_neither_import_nor_read_the_examination(tmp_path):
     secret.mkdir()
     (secret / "a.json").write_text("{}")
     place = sealed.seal(tmp_path / "sealed", [secret])
-    assert sealed.run(place, ["-c", "import uqharness, sysid; print(uqharness.__file__)"]).stdout.startswith(str(place))
+    assert sealed.run(
+        place, ["-c", "import uqharness, sysid; print(uqharness.__file__)"]
+    ).stdout.startswith(str(place))
     for text in (
         "import tests.hidden_effects.answers",
         f"open({str(ROOT / 'tests' / 'hidden_effects' / 'catalogue.py')!r})",
@@ -234,7 +280,11 @@ def test_the_product_does_not_know_the_examination():
 def test_written_flights_are_read_back(tmp_path):
     from tests.hidden_effects.cases import write
 
-    case = replace(CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),))
+    case = replace(
+        CASES["CX:q_hat", "clear", "calm"],
+        train=(card(1, 22.0, seconds=12.0),),
+        test=(card(2, 22.0, seconds=12.0),),
+    )
     write([case], tmp_path)
     files = case.files(tmp_path)
     record = FlightRecord.read(files["train"][0])
@@ -248,7 +298,11 @@ def test_written_flights_are_read_back(tmp_path):
 def test_a_flight_that_comes_to_grief_is_named_and_leaves_no_file(tmp_path):
     from tests.hidden_effects.cases import write
 
-    good = replace(CASES["CX:q_hat", "clear", "calm"], train=(card(1, 22.0, seconds=12.0),), test=(card(2, 22.0, seconds=12.0),))
+    good = replace(
+        CASES["CX:q_hat", "clear", "calm"],
+        train=(card(1, 22.0, seconds=12.0),),
+        test=(card(2, 22.0, seconds=12.0),),
+    )
     wild = replace(good, truth="too much", effects=(Effect("Cm", "p_hat^2", 1e9),))
     assert write([good, wild], tmp_path) == {wild.id}
     assert all(p.is_file() for paths in good.files(tmp_path).values() for p in paths)

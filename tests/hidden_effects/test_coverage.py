@@ -14,7 +14,14 @@ from tests.hidden_effects.coverage import draw, marks, rows_of
 def rows(count=1080, scale=1.0, shift=0.0, apart=0.0, seed=3):
     z = scale * np.random.default_rng(seed).standard_normal(count)
     return [
-        {"draw": k // 27, "parameter": str(k % 27), "identify": v, "refine": v + shift, "apart": apart} for k, v in enumerate(z)
+        {
+            "draw": k // 27,
+            "parameter": str(k % 27),
+            "identify": v,
+            "refine": v + shift,
+            "apart": apart,
+        }
+        for k, v in enumerate(z)
     ]
 
 
@@ -24,7 +31,9 @@ def test_intervals_that_cover_and_commands_that_agree():
     assert "40 of 40 draws" in text
 
 
-@pytest.mark.parametrize("change", [{"scale": 1.4}, {"scale": 0.7}, {"shift": 0.2}, {"apart": 0.2}, {"apart": math.inf}])
+@pytest.mark.parametrize(
+    "change", [{"scale": 1.4}, {"scale": 0.7}, {"shift": 0.2}, {"apart": 0.2}, {"apart": math.inf}]
+)
 def test_each_mark_says_no(change):
     reached, text = marks(rows(**change))
     assert not reached
@@ -42,7 +51,10 @@ def test_in_turbulence_intervals_may_cover_a_little_less():
 def test_a_draw_in_which_refine_names_something_counts_against_it():
     truth = {"Cm_q": -13.0}
     one = {"aero/Cm_q": (-12.9, 0.1)}
-    good, none = rows_of(1, truth, one, {"aero/Cm_q": (-12.9, 0.1)}, 0.0), rows_of(1, truth, one, {}, math.inf)
+    good, none = (
+        rows_of(1, truth, one, {"aero/Cm_q": (-12.9, 0.1)}, 0.0),
+        rows_of(1, truth, one, {}, math.inf),
+    )
     assert good[0]["identify"] == good[0]["refine"] == pytest.approx(1.0)
     assert math.isnan(none[0]["refine"])
     assert not marks([*rows(), *none])[0]
@@ -55,7 +67,11 @@ def test_every_second_draw_has_servos_that_act_at_once(tmp_path, monkeypatch):
     from tests.hidden_effects.manoeuvres import card
 
     monkeypatch.setattr(
-        coverage, "cards", lambda name, w20_kt, rate_hz: tuple(card(k, 22.0, seconds=11.0, rate_hz=rate_hz) for k in range(4))
+        coverage,
+        "cards",
+        lambda name, w20_kt, rate_hz: tuple(
+            card(k, 22.0, seconds=11.0, rate_hz=rate_hz) for k in range(4)
+        ),
     )
     truths = []
     for number, lags in ((1, 4), (2, 0)):

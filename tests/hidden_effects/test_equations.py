@@ -14,7 +14,9 @@ from tests.hidden_effects.expressions import programme
 from tests.hidden_effects.motion import Model, evaluate
 from tests.hidden_effects.second.drawn import drawn
 
-COEFFICIENT_TERMS = sorted({e.form or e.term for e in ENTRIES.values() if e.subject in effects.COEFFICIENTS})
+COEFFICIENT_TERMS = sorted(
+    {e.form or e.term for e in ENTRIES.values() if e.subject in effects.COEFFICIENTS}
+)
 UNNAMED = sorted({e.form for n in range(20) for e in drawn(0, 14, n).hidden})
 
 
@@ -22,10 +24,14 @@ def of_lanes(form, seen):
     """Values of one term in lanes of their own, beside another that has a table."""
     beside = Effect("CX", "table", 1.0, "interp(beta,[-0.1,0.1],[0,1])")
     terms = Model([SECOND], [(beside, Effect("Cm", "term", 1.0, form))]).terms
-    return np.array([run(terms, terms.begins[1], terms.ends[1], column, np.zeros(STACK)) for column in seen.T])
+    return np.array(
+        [run(terms, terms.begins[1], terms.ends[1], column, np.zeros(STACK)) for column in seen.T]
+    )
 
 
-@pytest.mark.parametrize("form", [*COEFFICIENT_TERMS, *UNNAMED, "-alpha/(1-beta)+sqrt(V_rel)", "where(beta<0,-de,+da)"])
+@pytest.mark.parametrize(
+    "form", [*COEFFICIENT_TERMS, *UNNAMED, "-alpha/(1-beta)+sqrt(V_rel)", "where(beta<0,-de,+da)"]
+)
 def test_terms_are_what_python_makes_of_them(form):
     rng = np.random.default_rng(4)
     seen = rng.normal(size=(len(VARIABLES), 40)) * 0.2
@@ -49,7 +55,9 @@ def test_tables_hold_their_ends():
     assert np.isnan(interpolated(tables, 1, np.nan))
 
 
-@pytest.mark.parametrize("form", ["alpha if beta else 1", "alpha//2", "tanh(alpha)(2)", "alpha == beta"])
+@pytest.mark.parametrize(
+    "form", ["alpha if beta else 1", "alpha//2", "tanh(alpha)(2)", "alpha == beta"]
+)
 def test_what_no_term_may_contain_is_refused(form):
     with pytest.raises(ValueError, match="nothing that a term may contain"):
         programme(form)
@@ -76,11 +84,15 @@ def test_air_that_moves_is_an_aeroplane_that_moves_the_other_way():
     moved = x.copy()
     for lane in range(5):
         phi, theta = x[6, lane], x[7, lane]
-        pitch = np.array([[np.cos(theta), 0, -np.sin(theta)], [0, 1, 0], [np.sin(theta), 0, np.cos(theta)]])
+        pitch = np.array(
+            [[np.cos(theta), 0, -np.sin(theta)], [0, 1, 0], [np.sin(theta), 0, np.cos(theta)]]
+        )
         roll = np.array([[1, 0, 0], [0, np.cos(phi), np.sin(phi)], [0, -np.sin(phi), np.cos(phi)]])
         moved[:3, lane] += roll @ pitch @ wind[:, lane]
     windy = evaluate(model, moved, s, np.vstack([wind, np.zeros((3, 5))]))
     for name in ("V", "alpha", "beta", "felt"):
-        np.testing.assert_allclose(getattr(windy, name), getattr(calm, name), rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(
+            getattr(windy, name), getattr(calm, name), rtol=1e-11, atol=1e-12
+        )
     np.testing.assert_allclose(windy.dot[3:6], calm.dot[3:6], rtol=1e-10, atol=1e-12)
     assert np.abs(evaluate(model, moved, s, None).felt - calm.felt).max() > 0.1

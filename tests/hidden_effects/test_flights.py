@@ -62,9 +62,12 @@ def test_the_step_is_short_enough_and_a_trim_stays():
 
 def test_servos_are_exact_and_their_faults_are_as_named():
     effects = [
-        (), (Effect("actuator.elevator", "lag", 10.0),), (Effect("actuator.elevator", "deadband", 1.0),),
-        (Effect("actuator.elevator", "rate_limit", 30.0),), (Effect("actuator.elevator", "backlash", 1.0),),
-    ]  # fmt: skip
+        (),
+        (Effect("actuator.elevator", "lag", 10.0),),
+        (Effect("actuator.elevator", "deadband", 1.0),),
+        (Effect("actuator.elevator", "rate_limit", 30.0),),
+        (Effect("actuator.elevator", "backlash", 1.0),),
+    ]
     model = Model([Airframe()] * 5, effects)
     servos = Servos(model, 0.002, np.zeros((4, 5)))
     command = np.zeros((4, 5))
@@ -91,11 +94,17 @@ def test_gusts_have_the_spectra_of_the_specification():
     from uqharness.flight.dryden import dryden_psd
 
     V, h, b = 22.0, 100.0, 3.66
-    series = np.concatenate([turbulence(V, h, 15.0, b, 150.0, np.random.default_rng(k)) for k in range(8)])
+    series = np.concatenate(
+        [turbulence(V, h, 15.0, b, 150.0, np.random.default_rng(k)) for k in range(8)]
+    )
     for i, name in enumerate("uvwpqr"):
         top = 40.0 if name in "uvw" else 200.0
-        expected = np.sqrt(quad(lambda w, c=name: float(dryden_psd(c, w, V, h, 15.0, b)), 0.0, top, limit=400)[0])
-        assert series[:, i].std() == pytest.approx(expected, rel=0.2 if name in "uv" else 0.12), name
+        expected = np.sqrt(
+            quad(lambda w, c=name: float(dryden_psd(c, w, V, h, 15.0, b)), 0.0, top, limit=400)[0]
+        )
+        assert series[:, i].std() == pytest.approx(expected, rel=0.2 if name in "uv" else 0.12), (
+            name
+        )
     # q = -dw/dx: the air pitches down where the upward gust (negative w) grows.
     slope = np.gradient(series[:, 2], NODE_S) / V
     smooth = np.convolve(slope, np.ones(20) / 20.0, "same")
@@ -125,7 +134,11 @@ def compare(record, folder, aircraft="espaaro"):
             "--no-figures",
         ]
     )
-    return code, {c: row["ratio"] for c, row in json.loads((out / "compare.json").read_text())["channels"].items() if row["judged"]}
+    return code, {
+        c: row["ratio"]
+        for c, row in json.loads((out / "compare.json").read_text())["channels"].items()
+        if row["judged"]
+    }
 
 
 def test_a_flight_without_an_effect_is_at_jsbsims_noise_floor(plain, tmp_path):
@@ -136,7 +149,9 @@ def test_a_flight_without_an_effect_is_at_jsbsims_noise_floor(plain, tmp_path):
 
 def test_commands_one_sample_early_or_late_would_be_seen(plain, tmp_path):
     for shift in (1, -1):
-        moved = plain.with_columns({c: np.roll(plain[c], shift) for c in ("elevator_deg", "aileron_deg", "rudder_deg")})
+        moved = plain.with_columns(
+            {c: np.roll(plain[c], shift) for c in ("elevator_deg", "aileron_deg", "rudder_deg")}
+        )
         folder = tmp_path / str(shift)
         folder.mkdir()
         code, ratios = compare(moved, folder)
@@ -152,7 +167,9 @@ def test_commands_one_sample_early_or_late_would_be_seen(plain, tmp_path):
 def test_the_second_aeroplane_is_its_xml(tmp_path):
     folder = write_aircraft("second", SECOND, tmp_path)
     flown = card(12, 23.0, seconds=13.0, kinds=("roll and pitch",))
-    its, other = fly([Flight(flown, SECOND), Flight(flown, perturbed(SECOND, np.random.default_rng(0)))])
+    its, other = fly(
+        [Flight(flown, SECOND), Flight(flown, perturbed(SECOND, np.random.default_rng(0)))]
+    )
     code, ratios = compare(its, tmp_path, folder)
     assert code == 0, ratios
     assert compare(other, tmp_path, folder)[0] == 1
@@ -160,7 +177,9 @@ def test_the_second_aeroplane_is_its_xml(tmp_path):
 
 def test_records_tell_nothing():
     flown = card(3, 22.0, seconds=8.0)
-    bare, hidden = fly([Flight(flown, Airframe()), Flight(flown, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))])
+    bare, hidden = fly(
+        [Flight(flown, Airframe()), Flight(flown, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))]
+    )
     assert bare.metadata == hidden.metadata
     assert list(bare.columns) == list(hidden.columns)
     assert not np.array_equal(bare["q_radps"], hidden["q_radps"])
@@ -169,7 +188,9 @@ def test_records_tell_nothing():
             case.kind,
             case.truth,
         }
-        assert not any(w in part for w in words for p in case.files(Path("x"))["train"] for part in p.parts), case.truth
+        assert not any(
+            w in part for w in words for p in case.files(Path("x"))["train"] for part in p.parts
+        ), case.truth
 
 
 # The effects
@@ -184,24 +205,36 @@ def test_terms_enter_as_the_vocabulary_says():
         return evaluate(Model([Airframe()] * 4, [effects] * 4), x, s, None).dot - plain_air.dot
 
     p_hat = x[3] * 3.66 / (2.0 * plain_air.V)
-    np.testing.assert_allclose(gained(Effect("Cm", "p_hat^2", 3.0))[4], qS * 0.53 * 3.0 * p_hat**2 / 8.26, rtol=1e-9)
-    np.testing.assert_allclose(gained(Effect("CX", "beta^2", -0.1))[0], qS * -0.1 * plain_air.beta**2 / 21.34, rtol=1e-9)
+    np.testing.assert_allclose(
+        gained(Effect("Cm", "p_hat^2", 3.0))[4], qS * 0.53 * 3.0 * p_hat**2 / 8.26, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        gained(Effect("CX", "beta^2", -0.1))[0], qS * -0.1 * plain_air.beta**2 / 21.34, rtol=1e-9
+    )
     np.testing.assert_allclose(
         gained(Effect("CY", "abs(beta)*beta", 0.5))[1],
         qS * 0.5 * abs(plain_air.beta) * plain_air.beta / 21.34,
         rtol=1e-9,
     )
     # The same thing under two names: thrust along x is CT.
-    np.testing.assert_allclose(gained(Effect("propulsion", "thrust_scale", 0.1)), gained(Effect("CX", "CT", 0.1)), atol=1e-12)
+    np.testing.assert_allclose(
+        gained(Effect("propulsion", "thrust_scale", 0.1)),
+        gained(Effect("CX", "CT", 0.1)),
+        atol=1e-12,
+    )
     # alphadot_hat c/2V of the motion itself.
     a, dot = plain_air, plain_air.dot
     alphadot = (x[0] * dot[2] - x[2] * dot[0]) / (x[0] ** 2 + x[2] ** 2)
     expected = qS * 0.53 * -4.0 * alphadot * 0.53 / (2.0 * a.V) / 8.26
     np.testing.assert_allclose(gained(Effect("Cm", "alphadot_hat", -4.0))[4], expected, rtol=1e-9)
     # Force terms in alphadot change alphadot: the loop is closed.
-    again = evaluate(Model([Airframe()] * 4, [(Effect("CZ", "alphadot_hat", -3.0),)] * 4), x, s, None).dot
+    again = evaluate(
+        Model([Airframe()] * 4, [(Effect("CZ", "alphadot_hat", -3.0),)] * 4), x, s, None
+    ).dot
     alphadot = (x[0] * again[2] - x[2] * again[0]) / (x[0] ** 2 + x[2] ** 2)
-    np.testing.assert_allclose(again[2] - dot[2], qS * -3.0 * alphadot * 0.53 / (2.0 * a.V) / 21.34, rtol=1e-4)
+    np.testing.assert_allclose(
+        again[2] - dot[2], qS * -3.0 * alphadot * 0.53 / (2.0 * a.V) / 21.34, rtol=1e-4
+    )
     with pytest.raises(ValueError, match="unknown \\['gamma'\\]"):
         Effect("Cm", "gamma^2", 1.0)
     with pytest.raises(ValueError, match="known are"):
@@ -210,19 +243,25 @@ def test_terms_enter_as_the_vocabulary_says():
 
 def test_every_effect_of_the_catalogue_changes_what_is_measured():
     pulses = (
-        Pulse("aileron", "doublet", 8.0, 0.6), Pulse("rudder", "doublet", 6.0, 0.6, 1.4),
+        Pulse("aileron", "doublet", 8.0, 0.6),
+        Pulse("rudder", "doublet", 6.0, 0.6, 1.4),
         Pulse("elevator", "doublet", -6.0, 0.5, 2.4),
         Pulse("throttle", "doublet", 25.0, 1.5),
-    )  # fmt: skip
+    )
     flights = []
     for entry in (*IN_FORM, *OFF_FORM):
         # The break comes at 45 s; the test does not wait for it.
         form = entry.form.replace("45", "1")
-        effect = Effect(entry.subject, entry.term, entry.guess, form).scaled(3.0 if entry.term != "late" else 1.0)
+        effect = Effect(entry.subject, entry.term, entry.guess, form).scaled(
+            3.0 if entry.term != "late" else 1.0
+        )
         flown = replace(
-            card(1, {"slow": 15.0, "ground": 20.0, "mixed": 20.0}[entry.flown]), seconds=5.0, noise=0.0,
-            manoeuvres=(Manoeuvre("all", 0.2, 4.8, pulses),), h_m=3.0 if entry.flown == "ground" else 100.0,
-        )  # fmt: skip
+            card(1, {"slow": 15.0, "ground": 20.0, "mixed": 20.0}[entry.flown]),
+            seconds=5.0,
+            noise=0.0,
+            manoeuvres=(Manoeuvre("all", 0.2, 4.8, pulses),),
+            h_m=3.0 if entry.flown == "ground" else 100.0,
+        )
         flights += [Flight(flown, Airframe()), Flight(flown, Airframe(), (effect,))]
     records = fly(flights)
     for bare, hidden, flight in zip(records[::2], records[1::2], flights[1::2], strict=True):
@@ -239,16 +278,23 @@ def weighed():
     ]
     pitch, inertia = Effect("Cm", "p_hat^2", 2.0), Effect("mass", "Ixz", 0.5)
     variants = {
-        "one": ((Effect("Cl", "de", 1e-5),), 1.0), "twice": ((Effect("Cl", "de", 2e-5),), 1.0),
+        "one": ((Effect("Cl", "de", 1e-5),), 1.0),
+        "twice": ((Effect("Cl", "de", 2e-5),), 1.0),
         "noisy": ((Effect("Cl", "de", 1e-5),), 2.0),
-        "parameter": ((Effect("Cm", "alpha", -0.05),), 1.0), "cg": ((Effect("mass", "cg_x", 0.005),), 1.0),
-        "Ixz": ((inertia,), 1.0), "both": ((pitch, inertia), 1.0),
-    }  # fmt: skip
+        "parameter": ((Effect("Cm", "alpha", -0.05),), 1.0),
+        "cg": ((Effect("mass", "cg_x", 0.005),), 1.0),
+        "Ixz": ((inertia,), 1.0),
+        "both": ((pitch, inertia), 1.0),
+    }
     flights = {
-        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown] for name, (hidden, noise) in variants.items()
+        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown]
+        for name, (hidden, noise) in variants.items()
     }
     told = iter(fly_and_tell([f for two in flights.values() for f in two], 0.01))
-    return {name: strengths(two, [next(told) for _ in two], step_s=0.02) for name, two in flights.items()}
+    return {
+        name: strengths(two, [next(told) for _ in two], step_s=0.02)
+        for name, two in flights.items()
+    }
 
 
 def test_strength_goes_with_size_and_against_noise(weighed):
@@ -272,7 +318,10 @@ def test_what_the_parameters_can_take_up_has_no_strength(weighed):
 def test_strength_is_output_errors_own(tmp_path):
     """|t| from these equations' sensitivities against the standard error of identify, which flies JSBSim."""
     hidden = Effect("CZ", "q_hat", -2.0)
-    flights = [Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,)) for i, V in enumerate((21.0, 25.0))]
+    flights = [
+        Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,))
+        for i, V in enumerate((21.0, 25.0))
+    ]
     flown = fly_and_tell(flights)
     paths = [tmp_path / f"{i}.parquet" for i in range(len(flown))]
     for path, one in zip(paths, flown, strict=True):

@@ -24,15 +24,21 @@ from tests.hidden_effects.run import PLACEBO, ask
 from uqharness.cli.main import main
 
 KINDS = ("roll and yaw", "roll and pitch", "elevator 3-2-1-1")
-CARDS = tuple(card(40 + i, V, seconds=33.0, kinds=KINDS, first=i) for i, V in enumerate((21.0, 24.0, 22.5)))
+CARDS = tuple(
+    card(40 + i, V, seconds=33.0, kinds=KINDS, first=i) for i, V in enumerate((21.0, 24.0, 22.5))
+)
 
 
 def case(*effects: Effect) -> Case:
     return Case(
-        " ".join(e.key for e in effects) or "nothing", "clear" if effects else "null", "calm", tuple(e.key for e in effects),
+        " ".join(e.key for e in effects) or "nothing",
+        "clear" if effects else "null",
+        "calm",
+        tuple(e.key for e in effects),
         effects,
-        CARDS[:2], CARDS[2:],
-    )  # fmt: skip
+        CARDS[:2],
+        CARDS[2:],
+    )
 
 
 ROLL_RATE = case(Effect("Cm", "p_hat^2", 1.5))
@@ -62,7 +68,11 @@ def refine(place, train, test, name, *more):
         "--no-pbox",
     ]
     done = sealed.run(place, ["-m", "uqharness.cli.main", *arguments, "--workers", "1", *more], 500)
-    found = json.loads((out / "refinement.json").read_text()) if (out / "refinement.json").is_file() else {}
+    found = (
+        json.loads((out / "refinement.json").read_text())
+        if (out / "refinement.json").is_file()
+        else {}
+    )
     return done, found
 
 
@@ -91,7 +101,14 @@ def test_what_is_the_same_on_the_data_stands_together(answer):
 @pytest.mark.slow
 def test_a_placebo_is_left_alone(place, answer):
     files = ROLL_RATE.files(place.parent / "flights")
-    done, found = refine(place, files["train"], files["test"], "placebo", "--effects", str(shutil.copy(PLACEBO, place)))
+    done, found = refine(
+        place,
+        files["train"],
+        files["test"],
+        "placebo",
+        "--effects",
+        str(shutil.copy(PLACEBO, place)),
+    )
     assert done.returncode == 0, done.stderr
     assert [canonical(e) for e in found["effects"]] == [canonical(e) for e in answer[1]["effects"]]
 
@@ -106,7 +123,9 @@ def test_nothing_is_found_where_nothing_is(place):
 @pytest.mark.slow
 def test_sensors_noisier_than_stated_do_not_pass_for_gusts(place):
     """Twice Table 2.1's noise in light air: taken for gusts that do not turn, it left two effects of |t| above 10."""
-    noisy = next(c for c in battery() if c.kind == "null" and c.air == "light" and c.train[0].noise == 2.0)
+    noisy = next(
+        c for c in battery() if c.kind == "null" and c.air == "light" and c.train[0].noise == 2.0
+    )
     write([noisy], place.parent / "flights")
     files = noisy.files(place.parent / "flights")
     done, found = refine(place, files["train"], files["test"], "noisy")
@@ -119,7 +138,9 @@ def another_servo(folder, **lags):
     out = shutil.copytree(ROOT / "aircraft" / "espaaro", folder / "espaaro")
     text = (out / "espaaro.xml").read_text(encoding="utf-8")
     for control, lag in lags.items():
-        block = re.search(rf'<actuator name="fcs/{control}-pos-\w+">.*?</actuator>', text, re.DOTALL)[0]
+        block = re.search(
+            rf'<actuator name="fcs/{control}-pos-\w+">.*?</actuator>', text, re.DOTALL
+        )[0]
         changed = re.sub(r"<lag>.*?</lag>", "" if lag is None else f"<lag>{lag:g}</lag>", block)
         if lag is None:
             changed = re.sub(r"<rate_limit>.*?</rate_limit>", "", changed)
@@ -136,7 +157,18 @@ def refined(aircraft, cards_of, folder, w20_kt=0.0):
     for record, path in zip(flights, paths, strict=True):
         record.write(path)
     out, (*train, test) = folder / "out", map(str, paths)
-    arguments = ["refine", str(aircraft), "--train", *train, "--test", test, "--out", str(out), "--no-figures", "--no-pbox"]
+    arguments = [
+        "refine",
+        str(aircraft),
+        "--train",
+        *train,
+        "--test",
+        test,
+        "--out",
+        str(out),
+        "--no-figures",
+        "--no-pbox",
+    ]
     assert main([*arguments, "--workers", "1"]) in (0, 1)
     return json.loads((out / "refinement.json").read_text(encoding="utf-8"))
 
@@ -158,7 +190,11 @@ def test_servos_that_act_at_once_leave_no_fault_in_turbulence(tmp_path, monkeypa
 def test_a_servos_lag_in_the_xml_may_be_wrong_either_way(tmp_path, lag):
     found = refined(another_servo(tmp_path, elevator=lag), CARDS, tmp_path)
     (effect,) = found["effects"]
-    assert (effect["subsystem"], effect["term"], found["verdict"]) == ("actuator.elevator", "lag", "effects-found")
+    assert (effect["subsystem"], effect["term"], found["verdict"]) == (
+        "actuator.elevator",
+        "lag",
+        "effects-found",
+    )
     assert effect["value"] == pytest.approx(25.0, abs=4.0 * effect["std"])
     assert effect["std"] < 2.0
 
@@ -170,10 +206,17 @@ def test_a_rate_limit_in_the_xml_may_be_too_low(tmp_path):
     path = aircraft / "espaaro.xml"
     text = path.read_text(encoding="utf-8").replace("<lag>25.5</lag>", "<lag>25</lag>")
     block = re.search(r'<actuator name="fcs/elevator-pos-deg">.*?</actuator>', text, re.DOTALL)[0]
-    path.write_text(text.replace(block, re.sub(r"<rate_limit>.*?</", "<rate_limit>40</", block)), encoding="utf-8")
+    path.write_text(
+        text.replace(block, re.sub(r"<rate_limit>.*?</", "<rate_limit>40</", block)),
+        encoding="utf-8",
+    )
     found = refined(aircraft, CARDS, tmp_path)
     (effect,) = found["effects"]
-    assert (effect["subsystem"], effect["term"], found["verdict"]) == ("actuator.elevator", "rate_limit", "effects-found")
+    assert (effect["subsystem"], effect["term"], found["verdict"]) == (
+        "actuator.elevator",
+        "rate_limit",
+        "effects-found",
+    )
     assert effect["value"] > 90.0
 
 
@@ -182,10 +225,16 @@ def test_accelerometers_elsewhere_than_the_card_says_are_found(tmp_path):
     aircraft = shutil.copytree(ROOT / "aircraft" / "espaaro", tmp_path / "espaaro")
     card_file = aircraft / "airframe.toml"
     text = card_file.read_text(encoding="utf-8")
-    card_file.write_text(text.replace("accelerometer = [0, 0, 0]", "accelerometer = [0.15, 0, -0.08]"), encoding="utf-8")
+    card_file.write_text(
+        text.replace("accelerometer = [0, 0, 0]", "accelerometer = [0.15, 0, -0.08]"),
+        encoding="utf-8",
+    )
     found = refined(aircraft, CARDS, tmp_path)
     effects = {(e["subsystem"], e["term"]): e for e in found["effects"]}
-    assert set(effects) == {("sensor.accelerometer", "place_x"), ("sensor.accelerometer", "place_z")}
+    assert set(effects) == {
+        ("sensor.accelerometer", "place_x"),
+        ("sensor.accelerometer", "place_z"),
+    }
     for axis, truth in (("x", -0.15), ("z", 0.08)):
         effect = effects["sensor.accelerometer", f"place_{axis}"]
         assert effect["value"] == pytest.approx(truth, abs=3.0 * effect["std"])
@@ -198,15 +247,21 @@ def test_flights_to_test_on_never_choose(place, answer):
     files = ROLL_RATE.files(place.parent / "flights")
     record = FlightRecord.read(files["test"][0])
     rng = np.random.default_rng(0)
-    spoilt = {c: record[c] * rng.uniform(0.8, 1.2) + 0.2 * np.std(record[c]) * rng.standard_normal(len(record))
-              for c in record.columns if c not in ("time_s", "manoeuvre", "rho_kgpm3")}  # fmt: skip
+    spoilt = {
+        c: record[c] * rng.uniform(0.8, 1.2)
+        + 0.2 * np.std(record[c]) * rng.standard_normal(len(record))
+        for c in record.columns
+        if c not in ("time_s", "manoeuvre", "rho_kgpm3")
+    }
     path = place.parent / "spoilt.parquet"
     record.with_columns(spoilt).write(path)
     _, found = refine(place, files["train"], [path], "spoilt")
     chosen = answer[1]["effects"]
     assert chosen
     strip = ("coefficient", "subsystem", "term", "value", "std", "property")
-    assert [{k: e.get(k) for k in strip} for e in found["effects"]] == [{k: e.get(k) for k in strip} for e in chosen]
+    assert [{k: e.get(k) for k in strip} for e in found["effects"]] == [
+        {k: e.get(k) for k in strip} for e in chosen
+    ]
     assert found["gap"]["train"] == answer[1]["gap"]["train"]
     assert found["gap"]["test"] != answer[1]["gap"]["test"]
 
@@ -235,7 +290,15 @@ def test_the_way_from_a_case_to_its_mark(tmp_path):
         card(51, 22.0, seconds=14.0, kinds=("roll and yaw",)),
         card(52, 22.0, seconds=14.0, kinds=("roll and yaw",)),
     )
-    strong = Case("strong", "clear", "calm", ("Cm:p_hat^2",), (Effect("Cm", "p_hat^2", 6.0),), short[:1], short[1:])
+    strong = Case(
+        "strong",
+        "clear",
+        "calm",
+        ("Cm:p_hat^2",),
+        (Effect("Cm", "p_hat^2", 6.0),),
+        short[:1],
+        short[1:],
+    )
     write([strong], tmp_path / "flights")
     (tmp_path / "answers").mkdir()
     place = sealed.seal(tmp_path / "sealed", [tmp_path / "answers"])

@@ -36,10 +36,19 @@ class _Quiet(jsbsim.FGLogger):
     def flush(self) -> None: ...
 
 
-def write_model(root: Path, fcs: str = "", aero: str = "", ixz: str = "", mass_attributes: str = "", aerorp: float = 0.0) -> Path:
+def write_model(
+    root: Path,
+    fcs: str = "",
+    aero: str = "",
+    ixz: str = "",
+    mass_attributes: str = "",
+    aerorp: float = 0.0,
+) -> Path:
     folder = root / "aircraft" / "small"
     folder.mkdir(parents=True, exist_ok=True)
-    text = SKELETON.format(fcs=fcs, aero=aero, ixz=ixz, mass_attributes=mass_attributes, aerorp=aerorp)
+    text = SKELETON.format(
+        fcs=fcs, aero=aero, ixz=ixz, mass_attributes=mass_attributes, aerorp=aerorp
+    )
     (folder / "small.xml").write_text(text)
     return root
 
@@ -62,5 +71,7 @@ def small(root: Path, **parts: Any) -> Any:
 def dies(code: str, root: Path) -> int:
     """Exit code of a process that runs ``code`` with ``root`` and ``jsbsim`` at hand; negative for a signal."""
     head = f"import jsbsim\nroot = {str(root)!r}\n"
-    done = subprocess.run([sys.executable, "-c", head + code], capture_output=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", head + code], capture_output=True, timeout=60, check=False
+    )
     return done.returncode

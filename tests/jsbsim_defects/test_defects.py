@@ -43,7 +43,10 @@ def test_a_missing_property_aborts_when_the_model_is_destroyed(tmp_path):
 
 
 def test_an_unknown_function_operation_is_a_segmentation_fault(tmp_path):
-    write_model(tmp_path, aero="<function name='aero/x'><prodct><value>1</value><value>2</value></prodct></function>")
+    write_model(
+        tmp_path,
+        aero="<function name='aero/x'><prodct><value>1</value><value>2</value></prodct></function>",
+    )
     assert dies(LOADING, tmp_path) < 0
 
 
@@ -57,9 +60,21 @@ def test_an_illegal_property_name_raises_outside_jsbsims_own_errors(tmp_path):
 
 
 def test_a_second_load_on_one_instance_ends_the_interpreter(tmp_path):
-    write_model(tmp_path, fcs=channel("<pure_gain name='g'><input>test/in</input><gain>2</gain></pure_gain>"))
-    again = LOADING + "node = fdm.get_property_manager().get_node('fcs/g')\nfdm.load_model('small')\n"
-    assert dies(again + "fdm.run_ic()\n[fdm.run() for _ in range(50)]\nnode.get_double_value()\ndel fdm\n", tmp_path) != 0
+    write_model(
+        tmp_path,
+        fcs=channel("<pure_gain name='g'><input>test/in</input><gain>2</gain></pure_gain>"),
+    )
+    again = (
+        LOADING + "node = fdm.get_property_manager().get_node('fcs/g')\nfdm.load_model('small')\n"
+    )
+    assert (
+        dies(
+            again
+            + "fdm.run_ic()\n[fdm.run() for _ in range(50)]\nnode.get_double_value()\ndel fdm\n",
+            tmp_path,
+        )
+        != 0
+    )
 
 
 def test_misspelt_reads_and_writes(tmp_path):
@@ -99,7 +114,11 @@ def test_the_ground_stops_nobody(tmp_path):
 
 def test_ixz_is_read_with_its_sign_reversed(tmp_path):
     plain = small(tmp_path / "a", ixz='<ixz unit="KG*M2">0.25</ixz>')
-    said = small(tmp_path / "b", ixz='<ixz unit="KG*M2">0.25</ixz>', mass_attributes='negated_crossproduct_inertia="false"')
+    said = small(
+        tmp_path / "b",
+        ixz='<ixz unit="KG*M2">0.25</ixz>',
+        mass_attributes='negated_crossproduct_inertia="false"',
+    )
     for fdm in (plain, said):
         fdm.run_ic()
     assert plain["inertia/ixz-slugs_ft2"] == pytest.approx(-said["inertia/ixz-slugs_ft2"])
@@ -108,7 +127,9 @@ def test_ixz_is_read_with_its_sign_reversed(tmp_path):
 
 def test_a_force_acts_at_aerorp_unless_told_otherwise(tmp_path):
     def pitching(name: str, extra: str) -> float:
-        force = f"<axis name='Z'><function name='aero/z' {extra}><value>-10</value></function></axis>"
+        force = (
+            f"<axis name='Z'><function name='aero/z' {extra}><value>-10</value></function></axis>"
+        )
         fdm = small(tmp_path / name, aero=force, aerorp=0.3)
         fdm.run_ic()
         return fdm["moments/m-aero-lbsft"]
@@ -138,9 +159,16 @@ DELAYED = {
 
 @pytest.mark.parametrize(
     ("component", "latencies"),
-    [("sensor", [0, 1, 2]), ("actuator", [0, 1, 2]), ("pure_gain", [0, 0, 0]), ("summer", [0, 0, 0])],
+    [
+        ("sensor", [0, 1, 2]),
+        ("actuator", [0, 1, 2]),
+        ("pure_gain", [0, 0, 0]),
+        ("summer", [0, 0, 0]),
+    ],
 )
-def test_a_delay_of_n_frames_is_n_minus_one_and_only_sensors_and_actuators_have_it(tmp_path, component, latencies):
+def test_a_delay_of_n_frames_is_n_minus_one_and_only_sensors_and_actuators_have_it(
+    tmp_path, component, latencies
+):
     def latency(frames: int) -> int:
         parts = channel(DELAYED[component].format(frames))
         return step_response(small(tmp_path / str(frames), fcs=parts), "fcs/g", 8).index(1.0)
@@ -158,12 +186,16 @@ def test_percent_noise_is_a_fraction(tmp_path):
 
 
 def test_a_gain_of_zero_in_a_sensor_is_no_gain(tmp_path):
-    fdm = small(tmp_path, fcs=channel("<sensor name='s'><input>test/in</input><gain>0</gain></sensor>"))
+    fdm = small(
+        tmp_path, fcs=channel("<sensor name='s'><input>test/in</input><gain>0</gain></sensor>")
+    )
     assert step_response(fdm, "fcs/s", 2)[-1] == 1.0
 
 
 def test_a_step_set_after_loading_leaves_the_filters_wrong(tmp_path):
-    root = write_model(tmp_path, fcs=channel("<lag_filter name='f'><input>test/in</input><c1>10</c1></lag_filter>"))
+    root = write_model(
+        tmp_path, fcs=channel("<lag_filter name='f'><input>test/in</input><c1>10</c1></lag_filter>")
+    )
     right = load(root, dt=0.02)
     late = load(root, dt=0.01)
     late.set_dt(0.02)
@@ -173,7 +205,10 @@ def test_a_step_set_after_loading_leaves_the_filters_wrong(tmp_path):
 
 
 def test_reset_is_not_a_fresh_instance(tmp_path):
-    fdm = small(tmp_path, fcs=channel("<sensor name='s'><input>test/in</input><drift_rate>1.0</drift_rate></sensor>"))
+    fdm = small(
+        tmp_path,
+        fcs=channel("<sensor name='s'><input>test/in</input><drift_rate>1.0</drift_rate></sensor>"),
+    )
     fresh = step_response(fdm, "fcs/s", 100)[-1]
     fdm["test/in"] = 0.0
     fdm.reset_to_initial_conditions(0)
@@ -226,7 +261,10 @@ def test_a_second_element_for_an_axis_replaces_the_first(tmp_path):
 
 def test_a_reset_loses_the_shift_of_the_aerodynamic_reference_point(tmp_path):
     shift = "<aero_ref_pt_shift_x><function><value>0.5</value></function></aero_ref_pt_shift_x>"
-    fdm = small(tmp_path, aero=shift + "<axis name='Z'><function name='a/z'><value>-40</value></function></axis>")
+    fdm = small(
+        tmp_path,
+        aero=shift + "<axis name='Z'><function name='a/z'><value>-40</value></function></axis>",
+    )
     fdm.run_ic()
     moment = fdm["moments/m-aero-lbsft"]
     assert abs(moment) == pytest.approx(40 * 0.5 * 0.5 / 0.3048, rel=1e-6)
@@ -238,7 +276,8 @@ def test_the_file_of_a_models_own_output_is_made_though_output_is_disabled(tmp_p
     write_model(tmp_path)
     xml = tmp_path / "aircraft" / "small" / "small.xml"
     text = xml.read_text().replace(
-        "</fdm_config>", "<output name='log.csv' type='CSV' rate='10'><rates>ON</rates></output></fdm_config>"
+        "</fdm_config>",
+        "<output name='log.csv' type='CSV' rate='10'><rates>ON</rates></output></fdm_config>",
     )
     xml.write_text(text)
     fdm = load(tmp_path)

@@ -79,6 +79,8 @@ def test_a_component_writes_a_state_file_in_every_frame(tmp_path: Path) -> None:
 
 
 def test_an_included_file_may_lie_anywhere(tmp_path: Path) -> None:
-    (tmp_path / "else.xml").write_text('<system name="s"><property value="7">else/mark</property></system>')
+    (tmp_path / "else.xml").write_text(
+        '<system name="s"><property value="7">else/mark</property></system>'
+    )
     fdm = load(with_elements(tmp_path / "root", f'<system file="{tmp_path}/else.xml"/>'))
     assert fdm["else/mark"] == 7.0

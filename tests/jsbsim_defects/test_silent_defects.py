@@ -60,7 +60,9 @@ def test_starting_an_engine_opens_its_mixture_and_gives_its_thrust_at_full_throt
     assert fdm["propulsion/engine/thrust-lbs"] > idle + 400.0
 
 
-@pytest.mark.parametrize(("integrator", "gain", "tolerance"), [(None, 1.042, 0.002), (3.0, 1.0, 0.004)])
+@pytest.mark.parametrize(
+    ("integrator", "gain", "tolerance"), [(None, 1.042, 0.002), (3.0, 1.0, 0.004)]
+)
 def test_the_default_integrator_adds_roll_damping(tmp_path, integrator, gain, tolerance):
     # L = -8 Ixx p: p falls as exp(-8 t). Euler's rule takes 1 - 0.08 a step, which is exp(-8.34 t).
     slug_ft2 = 6.0 / 1.3558179483314
@@ -82,8 +84,12 @@ def test_the_default_integrator_adds_roll_damping(tmp_path, integrator, gain, to
 
 
 def test_the_rates_scale_is_of_the_frame_before_in_a_function_outside_an_axis(tmp_path):
-    scale = "<product><property>aero/bi2vel</property><property>velocities/vt-fps</property></product>"
-    outside, inside = (f"<function name='aero/{name}'>{scale}</function>" for name in ("outside", "inside"))
+    scale = (
+        "<product><property>aero/bi2vel</property><property>velocities/vt-fps</property></product>"
+    )
+    outside, inside = (
+        f"<function name='aero/{name}'>{scale}</function>" for name in ("outside", "inside")
+    )
     force = f"<axis name='X'><function name='aero/f'><value>20</value></function>{inside}</axis>"
     fdm = small(tmp_path, aero=outside + force)
     fdm.run_ic()
@@ -101,7 +107,11 @@ def test_the_rates_scale_is_of_the_frame_before_in_a_function_outside_an_axis(tm
 def test_flight_control_reads_the_airspeed_of_the_frame_before_and_the_attitude_of_this(tmp_path):
     copy = "".join(
         f"<pure_gain name='copy/{name}'><input>{source}</input><gain>1</gain></pure_gain>"
-        for name, source in (("V", "velocities/vt-fps"), ("phi", "attitude/phi-rad"), ("p", "velocities/p-rad_sec"))
+        for name, source in (
+            ("V", "velocities/vt-fps"),
+            ("phi", "attitude/phi-rad"),
+            ("p", "velocities/p-rad_sec"),
+        )
     )
     force = "<axis name='X'><function name='aero/f'><value>20</value></function></axis>"
     turn = "<axis name='ROLL'><function name='aero/L'><value>3</value></function></axis>"
@@ -137,6 +147,8 @@ def test_an_actuator_with_a_lag_of_zero_stands_still(tmp_path):
 
 
 def test_a_filter_begins_at_zero_and_not_at_its_input(tmp_path):
-    first, later = flown_through(tmp_path, "<lag_filter name='fcs/out'><input>s/in</input><c1>10</c1></lag_filter>")
+    first, later = flown_through(
+        tmp_path, "<lag_filter name='fcs/out'><input>s/in</input><c1>10</c1></lag_filter>"
+    )
     assert first < 0.1
     assert later == pytest.approx(1.0, abs=1e-6)

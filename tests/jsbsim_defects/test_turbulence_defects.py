@@ -28,10 +28,14 @@ def folder(tmp_path: Path) -> Path:
     return write_vehicle(tmp_path, CALM.b_m, None)
 
 
-def turbulent(folder: Path, settings: dict[str, float], condition: Condition = CALM, turb_type: float = 4.0) -> Any:
+def turbulent(
+    folder: Path, settings: dict[str, float], condition: Condition = CALM, turb_type: float = 4.0
+) -> Any:
     fdm = open_pinned(folder, condition, settings)
     fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = W20_FPS
-    fdm["atmosphere/turbulence/milspec/severity"] = settings.get("atmosphere/turbulence/milspec/severity", 3.0)
+    fdm["atmosphere/turbulence/milspec/severity"] = settings.get(
+        "atmosphere/turbulence/milspec/severity", 3.0
+    )
     fdm["atmosphere/turb-type"] = turb_type
     return fdm
 
@@ -47,7 +51,9 @@ def record(fdm: Any, names: list[str], n: int) -> np.ndarray:
 @pytest.mark.parametrize(("severity", "sd_fps"), [(3.0, 7.0), (6.0, 18.6)])
 def test_a_height_is_taken_above_sea_level(folder: Path, severity: float, sd_fps: float) -> None:
     # 330 ft above a field at 1790 ft. Specified: sd of w = 0.1 W20 = 5 ft/s whatever the "severity".
-    condition = replace(CALM, h_m=(1790.0 + 330.0) * FT_M, V_mps=100.0, dt_s=0.02)  # fast, for many scale lengths
+    condition = replace(
+        CALM, h_m=(1790.0 + 330.0) * FT_M, V_mps=100.0, dt_s=0.02
+    )  # fast, for many scale lengths
     fdm = turbulent(
         folder,
         {"ic/terrain-elevation-ft": 1790.0, "atmosphere/turbulence/milspec/severity": severity},
@@ -92,7 +98,9 @@ def test_d_rotation_to_north_and_east_has_the_wrong_sign(folder: Path) -> None:
 
 def test_e_pitch_gust_has_the_wrong_sign() -> None:
     # Flying with the wind (gust axes on the heading): q follows +dw/dt, where the air's rotation is -dw/dx.
-    tail_wind = replace(CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=300.0)
+    tail_wind = replace(
+        CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=300.0
+    )
     seen = measure("plain-tustin", tail_wind)
     assert seen.q_slope_correlation() == pytest.approx(0.22, abs=0.06)
     assert seen.r_slope_correlation() == pytest.approx(0.24, abs=0.06)  # r is right
@@ -123,7 +131,9 @@ def test_f_tustin_filters_turn_to_nan_when_initialised_again(folder: Path) -> No
 
 def test_g_roll_gust_is_not_that_of_8785c() -> None:
     # Yeager's form: 15 % too strong at 100 m, with twice the density at low and two thirds of it at high frequency.
-    tail_wind = replace(CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=1800.0)
+    tail_wind = replace(
+        CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=1800.0
+    )
     (row,) = (row for row in compare(measure("plain-tustin", tail_wind)) if row.component == "p")
     assert row.sd_ratio == pytest.approx(1.14, abs=0.04)
     assert row.band_ratios[0] == pytest.approx(2.0, abs=0.4)
@@ -131,7 +141,9 @@ def test_g_roll_gust_is_not_that_of_8785c() -> None:
 
 
 def test_h_default_milspec_filters_are_a_third_too_strong_where_aircraft_answer() -> None:
-    tail_wind = replace(CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=1800.0)
+    tail_wind = replace(
+        CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=1800.0
+    )
     rows = {row.component: row for row in compare(measure("plain-milspec", tail_wind))}
     for component in ("v", "w", "q", "r"):
         assert rows[component].band_ratios[3] == pytest.approx(1.36, abs=0.1), component
@@ -144,7 +156,8 @@ def test_i_second_order_filters_drift_when_the_airspeed_answers_to_the_gust(fold
     for coupling in (0.3, -0.3):
         fdm = turbulent(folder, {}, replace(CALM, dt_s=0.02))
         v_gust, speed = (
-            engine.handle(fdm, name).get_double_value for name in ("atmosphere/turb-east-fps", "velocities/v-north-fps")
+            engine.handle(fdm, name).get_double_value
+            for name in ("atmosphere/turb-east-fps", "velocities/v-north-fps")
         )
         command = engine.handle(fdm, "pin/north-fps").set_double_value
         initial, total, n = speed(), 0.0, 25_000
@@ -158,4 +171,6 @@ def test_i_second_order_filters_drift_when_the_airspeed_answers_to_the_gust(fold
 
 
 def test_specified_sigma_used_above() -> None:
-    assert dryden_sigma("w", 22.2, 100.0, W20_FPS * FT_M / 0.514444, 3.66) / FT_M == pytest.approx(5.0, rel=1e-4)
+    assert dryden_sigma("w", 22.2, 100.0, W20_FPS * FT_M / 0.514444, 3.66) / FT_M == pytest.approx(
+        5.0, rel=1e-4
+    )

@@ -16,14 +16,22 @@ from uqharness.cli.main import main
 G = 9.80665
 COLUMNS = {  # column -> signal, size of the unit, step of the logger in that unit
     "kt": ("V_mps", KT_MPS, 0.1),
-    "aoa_deg": ("alpha_rad", np.pi / 180.0, 0.02), "slip_deg": ("beta_rad", np.pi / 180.0, 0.02),
-    "roll_deg": ("phi_rad", np.pi / 180.0, 0.02), "pitch_deg": ("theta_rad", np.pi / 180.0, 0.02),
+    "aoa_deg": ("alpha_rad", np.pi / 180.0, 0.02),
+    "slip_deg": ("beta_rad", np.pi / 180.0, 0.02),
+    "roll_deg": ("phi_rad", np.pi / 180.0, 0.02),
+    "pitch_deg": ("theta_rad", np.pi / 180.0, 0.02),
     "hdg_deg": ("psi_rad", np.pi / 180.0, 0.1),
-    "p_dps": ("p_radps", np.pi / 180.0, 0.05), "q_dps": ("q_radps", np.pi / 180.0, 0.05), "r_dps": ("r_radps", np.pi / 180.0, 0.05),
-    "nx_g": ("ax_mps2", G, 0.002), "ny_g": ("ay_mps2", G, 0.002), "nz_g": ("az_mps2", G, 0.002),
+    "p_dps": ("p_radps", np.pi / 180.0, 0.05),
+    "q_dps": ("q_radps", np.pi / 180.0, 0.05),
+    "r_dps": ("r_radps", np.pi / 180.0, 0.05),
+    "nx_g": ("ax_mps2", G, 0.002),
+    "ny_g": ("ay_mps2", G, 0.002),
+    "nz_g": ("az_mps2", G, 0.002),
     "alt_ft": ("h_m", FT_M, 1.0),
-    "elev_deg": ("elevator_deg", 1.0, 0.01), "ail_deg": ("aileron_deg", 1.0, 0.01), "rud_deg": ("rudder_deg", 1.0, 0.01),
-}  # fmt: skip
+    "elev_deg": ("elevator_deg", 1.0, 0.01),
+    "ail_deg": ("aileron_deg", 1.0, 0.01),
+    "rud_deg": ("rudder_deg", 1.0, 0.01),
+}
 POWER = {"throttle_pct": ("thr_pct", 0.1), "thrust_N": ("thrust_N", 1.0)}
 
 
@@ -36,7 +44,11 @@ def hide_the_effect(folder: Path, out: Path, size: float) -> Path:
             target = out / file.relative_to(folder)
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
-    (xml,) = [file for file in out.glob("*.xml") if "<aerodynamics" in file.read_text(encoding="utf-8", errors="replace")]
+    (xml,) = [
+        file
+        for file in out.glob("*.xml")
+        if "<aerodynamics" in file.read_text(encoding="utf-8", errors="replace")
+    ]
     text = xml.read_text(encoding="utf-8", errors="replace")
     place = text.index(">", text.index('<axis name="PITCH"')) + 1
     hidden = (
@@ -79,15 +91,29 @@ def ran(*words: object) -> int:
     # The T37 flies half of the others' p b / 2V and has more inertia: of an effect of 12 its gyros' noise hides all.
     [("c172p", (50, 55), 3.0), ("J3Cub", (30, 34), 3.0), ("T37", (90, 100), 40.0)],
 )
-def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(name, speeds, hidden, tmp_path):
+def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
+    name, speeds, hidden, tmp_path
+):
     (tmp_path / "flown").mkdir()
     own = tmp_path / name
     assert ran("instrument", name, "--out", own, "--no-check") == 0
     truth = hide_the_effect(own, tmp_path / "flown" / name, hidden)
     logs = []
-    for k, (mission, speed) in enumerate((("doublets", speeds[0]), ("3-2-1-1", speeds[1]), ("doublets", speeds[1]))):
+    for k, (mission, speed) in enumerate(
+        (("doublets", speeds[0]), ("3-2-1-1", speeds[1]), ("doublets", speeds[1]))
+    ):
         flown = tmp_path / f"flown-{k}.parquet"
-        asked = ("--mission", mission, "--speed-mps", speed, "--rate-hz", 100, "--noise", "--seed", k)
+        asked = (
+            "--mission",
+            mission,
+            "--speed-mps",
+            speed,
+            "--rate-hz",
+            100,
+            "--noise",
+            "--seed",
+            k,
+        )
         assert ran("fly", truth, *asked, "--out", flown) == 0
         log = foreign_log(FlightRecord.read(flown), tmp_path / f"log-{k}.csv")
         mapped = foreign_map(tmp_path / "map.toml")
@@ -96,14 +122,28 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(nam
         assert ran("log", "import", log, *read, "--out", logs[-1]) == 0
     common = ("--workers", 1, "--no-figures")
     # A model that lacks a term may stop short of the last standard error; it says so.
-    code = ran("identify", own, "--flight", logs[0], logs[1], "--out", tmp_path / "identified", *common)
+    code = ran(
+        "identify", own, "--flight", logs[0], logs[1], "--out", tmp_path / "identified", *common
+    )
     fit = json.loads((tmp_path / "identified" / "fit.json").read_text())
     assert (code == 0) == (fit["converged"] and bool(fit["names"]))
     assert ran("compare", own, "--flight", logs[2], "--out", tmp_path / "gap", *common) == 1
     gap = json.loads((tmp_path / "gap" / "compare.json").read_text())
     assert "q_radps" in gap["above"]
     assert not any(row["slip"] for row in gap["channels"].values())
-    ran("refine", own, "--train", logs[0], logs[1], "--test", logs[2], "--out", tmp_path / "refined", "--no-pbox", *common)
+    ran(
+        "refine",
+        own,
+        "--train",
+        logs[0],
+        logs[1],
+        "--test",
+        logs[2],
+        "--out",
+        tmp_path / "refined",
+        "--no-pbox",
+        *common,
+    )
     found = json.loads((tmp_path / "refined" / "refinement.json").read_text())
     assert [(e["coefficient"], e["term"]) for e in found["effects"]] == [("Cm", "p_hat^2")]
     assert found["effects"][0]["value"] == pytest.approx(hidden, rel=0.1)
@@ -113,12 +153,47 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(nam
 def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
     """A log of an aircraft that has no card, and not a file written by hand."""
     log = tmp_path / "flight.bin"
-    assert ran("fly", "c172p", "--mission", "doublets", "--speed-mps", 50, "--noise", "--seed", 4, "--out", log) == 0
+    assert (
+        ran(
+            "fly",
+            "c172p",
+            "--mission",
+            "doublets",
+            "--speed-mps",
+            50,
+            "--noise",
+            "--seed",
+            4,
+            "--out",
+            log,
+        )
+        == 0
+    )
     assert ran("instrument", "c172p", "--out", tmp_path / "mine", "--no-check") == 0
-    assert ran("log", "import", log, "--aircraft", tmp_path / "mine", "--out", tmp_path / "flight.parquet", "--no-cache") == 0
+    assert (
+        ran(
+            "log",
+            "import",
+            log,
+            "--aircraft",
+            tmp_path / "mine",
+            "--out",
+            tmp_path / "flight.parquet",
+            "--no-cache",
+        )
+        == 0
+    )
     capsys.readouterr()
     common = ("--workers", 1, "--no-figures", "--json")
-    ran("compare", tmp_path / "mine", "--flight", tmp_path / "flight.parquet", "--out", tmp_path / "gap", *common)
+    ran(
+        "compare",
+        tmp_path / "mine",
+        "--flight",
+        tmp_path / "flight.parquet",
+        "--out",
+        tmp_path / "gap",
+        *common,
+    )
     gap = json.loads(capsys.readouterr().out)
     assert all(row["ratio"] < 1.5 for row in gap["channels"].values() if row["judged"])
     assert not any(row["slip"] for row in gap["channels"].values())
@@ -127,7 +202,17 @@ def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
 def test_measured_thrust_in_a_foreign_log_drives_the_replay(tmp_path, capsys):
     """Knots, feet, degrees and g, no throttle; the elevator reversed as the case in which compare says no."""
     flown = tmp_path / "flown.parquet"
-    asked = ("--script", "doublet-elevator", "--duration-s", 8, "--rate-hz", 100, "--noise", "--seed", 3)
+    asked = (
+        "--script",
+        "doublet-elevator",
+        "--duration-s",
+        8,
+        "--rate-hz",
+        100,
+        "--noise",
+        "--seed",
+        3,
+    )
     ran("fly", "espaaro", *asked, "--out", flown)
     record = FlightRecord.read(flown)
     answers = {}
@@ -136,12 +221,39 @@ def test_measured_thrust_in_a_foreign_log_drives_the_replay(tmp_path, capsys):
         log = foreign_log(turned, tmp_path / f"{name}.csv", "thrust_N")
         imported = tmp_path / f"{name}.parquet"
         mapped = foreign_map(tmp_path / f"{name}.toml", "thrust_N")
-        assert ran("log", "import", log, "--map", mapped, "--aircraft", "espaaro", "--out", imported, "--no-cache") == 0
+        assert (
+            ran(
+                "log",
+                "import",
+                log,
+                "--map",
+                mapped,
+                "--aircraft",
+                "espaaro",
+                "--out",
+                imported,
+                "--no-cache",
+            )
+            == 0
+        )
         assert "throttle_pct" not in FlightRecord.read(imported)
         capsys.readouterr()
-        code = ran("compare", "espaaro", "--flight", imported, "--out", tmp_path / name, "--workers", 1, "--no-figures", "--json")
+        code = ran(
+            "compare",
+            "espaaro",
+            "--flight",
+            imported,
+            "--out",
+            tmp_path / name,
+            "--workers",
+            1,
+            "--no-figures",
+            "--json",
+        )
         answers[name] = code, json.loads(capsys.readouterr().out)
     assert any("throttle_pct was made of thrust_N" in note for note in answers["right"][1]["notes"])
-    assert all(row["ratio"] < 1.2 for row in answers["right"][1]["channels"].values() if row["judged"])
+    assert all(
+        row["ratio"] < 1.2 for row in answers["right"][1]["channels"].values() if row["judged"]
+    )
     assert answers["reversed"][0] == 1
     assert "the elevator is reversed" in answers["reversed"][1]["verdict"]

@@ -58,9 +58,17 @@ def test_every_room_stands_on_the_page_and_in_the_picture(package: str, drawing)
 @pytest.mark.parametrize("package", ["sysid", "uqharness"])
 def test_page_picture_and_contributors_page_have_the_layers_in_their_order(package: str, drawing):
     layers = [name for name in LAYERS[package] if name]
-    (line,) = re.findall(rf"^- {package}: base modules, (.*)[;.]$", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M)
+    (line,) = re.findall(
+        rf"^- {package}: base modules, (.*)[;.]$",
+        (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
+        re.M,
+    )
     listed = re.findall(rf"^\| `{package}\.(\w+)` \|", PAGE, re.M)
-    drawn = [name for room in reversed(getattr(drawing, package.upper())) for name in room.name.split(", ")]
+    drawn = [
+        name
+        for room in reversed(getattr(drawing, package.upper()))
+        for name in room.name.split(", ")
+    ]
     for found in (line.split(", "), listed, drawn):
         assert [name for name in found if name in layers] == layers
 
@@ -71,8 +79,12 @@ def test_the_picture_is_what_the_script_draws(drawing):
 
 def test_the_stations_of_the_picture_are_those_of_the_page(drawing):
     for way, words in drawing.WAYS.items():
-        steps = re.findall(r"^(\d)\. ", PAGE.split(f"## The way of {words}\n")[1].split("\n## ")[0], re.M)
-        drawn = sorted(n for room in (*drawing.SYSID, *drawing.UQHARNESS) for n in room.stations.get(way, ()))
+        steps = re.findall(
+            r"^(\d)\. ", PAGE.split(f"## The way of {words}\n")[1].split("\n## ")[0], re.M
+        )
+        drawn = sorted(
+            n for room in (*drawing.SYSID, *drawing.UQHARNESS) for n in room.stations.get(way, ())
+        )
         assert drawn == [int(step) for step in steps]
 
 

@@ -107,7 +107,13 @@ def test_noise_follows_the_seed(mission):
 
 
 def test_measured_errors_are_those_of_the_noisy_signals(mission):
-    names = ("sensor/cross-track-m", "sensor/north-m", "sensor/east-m", "sensor/altitude-error-m", "sensor/altitude-m")
+    names = (
+        "sensor/cross-track-m",
+        "sensor/north-m",
+        "sensor/east-m",
+        "sensor/altitude-error-m",
+        "sensor/altitude-m",
+    )
     rows = fly(mission(), 5.0, (*names, "sensor/speed-error-mps", "sensor/V-mps"))[1:]
     assert rows[:, 0] == pytest.approx(np.hypot(rows[:, 1], rows[:, 2] - 120) - 120, abs=1e-9)
     assert rows[:, 3] == pytest.approx(rows[:, 4] - 100, abs=1e-9)
@@ -119,21 +125,36 @@ def ecef(latitude, longitude, height):
     a, f = 6378137.0, 1 / 298.257223563
     e2 = f * (2 - f)
     n = a / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
-    return np.stack([
-        (n + height) * np.cos(latitude) * np.cos(longitude),
-        (n + height) * np.cos(latitude) * np.sin(longitude),
-        (n * (1 - e2) + height) * np.sin(latitude),
-    ], axis=-1)  # fmt: skip
+    return np.stack(
+        [
+            (n + height) * np.cos(latitude) * np.cos(longitude),
+            (n + height) * np.cos(latitude) * np.sin(longitude),
+            (n * (1 - e2) + height) * np.sin(latitude),
+        ],
+        axis=-1,
+    )
 
 
 @pytest.mark.parametrize("heading_deg", [30.0, 235.0])
 def test_position_agrees_with_geodesy_to_a_centimetre_at_one_kilometre(load_mission, heading_deg):
     fdm = start(load_mission({"ic/psi-true-deg": heading_deg}, "trim"))
-    where = ("position/lat-geod-rad", "position/long-gc-rad", "position/geod-alt-ft", "nav/north-m", "nav/east-m")
+    where = (
+        "position/lat-geod-rad",
+        "position/long-gc-rad",
+        "position/geod-alt-ft",
+        "nav/north-m",
+        "nav/east-m",
+    )
     rows = fly(fdm, 45.0, where)
     lat0, lon0 = math.radians(45.0), 0.0
-    offset = ecef(rows[:, 0], rows[:, 1], rows[:, 2] * 0.3048) - ecef(np.array(lat0), np.array(lon0), 0.0)
-    north = offset @ [-math.sin(lat0) * math.cos(lon0), -math.sin(lat0) * math.sin(lon0), math.cos(lat0)]
+    offset = ecef(rows[:, 0], rows[:, 1], rows[:, 2] * 0.3048) - ecef(
+        np.array(lat0), np.array(lon0), 0.0
+    )
+    north = offset @ [
+        -math.sin(lat0) * math.cos(lon0),
+        -math.sin(lat0) * math.sin(lon0),
+        math.cos(lat0),
+    ]
     east = offset @ [-math.sin(lon0), math.cos(lon0), 0.0]
     # A flat plane keeps the horizontal distance, not the arc; 100 m of height add 1.6 cm per km to both.
     assert math.hypot(rows[-1, 3], rows[-1, 4]) > 950
@@ -161,7 +182,10 @@ def test_steady_offset_of_the_loiter_law(mission):
 def test_offset_grows_with_the_square_of_the_period(mission):
     widened = 120 * (mission(CALM)["ap/EAS2TAS"] ** 2 - 1)
     assert widened == pytest.approx(1.17, abs=0.02)
-    of_the_law = [settled(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened for period in (17.0, 30.0)]
+    of_the_law = [
+        settled(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened
+        for period in (17.0, 30.0)
+    ]
     assert of_the_law[1] / of_the_law[0] == pytest.approx((30 / 17) ** 2, rel=0.05)
 
 
@@ -178,10 +202,16 @@ def test_left_mirrors_right(mission):
 def test_capture_from_any_heading(load_mission, heading_deg, centre_m, direction):
     """Inside, on and outside the circle, towards it, along it and away from it, in the right and in the wrong sense."""
     north, east = centre_m
-    fdm = load_mission({
-        "air/wind-mps": 0, "air/turbulence-w20-kt": 0, "ic/psi-true-deg": heading_deg, "ap/loiter-direction": direction,
-        "ap/loiter-center-north-m": north, "ap/loiter-center-east-m": east,
-    })  # fmt: skip
+    fdm = load_mission(
+        {
+            "air/wind-mps": 0,
+            "air/turbulence-w20-kt": 0,
+            "ic/psi-true-deg": heading_deg,
+            "ap/loiter-direction": direction,
+            "ap/loiter-center-north-m": north,
+            "ap/loiter-center-east-m": east,
+        }
+    )
     start(fdm)
     capture = fly(fdm, 45.0, (*TRACK, *ATTITUDE))
     track = fly(fdm, 15.0, (*TRACK, "ap/L1-clockwise-mps"))
@@ -195,10 +225,14 @@ def test_capture_from_any_heading(load_mission, heading_deg, centre_m, direction
 
 @pytest.mark.parametrize("wind_from_deg", [0, 180, 270])
 def test_capture_in_strong_wind(load_mission, wind_from_deg):
-    fdm = load_mission({
-        "air/wind-mps": 7, "air/wind-from-deg": wind_from_deg, "air/turbulence-w20-kt": 0,
-        "ap/loiter-center-north-m": 300,
-    })  # fmt: skip
+    fdm = load_mission(
+        {
+            "air/wind-mps": 7,
+            "air/wind-from-deg": wind_from_deg,
+            "air/turbulence-w20-kt": 0,
+            "ap/loiter-center-north-m": 300,
+        }
+    )
     start(fdm)
     fly(fdm, 60.0, TRACK)
     track = fly(fdm, 60.0, TRACK)
@@ -207,7 +241,14 @@ def test_capture_in_strong_wind(load_mission, wind_from_deg):
 
 
 def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
-    fdm = mission({"air/wind-mps": 7, "air/turbulence-w20-kt": 45, "simulation/randomseed": 5, "atmosphere/randomseed": 6})
+    fdm = mission(
+        {
+            "air/wind-mps": 7,
+            "air/turbulence-w20-kt": 45,
+            "simulation/randomseed": 5,
+            "atmosphere/randomseed": 6,
+        }
+    )
     fly(fdm, 120.0, TRACK)
     rows = np.abs(fly(fdm, 600.0, (*TRACK, *ATTITUDE)))
     assert np.isfinite(rows).all()
@@ -258,7 +299,9 @@ def test_state_is_sensible_when_engaged_before_initialising(load_mission, engage
     fdm = load_mission({**CALM, "ap/engaged": float(engaged_first)})
     start(fdm)
     fdm["ap/engaged"] = 1
-    rows = fly(fdm, 20.0, ("ap/V-est-mps", "ap/altitude-est-m", *TRACK, "fcs/throttle-pos-pct"), every=1)
+    rows = fly(
+        fdm, 20.0, ("ap/V-est-mps", "ap/altitude-est-m", *TRACK, "fcs/throttle-pos-pct"), every=1
+    )
     assert np.abs(rows[:, 0] - 22.2 - rows[:, 4]).max() < 0.1
     assert np.abs(rows[:, 1] - 100 - rows[:, 3]).max() < 0.1
     assert np.abs(rows[:, 3]).max() < 1.0
@@ -325,10 +368,13 @@ def test_every_loop_has_margins(margins):
     assert margins["aileron"].margins.gain_up_dB == pytest.approx(20.3, abs=0.1)
 
 
-@pytest.mark.parametrize(("loop", "gains"), [
-    ("elevator", ("PTCH_RATE_P", "PTCH_RATE_I", "PTCH_RATE_FF")),
-    ("aileron", ("RLL_RATE_P", "RLL_RATE_I", "RLL_RATE_FF")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("loop", "gains"),
+    [
+        ("elevator", ("PTCH_RATE_P", "PTCH_RATE_I", "PTCH_RATE_FF")),
+        ("aileron", ("RLL_RATE_P", "RLL_RATE_I", "RLL_RATE_FF")),
+    ],
+)
 def test_the_aircraft_goes_unstable_at_the_measured_gain_margin(load_mission, margins, loop, gains):
     """Flown, not computed: all gains of one surface 8 % below the margin die out, 8 % above grow."""
 
@@ -377,24 +423,40 @@ def test_the_aircraft_goes_unstable_at_the_measured_gain_margin_downwards(load_m
 # --- scripts in plain JSBSim
 
 
-@pytest.mark.parametrize("script", sorted(path.name for path in (PROJECT_ROOT / "scripts").glob("*.xml")))
+@pytest.mark.parametrize(
+    "script", sorted(path.name for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
+)
 def test_script_flies_in_the_jsbsim_console(script, tmp_path):
     console = Path(sys.executable).with_name("jsbsim")
     done = subprocess.run(
-        [console, "--root=.", f"--script=scripts/{script}", "--simulation-rate=100", "--end=3", "--nohighlight",
-         f"--outputpath={tmp_path}"],
-        cwd=PROJECT_ROOT, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+        [
+            console,
+            "--root=.",
+            f"--script=scripts/{script}",
+            "--simulation-rate=100",
+            "--end=3",
+            "--nohighlight",
+            f"--outputpath={tmp_path}",
+        ],
+        cwd=PROJECT_ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "JSBSim Execution beginning" in done.stdout
 
 
-@pytest.mark.parametrize(("script", "name", "low", "high"), [
-    ("doublet-elevator", "aero/alpha-deg", -0.45, 2.9),
-    ("doublet-aileron", "attitude/phi-deg", -1.0, 20.2),
-    ("doublet-rudder", "aero/beta-deg", -7.5, 5.0),
-    ("3-2-1-1", "aero/alpha-deg", -0.3, 2.7),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("script", "name", "low", "high"),
+    [
+        ("doublet-elevator", "aero/alpha-deg", -0.45, 2.9),
+        ("doublet-aileron", "attitude/phi-deg", -1.0, 20.2),
+        ("doublet-rudder", "aero/beta-deg", -7.5, 5.0),
+        ("3-2-1-1", "aero/alpha-deg", -0.3, 2.7),
+    ],
+)
 def test_open_loop_manoeuvres_reach_their_size(mission, script, name, low, high):
     rows = fly(mission({"sensor/noise": 0}, script), 20.0, (name, *TRACK))
     assert rows[:, 0].min() == pytest.approx(low, abs=0.7)

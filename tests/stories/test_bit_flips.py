@@ -36,7 +36,11 @@ def test_no_flip_is_silent(root, flips):
 def test_a_reader_that_believes_everything_is_seen(root, monkeypatch):
     """The tool's own no: the same flips in journals whose rows are not held against their digests."""
     with bit_flips.harmless():
-        folders = [folder for folder in bit_flips.make_folders(root / "made") if folder.path.name == "unfinished"]
+        folders = [
+            folder
+            for folder in bit_flips.make_folders(root / "made")
+            if folder.path.name == "unfinished"
+        ]
         reference = bit_flips.look(folders[0], bit_flips.copied(folders[0], root / "copy"))
         monkeypatch.setattr(Store, "_tally", lambda self: (Counter(), ""))
         monkeypatch.setattr(Store, "outcomes", believed)
@@ -60,8 +64,18 @@ def believed(self):
 def test_outcomes(traceback):
     reference = bit_flips.Seen({"status": "a", "cases.parquet": b"1"}, ())
     same = bit_flips.Seen({"status": "a"}, (), traceback)
-    assert bit_flips.judge(same, reference) == (bit_flips.TRACEBACK if traceback else bit_flips.NO_EFFECT)
-    assert bit_flips.judge(bit_flips.Seen({"status": "b"}, ("verify",)), reference) == bit_flips.SILENT
-    assert bit_flips.judge(bit_flips.Seen({"status": "a"}, ("verify", "run")), reference) == bit_flips.FOUND
-    assert bit_flips.judge(bit_flips.Seen({}, ("verify", "run"), changed=True), reference) == bit_flips.SILENT
+    assert bit_flips.judge(same, reference) == (
+        bit_flips.TRACEBACK if traceback else bit_flips.NO_EFFECT
+    )
+    assert (
+        bit_flips.judge(bit_flips.Seen({"status": "b"}, ("verify",)), reference) == bit_flips.SILENT
+    )
+    assert (
+        bit_flips.judge(bit_flips.Seen({"status": "a"}, ("verify", "run")), reference)
+        == bit_flips.FOUND
+    )
+    assert (
+        bit_flips.judge(bit_flips.Seen({}, ("verify", "run"), changed=True), reference)
+        == bit_flips.SILENT
+    )
     assert bit_flips.judge(bit_flips.Seen({}, ("run",)), reference) == bit_flips.SILENT

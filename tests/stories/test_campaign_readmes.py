@@ -30,7 +30,11 @@ FLOWN = sorted(p for p in FOLDER.glob("*/*.toml") if p.parent.name not in ("chai
 
 def commands(path: Path) -> list[list[str]]:
     """Indented command lines of a page, without their comments."""
-    lines = [x[4:] for x in path.read_text(encoding="utf-8").splitlines() if re.match(r" {4}(uqharness|python -m) ", x)]
+    lines = [
+        x[4:]
+        for x in path.read_text(encoding="utf-8").splitlines()
+        if re.match(r" {4}(uqharness|python -m) ", x)
+    ]
     return [shlex.split(x, comments=True) for x in lines]
 
 
@@ -44,8 +48,14 @@ def test_every_command_of_a_readme_is_one_that_exists(path):
             assert isinstance(given, argparse.Namespace)
             continue
         module = importlib.import_module(words[2])
-        makers = {getattr(thing, "__module__", "") for thing in vars(module).values()} | {module.__name__}
-        sources = [Path(str(sys.modules[name].__file__)) for name in sorted(makers) if name.startswith("campaigns.")]
+        makers = {getattr(thing, "__module__", "") for thing in vars(module).values()} | {
+            module.__name__
+        }
+        sources = [
+            Path(str(sys.modules[name].__file__))
+            for name in sorted(makers)
+            if name.startswith("campaigns.")
+        ]
         text = "".join(path.read_text(encoding="utf-8") for path in sources)
         for option in (w for w in words[3:] if w.startswith("--")):
             assert f'"{option}"' in text, f"{path}: {words[2]} has no {option}"
@@ -82,7 +92,20 @@ def test_every_campaign_file_flies_at_small_size(path, tmp_path):
     out = tmp_path / "out"
     # JSBSim has flown them before the batch engine is compiled; the demo's own campaign keeps the engine that its file asks for.
     engine = [] if path.parent.name == "demo" else ["--engine", "jsbsim"]
-    assert main(["campaign", "run", str(tmp_path / "small.toml"), "--out", str(out), "--serial", *engine]) == 0
+    assert (
+        main(
+            [
+                "campaign",
+                "run",
+                str(tmp_path / "small.toml"),
+                "--out",
+                str(out),
+                "--serial",
+                *engine,
+            ]
+        )
+        == 0
+    )
     frame = pd.read_parquet(out / CASES)
     samples = data["epistemic"].get("samples")  # type: ignore[attr-defined]
     expected = {"corners": 4, "none": 1}.get(data["epistemic"]["method"], samples)  # type: ignore[index]

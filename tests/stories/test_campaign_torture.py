@@ -65,7 +65,9 @@ class Victim:
             self.fake,
             how,
         ]
-        self.process = subprocess.Popen([*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL)
+        self.process = subprocess.Popen(
+            [*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL
+        )
         self.on_dask = on_dask
 
     def flying(self, on_dask):
@@ -76,7 +78,11 @@ class Victim:
 
     def await_progress(self):
         before, deadline = finished(self.out), time.monotonic() + 60
-        while finished(self.out) <= before and self.process.poll() is None and time.monotonic() < deadline:
+        while (
+            finished(self.out) <= before
+            and self.process.poll() is None
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.02)
 
     def end(self):
@@ -99,7 +105,11 @@ class Victim:
             targets = children(self.process.pid)
         else:
             nannies = [nanny.pid for nanny in self.cluster.workers.values() if nanny.pid]
-            targets = nannies if what == "dask worker" else [child for pid in nannies for child in children(pid)]
+            targets = (
+                nannies
+                if what == "dask worker"
+                else [child for pid in nannies for child in children(pid)]
+            )
         if not targets:
             return False
         os.kill(chance.choice(targets), signal.SIGKILL)
@@ -128,7 +138,11 @@ def torture(folder, cluster, flights, kills, seed, fake="slow"):
     hit = []
     try:
         for what in kills:
-            found = victim.tear(what, chance, chance.randint(1, 2)) if what in WRITES else victim.kill(what, chance)
+            found = (
+                victim.tear(what, chance, chance.randint(1, 2))
+                if what in WRITES
+                else victim.kill(what, chance)
+            )
             hit += [what] if found else []
         victim.end()
         # Killed among the tables, of which the last run writes a manifest and three, or at the manifest that says complete.
@@ -142,12 +156,18 @@ def torture(folder, cluster, flights, kills, seed, fake="slow"):
 
 def check(tmp_path, flights, at_least, hit, how="spawn"):
     spec = fakes.small_spec(tmp_path, flights)
-    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, how), fly=fakes.steady)
+    summary = run_campaign(
+        spec, tmp_path / "out", executor=ProcessExecutor(2, how), fly=fakes.steady
+    )
     assert summary.statuses == {"ok": 64 * flights}
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.steady)
     for name in TABLES:
-        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes(), name
-    left = {path.name for path in (tmp_path / "out").iterdir()} - {path.name for path in (tmp_path / "undisturbed").iterdir()}
+        assert (tmp_path / "out" / name).read_bytes() == (
+            tmp_path / "undisturbed" / name
+        ).read_bytes(), name
+    left = {path.name for path in (tmp_path / "out").iterdir()} - {
+        path.name for path in (tmp_path / "undisturbed").iterdir()
+    }
     assert all(name.endswith(".part") for name in left), left
     assert len(hit) >= at_least, hit
 
@@ -163,7 +183,9 @@ def test_kills_in_the_middle_of_a_flight_and_of_writes(tmp_path):
 @pytest.mark.slow
 def test_four_kills_of_four_kinds(tmp_path, cluster):
     fakes.campaign_file(tmp_path)
-    hit = torture(tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201)
+    hit = torture(
+        tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201
+    )
     check(tmp_path, 6, 4, hit)
     assert "table" in hit
 
@@ -180,7 +202,10 @@ def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=fakes.by_corner)
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.by_corner)
     names = (*TABLES, "decisions.csv", "statements.csv")
-    assert [(tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes() for n in names] == [True] * 5
+    assert [
+        (tmp_path / "out" / n).read_bytes() == (tmp_path / "undisturbed" / n).read_bytes()
+        for n in names
+    ] == [True] * 5
 
 
 @pytest.mark.slow
@@ -191,11 +216,15 @@ def test_the_batch_engine_is_killed_in_the_middle_of_groups(tmp_path):
     hit = torture(tmp_path, None, 8, kills, seed=20261123, fake="batch_slowly")
     assert {"parent", "worker"} <= set(hit), hit
     spec = fakes.small_spec(tmp_path, 8)
-    summary = run_campaign(spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=batch_alike)
+    summary = run_campaign(
+        spec, tmp_path / "out", executor=ProcessExecutor(2, "fork"), fly=batch_alike
+    )
     assert (summary.engine, summary.statuses) == ("batch", {"ok": 64 * 8})
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=batch_alike)
     for name in TABLES:
-        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes(), name
+        assert (tmp_path / "out" / name).read_bytes() == (
+            tmp_path / "undisturbed" / name
+        ).read_bytes(), name
     checked = [read_check(tmp_path / name) for name in ("out", "undisturbed")]
     whole = [{row.case_id for row in rows if row.part == WHOLE} for rows in checked]
     assert whole[0] == whole[1]
@@ -211,27 +240,50 @@ def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_pat
     def fill(progress):
         # No file may grow any more: what a full disk does, without filling one.
         kept.append(progress.done)
-        resource.setrlimit(resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1]))
+        resource.setrlimit(
+            resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1])
+        )
 
     try:
-        with pytest.raises(BadInputError, match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again"):
-            run_campaign(spec, out, executor=ProcessExecutor(2, "fork"), fly=fakes.slow, on_progress=fill)
+        with pytest.raises(
+            BadInputError,
+            match=r"journal\.sqlite: cannot write: .*kept: free space .* same command again",
+        ):
+            run_campaign(
+                spec, out, executor=ProcessExecutor(2, "fork"), fly=fakes.slow, on_progress=fill
+            )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert finished(out) == kept[-1] < 192
     check(tmp_path, 3, 0, [], "fork")
 
 
-@pytest.mark.skipif(not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write")
+@pytest.mark.skipif(
+    not Path("/sys/kernel").is_dir(), reason="no file system at hand on which nobody may write"
+)
 def test_a_folder_that_nobody_may_write_is_refused(tmp_path):
     spec = fakes.small_spec(tmp_path)
-    with pytest.raises(BadInputError, match=r"/sys/kernel: not empty and not a campaign folder .*choose another --out"):
+    with pytest.raises(
+        BadInputError,
+        match=r"/sys/kernel: not empty and not a campaign folder .*choose another --out",
+    ):
         run_campaign(spec, "/sys/kernel", executor=SerialExecutor(), fly=fakes.steady)
-    with pytest.raises(BadInputError, match=r"/sys/kernel/campaign: cannot be made: .*choose another --out"):
+    with pytest.raises(
+        BadInputError, match=r"/sys/kernel/campaign: cannot be made: .*choose another --out"
+    ):
         run_campaign(spec, "/sys/kernel/campaign", executor=SerialExecutor(), fly=fakes.steady)
-    empty = next((place for place in Path("/sys/kernel").iterdir() if place.is_dir() and not any(place.iterdir())), None)
+    empty = next(
+        (
+            place
+            for place in Path("/sys/kernel").iterdir()
+            if place.is_dir() and not any(place.iterdir())
+        ),
+        None,
+    )
     if empty is not None:
-        with pytest.raises(BadInputError, match=rf"{empty}: cannot be written: .*choose another --out"):
+        with pytest.raises(
+            BadInputError, match=rf"{empty}: cannot be written: .*choose another --out"
+        ):
             run_campaign(spec, empty, executor=SerialExecutor(), fly=fakes.steady)
 
 

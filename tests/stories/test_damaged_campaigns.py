@@ -58,12 +58,29 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
         spec = read_campaign(fakes.campaign_file(root, SMALL))
-        run_campaign(spec, root / "plain", executor=SerialExecutor(), fly=fakes.steady, command="uqharness campaign run")
+        run_campaign(
+            spec,
+            root / "plain",
+            executor=SerialExecutor(),
+            fly=fakes.steady,
+            command="uqharness campaign run",
+        )
         for number in (1, 2):
-            run_campaign(spec, root / "parts", executor=SerialExecutor(), fly=fakes.steady, shard=Shard(number, 2))
+            run_campaign(
+                spec,
+                root / "parts",
+                executor=SerialExecutor(),
+                fly=fakes.steady,
+                shard=Shard(number, 2),
+            )
         merge(root / "parts")
         (root / "decide.toml").write_text(DECIDE)
-        run_campaign(read_campaign(root / "decide.toml"), root / "decide", executor=SerialExecutor(), fly=fakes.by_corner)
+        run_campaign(
+            read_campaign(root / "decide.toml"),
+            root / "decide",
+            executor=SerialExecutor(),
+            fly=fakes.by_corner,
+        )
     return root
 
 
@@ -100,7 +117,11 @@ def states(found):
 
 def unseal(folder, state):
     """Make it a campaign that was stopped after its last flight."""
-    rest = {key: value for key, value in read_manifest(folder).items() if key not in ("journal", "tables")}
+    rest = {
+        key: value
+        for key, value in read_manifest(folder).items()
+        if key not in ("journal", "tables")
+    }
     write_manifest(folder, rest | {"state": state})
 
 
@@ -119,7 +140,9 @@ def test_a_folder_as_it_was_written_is_whole(copy, capsys):
         assert found.whole
         assert found.complete
         decided = ["decisions.csv"] if name == "decide" else []
-        assert states(found) == dict.fromkeys(("manifest.json", JOURNAL, *TABLES, *decided), "whole")
+        assert states(found) == dict.fromkeys(
+            ("manifest.json", JOURNAL, *TABLES, *decided), "whole"
+        )
         assert [part.whole for part in found.shards] == [True] * (2 * (name == "parts"))
         code, said = says(capsys, "verify", folder, "--json")
         assert (code, json.loads(said.out)["whole"]) == (0, True)
@@ -148,12 +171,18 @@ def test_a_flipped_row_is_found_by_every_reader_and_salvaged(copy, made, capsys)
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_a_damaged_table_is_not_read_and_written_again_from_the_journal(copy, made, monkeypatch, capsys, name):
+def test_a_damaged_table_is_not_read_and_written_again_from_the_journal(
+    copy, made, monkeypatch, capsys, name
+):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.aborts_always)
     folder = copy("plain")
     for spoil in (lambda path: flip(path, 8 * 400), lambda path: path.unlink()):
         spoil(folder / name)
-        commands = [("report",), ("convergence", "--repeats", "2"), ("area", "--value", "altitude_median_m=3")]
+        commands = [
+            ("report",),
+            ("convergence", "--repeats", "2"),
+            ("area", "--value", "altitude_median_m=3"),
+        ]
         if name == "statements.csv":
             commands = [("status",)]
         for verb, *words in commands if name in ("cases.parquet", "statements.csv") else []:
@@ -205,7 +234,12 @@ def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_pa
         with closing(sqlite3.connect(place / JOURNAL)) as database, database:
             database.execute(statement)
         with pytest.raises(BadInputError, match=said):
-            run_campaign(read_campaign(made / "campaign.toml"), place, executor=SerialExecutor(), fly=fakes.steady)
+            run_campaign(
+                read_campaign(made / "campaign.toml"),
+                place,
+                executor=SerialExecutor(),
+                fly=fakes.steady,
+            )
         assert not verify(place).whole
         salvage(place, FLYING)
         assert tables(place) == tables(made / "plain")
@@ -236,9 +270,16 @@ def test_a_journal_that_is_none_is_flown_again(copy, made, gone):
     if gone == "deleted":
         path.unlink()
     else:
-        path.write_bytes({"text": b"no database" * 900, "cut": path.read_bytes()[:9000], "empty": b""}[gone])
+        path.write_bytes(
+            {"text": b"no database" * 900, "cut": path.read_bytes()[:9000], "empty": b""}[gone]
+        )
     with pytest.raises(BadInputError, match="damaged"):
-        run_campaign(read_campaign(made / "campaign.toml"), folder, executor=SerialExecutor(), fly=fakes.steady)
+        run_campaign(
+            read_campaign(made / "campaign.toml"),
+            folder,
+            executor=SerialExecutor(),
+            fly=fakes.steady,
+        )
     assert not verify(folder).whole
     salvage(folder, FLYING)
     assert tables(folder) == tables(made / "plain")
@@ -247,7 +288,11 @@ def test_a_journal_that_is_none_is_flown_again(copy, made, gone):
 
 def test_a_damaged_manifest_is_rebuilt_from_the_campaign_file(copy, made, capsys):
     spec = read_campaign(made / "campaign.toml")
-    for spoil in (lambda path: flip(path, 800), lambda path: path.unlink(), lambda path: path.write_text("{")):
+    for spoil in (
+        lambda path: flip(path, 800),
+        lambda path: path.unlink(),
+        lambda path: path.write_text("{"),
+    ):
         folder = copy("plain")
         spoil(folder / "manifest.json")
         for verb in ("status", "report"):
@@ -282,7 +327,12 @@ def test_shards_are_salvaged_each_and_merged_again(copy, made, capsys):
     with pytest.raises(BadInputError, match="damaged"):
         merge(folder)
     done = salvage(folder, FLYING)
-    assert (done.kept, done.flown, done.missing, done.aside) == (32, 0, 0, ("journal.damaged-1.sqlite",))
+    assert (done.kept, done.flown, done.missing, done.aside) == (
+        32,
+        0,
+        0,
+        ("journal.damaged-1.sqlite",),
+    )
     (folder / "manifest.json").write_text("{")
     salvage(folder, FLYING)
     flip(folder / "shards" / "2-of-2" / "manifest.json", 900)
@@ -367,7 +417,12 @@ def kill_and_go_on(step, folder, made):
         salvage(folder, FLYING)
     else:
         try:
-            run_campaign(read_campaign(made / "campaign.toml"), folder, executor=SerialExecutor(), fly=fakes.steady)
+            run_campaign(
+                read_campaign(made / "campaign.toml"),
+                folder,
+                executor=SerialExecutor(),
+                fly=fakes.steady,
+            )
         except DamageError:
             salvage(folder, FLYING)
     assert tables(folder) == tables(made / "plain"), step

@@ -18,7 +18,8 @@ HERE = "127.0.0.1"
 BIN = Path(sys.executable).parent
 
 pytestmark = pytest.mark.skipif(
-    shutil.which("openssl") is None or not (BIN / "dask").exists(), reason="needs openssl and dask's commands"
+    shutil.which("openssl") is None or not (BIN / "dask").exists(),
+    reason="needs openssl and dask's commands",
 )
 
 
@@ -43,8 +44,13 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     subprocess.run(command, check=True, capture_output=True)
     settings = {"REQUIRE_ENCRYPTION": "true", "TLS__CA_FILE": folder / "cert.pem"}
     for role in ("SCHEDULER", "WORKER", "CLIENT"):
-        settings |= {f"TLS__{role}__CERT": folder / "cert.pem", f"TLS__{role}__KEY": folder / "key.pem"}
-    return os.environ | {f"DASK_DISTRIBUTED__COMM__{name}": str(value) for name, value in settings.items()}
+        settings |= {
+            f"TLS__{role}__CERT": folder / "cert.pem",
+            f"TLS__{role}__KEY": folder / "key.pem",
+        }
+    return os.environ | {
+        f"DASK_DISTRIBUTED__COMM__{name}": str(value) for name, value in settings.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +59,19 @@ def cluster(certificate: dict[str, str]) -> Iterator[tuple[str, list[int]]]:
     with socket.socket() as probe:
         probe.bind((HERE, 0))
         port = probe.getsockname()[1]
-    address, quiet = f"tls://{HERE}:{port}", {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    address, quiet = (
+        f"tls://{HERE}:{port}",
+        {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
+    )
     local = ("--host", HERE, "--dashboard-address", f"{HERE}:0")
     words = [
         ["scheduler", "--protocol", "tls", *local, "--port", str(port)],
         ["worker", address, *local, "--nthreads", "1", "--no-nanny"],
     ]
-    processes = [subprocess.Popen([BIN / "dask", *given], env=certificate, cwd=ROOT, **quiet) for given in words]
+    processes = [
+        subprocess.Popen([BIN / "dask", *given], env=certificate, cwd=ROOT, **quiet)
+        for given in words
+    ]
     try:
         yield address, [process.pid for process in processes]
     finally:
@@ -81,7 +93,9 @@ def run(address: str, out: Path, environment: dict[str, str]) -> subprocess.Comp
         "--dask",
         address,
     ]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=240)
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=240
+    )
 
 
 def listens(pids: list[int]) -> set[str]:
@@ -124,12 +138,25 @@ def test_without_the_certificate_nobody_answers(cluster, tmp_path) -> None:
 @pytest.mark.slow
 def test_another_certificate_is_turned_away(cluster, certificate, tmp_path) -> None:
     names = ("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem")
-    command = ["openssl", "req", "-x509", "-newkey", "rsa:3072", "-nodes", "-days", "2", "-subj", "/CN=else", *names]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:3072",
+        "-nodes",
+        "-days",
+        "2",
+        "-subj",
+        "/CN=else",
+        *names,
+    ]
     subprocess.run(command, check=True, capture_output=True)
     prefix = "DASK_DISTRIBUTED__COMM__TLS__"
     other = certificate | {
-        f"{prefix}CLIENT__CERT": str(tmp_path / "cert.pem"), f"{prefix}CLIENT__KEY": str(tmp_path / "key.pem"),
-    }  # fmt: skip
+        f"{prefix}CLIENT__CERT": str(tmp_path / "cert.pem"),
+        f"{prefix}CLIENT__KEY": str(tmp_path / "key.pem"),
+    }
     done = run(cluster[0], tmp_path / "out", other)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr

@@ -38,7 +38,9 @@ def test_no_example_is_passed_over(capsys: pytest.CaptureFixture[str]):
     assert unknown == [], "say in a marker what these are: see tests/helpers/doc_examples.py"
     assert kinds["shell"] + kinds["python"] + kinds["file"] >= 25
     with capsys.disabled():
-        print("\nexamples:", ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items())))
+        print(
+            "\nexamples:", ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
+        )
         for where, reason in excluded(found):
             print(f"  {where}: {reason}")
     for where, reason in excluded(found):
@@ -62,7 +64,9 @@ def excluded(found: list[de.Example]) -> list[tuple[str, str]]:
         if example.kind == "shell":
             for target in re.findall(r"^make (\S+)", example.text, re.M):
                 if target in de.MAKE_LEFT_OUT:
-                    listed.append((example.where, f"make {target} is left out: it {de.MAKE_LEFT_OUT[target]}"))
+                    listed.append(
+                        (example.where, f"make {target} is left out: it {de.MAKE_LEFT_OUT[target]}")
+                    )
     return listed
 
 
@@ -89,7 +93,10 @@ def one(text: str) -> de.Example:
         ("```python\nx = 1\n```\n", "python"),
         ("    CX = CX_0 + CX_alpha alpha\n", "unknown"),
         ("- a list\n\n      effect: something\n", "unknown"),
-        ("<!-- example:\nnot run: an equation\n-->\n\n    CX = CX_0 + CX_alpha alpha\n", "excluded"),
+        (
+            "<!-- example:\nnot run: an equation\n-->\n\n    CX = CX_0 + CX_alpha alpha\n",
+            "excluded",
+        ),
         ("<!-- example:\nfile: a.toml\n-->\n    a = 1\n", "file"),
     ],
 )
@@ -114,7 +121,9 @@ def test_a_wrong_example_is_seen(tmp_path: Path):
 
 
 def test_markers_reduce_and_refuse():
-    example = one("<!-- example:\nfast: --hours 10 => --hours 1\n-->\n    uqharness campaign run demo --hours 10 --out x\n")
+    example = one(
+        "<!-- example:\nfast: --hours 10 => --hours 1\n-->\n    uqharness campaign run demo --hours 10 --out x\n"
+    )
     assert example.commands(slow=False) == ["uqharness campaign run demo --hours 1 --out x"]
     assert example.commands(slow=True) == ["uqharness campaign run demo --hours 10 --out x"]
     with pytest.raises(ValueError, match="is no directive"):

@@ -54,7 +54,13 @@ class _Fetched(HTMLParser):
         given = dict(attrs)
         if tag in {"script", "img", "iframe", "source"}:
             self.addresses.append(given.get("src") or "")
-        if tag == "link" and given.get("rel") not in {"next", "prev", "search", "index", "canonical"}:
+        if tag == "link" and given.get("rel") not in {
+            "next",
+            "prev",
+            "search",
+            "index",
+            "canonical",
+        }:
             self.addresses.append(given.get("href") or "")
 
 
@@ -62,8 +68,12 @@ class _Fetched(HTMLParser):
 def test_every_page_is_built_and_nothing_is_fetched_from_a_network(site: Path):
     pages = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
     assert {f"docs/{path.stem}" for path in (ROOT / "docs").glob("*.md")} <= pages
-    assert {f"docs/notebooks/{path.stem}" for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")} <= pages
-    assert {f"campaigns/{path.parent.name}/README" for path in (ROOT / "campaigns").glob("*/README.md")} <= pages
+    assert {
+        f"docs/notebooks/{path.stem}" for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")
+    } <= pages
+    assert {
+        f"campaigns/{path.parent.name}/README" for path in (ROOT / "campaigns").glob("*/README.md")
+    } <= pages
     assert {"index", "README", "docs/reference/commands", "docs/reference/files"} <= pages
     for path in site.rglob("*.html"):
         parser = _Fetched()
@@ -87,7 +97,9 @@ def test_every_page_can_be_reached_from_the_first(site: Path):
 def test_a_broken_link_fails_the_build(tmp_path: Path):
     (tmp_path / "index.md").write_text("# A page\n\n[nowhere](nowhere.md), $x^2$\n")
     words = ["-b", "html", "-W", "-q", "-c", str(SITE), str(tmp_path), str(tmp_path / "out")]
-    done = subprocess.run([sys.executable, "-m", "sphinx", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", *words], capture_output=True, text=True, check=False
+    )
     assert done.returncode != 0
     assert "nowhere" in done.stderr
     (tmp_path / "index.md").write_text("# A page\n\n$x^2$\n\n$$\\frac{a}{b}$$ (1.2)\n")

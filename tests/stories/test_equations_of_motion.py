@@ -21,11 +21,23 @@ STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
 # What the two may differ by where a state hardly moves: JSBSim's earth is round and turns (5e-5 rad/s), the other one is flat.
 FLOOR = np.array([2e-3, 2e-3, 2e-3, 2.5e-4, 2.5e-4, 2.5e-4, 3e-4, 3e-4, 1.5e-3, 1e-2])
 PROPERTIES = (
-    "velocities/u-fps", "velocities/v-fps", "velocities/w-fps",
-    "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec",
-    "attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad", "position/h-sl-ft",
-)  # fmt: skip
-POSITIONS = ("fcs/elevator-pos-deg", "fcs/aileron-pos-deg", "fcs/rudder-pos-deg", "fcs/throttle-pos-pct")
+    "velocities/u-fps",
+    "velocities/v-fps",
+    "velocities/w-fps",
+    "velocities/p-rad_sec",
+    "velocities/q-rad_sec",
+    "velocities/r-rad_sec",
+    "attitude/phi-rad",
+    "attitude/theta-rad",
+    "attitude/psi-rad",
+    "position/h-sl-ft",
+)
+POSITIONS = (
+    "fcs/elevator-pos-deg",
+    "fcs/aileron-pos-deg",
+    "fcs/rudder-pos-deg",
+    "fcs/throttle-pos-pct",
+)
 
 
 @functools.cache
@@ -92,7 +104,10 @@ def test_doublet_agrees_to_one_percent(control):
 
 def disagrees(changes: dict[str, float]) -> bool:
     # "not below" rather than "above": a change that makes the flight diverge leaves NaN, and that is seen too.
-    return any(not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0 for control in DOUBLETS)
+    return any(
+        not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0
+        for control in DOUBLETS
+    )
 
 
 @pytest.mark.parametrize("name", few([key for key, value in TABLE_2_6.items() if value != 0.0], 9))
@@ -112,7 +127,9 @@ def test_every_term_counts_the_same_on_both_sides():
     changed = {key: value * rng.uniform(0.8, 1.2) for key, value in TABLE_2_6.items()}
     changed |= {"CZ_q": -4.0, "Cm_dr": 0.0006, "Cl_de": 0.0003, "Cn_de": -0.0002}
     for control in DOUBLETS:
-        states, positions = fly_jsbsim(control, changes={f"aero/{key}": value for key, value in changed.items()})
+        states, positions = fly_jsbsim(
+            control, changes={f"aero/{key}": value for key, value in changed.items()}
+        )
         reference = integrate(Airframe(coefficients=changed), states, positions)
         ratio = excess(states, reference)
         assert ratio.max() < 1.0, (control, dict(zip(STATES, ratio.round(2), strict=True)))

@@ -27,15 +27,30 @@ def worker():
 
 
 SAID = {
-    "raises": "KeyError", "hangs": "no answer", "grows": "MB", "grows-in-a-child": "MB", "writes": "writes",
+    "raises": "KeyError",
+    "hangs": "no answer",
+    "grows": "MB",
+    "grows-in-a-child": "MB",
+    "writes": "writes",
     "writes-unseen": "leaves",
-    "writes-far-away": "uq-fuzz-outside", "removes": "removes", "leaves": "among temporary files", "listens": "socket.bind",
-    "listens-in-a-child": "opens the network: tcp", "unpickles": "unpickles", "runs": "starts", "aborts": "SIGABRT",
-    "leaves-the-process": "exit code 3", "bare-error": "ValueError", "says-nothing": "says nothing",
+    "writes-far-away": "uq-fuzz-outside",
+    "removes": "removes",
+    "leaves": "among temporary files",
+    "listens": "socket.bind",
+    "listens-in-a-child": "opens the network: tcp",
+    "unpickles": "unpickles",
+    "runs": "starts",
+    "aborts": "SIGABRT",
+    "leaves-the-process": "exit code 3",
+    "bare-error": "ValueError",
+    "says-nothing": "says nothing",
     "names-no-file": "names no file",
-    "prints-escapes": "U+001B", "prints-bidi": "U+202E", "prints-a-traceback": "traceback", "says-too-much": "more than a sentence",
+    "prints-escapes": "U+001B",
+    "prints-bidi": "U+202E",
+    "prints-a-traceback": "traceback",
+    "says-too-much": "more than a sentence",
     "quotes-everything": "characters",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -75,7 +90,10 @@ def test_a_sound_input_is_read(name, worker):
 def test_an_input_follows_from_its_seed(name):
     item = FORMATS[name]
     assert item.make(3) == item.make(3)
-    assert len({json.dumps({k: v.hex() for k, v in item.make(seed).items()}) for seed in range(12)}) > 6
+    assert (
+        len({json.dumps({k: v.hex() for k, v in item.make(seed).items()}) for seed in range(12)})
+        > 6
+    )
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -103,7 +121,9 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     counts = json.loads(capsys.readouterr().out)["formats"]["effects"]
     assert (counts["inputs"], counts["seeds"]) == (2, [5, 6])
     assert main(["--reproduce", "effects", "5"]) == 0
-    assert (tmp_path / "fuzz-effects-5" / "effects.toml").read_bytes() == FORMATS["effects"].make(5)["effects.toml"]
+    assert (tmp_path / "fuzz-effects-5" / "effects.toml").read_bytes() == FORMATS["effects"].make(
+        5
+    )["effects.toml"]
     assert capsys.readouterr().out.splitlines()[1].startswith(("result in", "refusal in"))
     with pytest.raises(SystemExit) as left:
         main(["--reproduce", "nothing", "5"])

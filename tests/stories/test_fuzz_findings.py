@@ -93,17 +93,25 @@ def test_a_key_with_a_line_break(dart):
     refusal(BadInputError, order_from, json.dumps(order))
 
 
-@pytest.mark.parametrize("entry", ['function = ["value"]', "function = {}", 'times = ["csv", "note"]'])
+@pytest.mark.parametrize(
+    "entry", ['function = ["value"]', "function = {}", 'times = ["csv", "note"]']
+)
 def test_maps_with_other_things_than_text(entry, tmp_path):
     (tmp_path / "map.toml").write_text(f'[signals.V_mps]\nmessage = "csv"\nfield = "v"\n{entry}\n')
-    (tmp_path / "table.csv").write_text("time,v,note\n" + "".join(f"{k},{k},word\n" for k in range(50)))
+    (tmp_path / "table.csv").write_text(
+        "time,v,note\n" + "".join(f"{k},{k},word\n" for k in range(50))
+    )
     refusal(LogError, import_log, tmp_path / "table.csv", tmp_path / "map.toml")
 
 
 def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
     script = CORPUS / "aircraft" / "script.xml"
     path = dart.parent / "script.xml"
-    path.write_text(script.read_text().replace('name="flight/manoeuvre" value="1"', 'name="flight/manoeuvre" value="a&#10;b"'))
+    path.write_text(
+        script.read_text().replace(
+            'name="flight/manoeuvre" value="1"', 'name="flight/manoeuvre" value="a&#10;b"'
+        )
+    )
     assert str(path) in refusal(BadInputError, read_script, path)
     listed = BadInputError("a.toml:1: one\nand more", "a.toml:2: two")
     assert str(listed).splitlines() == ["a.toml:1: one and more", "a.toml:2: two"]
@@ -113,7 +121,10 @@ def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t: t.append_column("more", pa.array([{"a": 1}] * len(t))), "column more is of type struct"),
+        (
+            lambda t: t.append_column("more", pa.array([{"a": 1}] * len(t))),
+            "column more is of type struct",
+        ),
         (lambda t: t.append_column("status", t["status"]), "or there twice"),
         (lambda t: t.slice(0, 0), "holds no flight"),
     ],
@@ -129,9 +140,13 @@ def test_tables_of_flights(change, said, tmp_path):
 
 def test_rows_longer_than_the_header(tmp_path):
     """Cells without a name were taken for names of rows: columns moved over, and hundreds of them took ever longer."""
-    (tmp_path / "table.csv").write_text("time_s,V_mps\n" + "".join(f"{k / 10},{20 + k},7,7\n" for k in range(50)))
+    (tmp_path / "table.csv").write_text(
+        "time_s,V_mps\n" + "".join(f"{k / 10},{20 + k},7,7\n" for k in range(50))
+    )
     assert "4 cells, the header 2" in refusal(LogError, import_log, tmp_path / "table.csv")
-    (tmp_path / "table.csv").write_text("time_s,V_mps\n\n" + "".join(f'{k / 10},"{20 + k}"\n' for k in range(50)))
+    (tmp_path / "table.csv").write_text(
+        "time_s,V_mps\n\n" + "".join(f'{k / 10},"{20 + k}"\n' for k in range(50))
+    )
     assert len(import_log(tmp_path / "table.csv")) == 50
 
 
@@ -189,13 +204,19 @@ def test_numbers_larger_than_any_float_in_a_campaign(tmp_path):
     text = (CORPUS / "settings" / "campaign.toml").read_text()
     (tmp_path / "campaign.toml").write_text(text.replace("CX = 0.008", f"CX = 1{'0' * 400}"))
     assert "CX = 1" in refusal(BadInputError, read_campaign, tmp_path / "campaign.toml")
-    assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [True, True] + [False] * 5
+    assert [is_number(x) for x in (1, 1.5, True, 10**400, float("nan"), float("inf"), "1")] == [
+        True,
+        True,
+    ] + [False] * 5
 
 
 @pytest.mark.parametrize("dt_s", [2e7, 30.0, 4.0, 1.5])
 def test_a_record_too_slow_for_the_kinematic_checks(dt_s):
     n = 18
-    columns = {name: np.sin(np.arange(n)) for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")}
+    columns = {
+        name: np.sin(np.arange(n))
+        for name in ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
+    }
     assert check_physics(FlightRecord({"time_s": dt_s * np.arange(n), **columns})) == []
 
 
@@ -204,7 +225,10 @@ def test_a_script_that_names_manoeuvres_and_does_not_count_them(dart):
     path = dart.parent / "script.xml"
     path.write_text(script.replace('<property value="0">flight/manoeuvre</property>', ""))
     out = dart.parent / "out.csv"
-    assert main(["fly", str(dart), "--script", str(path), "--duration-s", "0.5", "--out", str(out)]) == 0
+    assert (
+        main(["fly", str(dart), "--script", str(path), "--duration-s", "0.5", "--out", str(out)])
+        == 0
+    )
     assert set(pd.read_csv(out, comment="#")["manoeuvre"]) == {"script"}
 
 
@@ -228,7 +252,9 @@ def test_a_study_with_hundreds_of_mistakes(tmp_path):
 def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
     """Once JSBSim has refused it, anything may happen in that process: it is a child, and the program does not follow."""
     path = dart / "Engines" / "prop.xml"
-    path.write_text(path.read_text().replace("<propeller", "<nosuch").replace("</propeller", "</nosuch"))
+    path.write_text(
+        path.read_text().replace("<propeller", "<nosuch").replace("</propeller", "</nosuch")
+    )
     line = [sys.executable, "-m", "uqharness", command[0], str(dart), *command[1:]]
     for _ in range(3):
         done = subprocess.run(line, capture_output=True, text=True, cwd=dart.parent, check=False)

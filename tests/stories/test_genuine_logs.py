@@ -39,11 +39,16 @@ def test_free_flight_begins_at_the_release(flight_data: Path, card_path: Path, n
 @pytest.mark.parametrize("name", RELEASED)
 def test_purposes(flight_data: Path, card_path: Path, name: str) -> None:
     served = {p.name for p in load(flight_data, card_path, name)[1].purposes if p.serves}
-    assert served == ({"loiter-metrics", "replay"} if "loiter" in name else {"replay", "identification"})
+    assert served == (
+        {"loiter-metrics", "replay"} if "loiter" in name else {"replay", "identification"}
+    )
 
 
 def test_findings_of_a_loiter_log(flight_data: Path, card_path: Path) -> None:
-    found = {(f.code, f.channel): f for f in load(flight_data, card_path, "flight4_loiter_medium")[1].findings}
+    found = {
+        (f.code, f.channel): f
+        for f in load(flight_data, card_path, "flight4_loiter_medium")[1].findings
+    }
     assert found["gap", "IMU"].numbers["longest_s"] == pytest.approx(2.46, abs=0.02)
     assert ("estimate", "alpha_rad") in found
     assert found["delay", "ground velocity"].numbers["delay_s"] == pytest.approx(0.1, abs=0.02)
@@ -53,10 +58,16 @@ def test_manoeuvres_show_in_their_surfaces(flight_data: Path, card_path: Path) -
     """Every doublet of the list moves its own surface within its time, by the sign table of the card."""
     record, _ = load(flight_data, card_path, "flight1_ident")
     with (flight_data / "espaaro-ardupilot" / "manoeuvres.csv").open() as handle:
-        rows = [r for r in csv.DictReader(handle) if r["flight"] == "flight1_ident" and r["manoeuvre"].endswith("doublet")]
+        rows = [
+            r
+            for r in csv.DictReader(handle)
+            if r["flight"] == "flight1_ident" and r["manoeuvre"].endswith("doublet")
+        ]
     assert len(rows) >= 18
     for row in rows:
-        column = {"pitch": "elevator_deg"}.get(row["manoeuvre"].split("-")[0], row["manoeuvre"].split("-")[0] + "_deg")
+        column = {"pitch": "elevator_deg"}.get(
+            row["manoeuvre"].split("-")[0], row["manoeuvre"].split("-")[0] + "_deg"
+        )
         part = record.between(float(row["start_s"]) - 0.1, float(row["end_s"]))[column]
         assert np.ptp(part) > 3.0, row
     # + elevator is nose down: a step of it is followed by a negative pitch rate.

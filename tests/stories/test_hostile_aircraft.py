@@ -60,9 +60,14 @@ def files_below(folder: Path) -> set[Path]:
     return {path for path in folder.rglob("*") if path.is_file()}
 
 
-def test_outputs_write_nothing_wherever_they_point(plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_outputs_write_nothing_wherever_they_point(
+    plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     text = 'type="CSV" rate="10"><property caption="&#10;touch X&#10;#">position/h-sl-ft</property></output>'
-    put(plane, f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output file="{tmp_path}/z"/>')
+    put(
+        plane,
+        f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output file="{tmp_path}/z"/>',
+    )
     before = files_below(tmp_path)
     with caplog.at_level("INFO", logger="uqharness"):
         fly(plane)
@@ -75,13 +80,20 @@ def test_outputs_write_nothing_wherever_they_point(plane: Path, tmp_path: Path, 
 
 def test_without_the_gate_the_same_file_writes(plane: Path, tmp_path: Path) -> None:
     """The attack is real: JSBSim alone does what the author asks."""
-    put(plane, f'<output name="{tmp_path}/x.csv" type="CSV" rate="10"><property>position/h-sl-ft</property></output>')
+    put(
+        plane,
+        f'<output name="{tmp_path}/x.csv" type="CSV" rate="10"><property>position/h-sl-ft</property></output>',
+    )
     stock = engine.default_root()
     code = (
         "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_aircraft_path(sys.argv[1]);"
         "f.set_engine_path(sys.argv[2]); f.set_systems_path(sys.argv[3]); f.load_model('plane'); f.run_ic(); f.run()"
     )
-    subprocess.run([sys.executable, "-c", code, tmp_path, stock / "engine", stock / "systems"], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-c", code, tmp_path, stock / "engine", stock / "systems"],
+        check=True,
+        capture_output=True,
+    )
     assert (tmp_path / "x.csv").is_file()
 
 
@@ -105,7 +117,9 @@ def test_no_socket_is_opened(plane: Path) -> None:
             other.bind(("127.0.0.1", port))
 
 
-def test_a_state_asked_for_in_every_frame_is_not_written(plane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_asked_for_in_every_frame_is_not_written(
+    plane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     put(
         plane,
@@ -119,9 +133,13 @@ def test_a_state_asked_for_in_every_frame_is_not_written(plane: Path, tmp_path: 
 
 
 def test_a_script_neither_writes_nor_listens(plane: Path, tmp_path: Path) -> None:
-    shutil.copyfile(engine.default_root() / "aircraft" / "c172x" / "reset01.xml", plane / "start.xml")
+    shutil.copyfile(
+        engine.default_root() / "aircraft" / "c172x" / "reset01.xml", plane / "start.xml"
+    )
     script = tmp_path / "s.xml"
-    more = f'<input type="SOCKET" port="1137"/><output name="{tmp_path}/o.csv" type="CSV" rate="1"/>'
+    more = (
+        f'<input type="SOCKET" port="1137"/><output name="{tmp_path}/o.csv" type="CSV" rate="1"/>'
+    )
     script.write_text(SCRIPT.format(initialize="start", more=more))
     before = files_below(tmp_path)
     with StagedMission(find_aircraft(plane), script) as mission:
@@ -150,14 +168,18 @@ def test_a_script_neither_writes_nor_listens(plane: Path, tmp_path: Path) -> Non
 def test_a_file_outside_is_refused_with_its_line(plane: Path, element: str) -> None:
     put(plane, element)
     line = (plane / "plane.xml").read_text(errors="replace").count("\n")
-    with pytest.raises(BadInputError, match=rf"plane\.xml:({line}|{line + 1}): .*leads out of the aircraft"):
+    with pytest.raises(
+        BadInputError, match=rf"plane\.xml:({line}|{line + 1}): .*leads out of the aircraft"
+    ):
         fly(plane)
 
 
 def test_a_file_named_by_an_included_file_is_looked_at_too(plane: Path) -> None:
     put(plane, '<system file="mine"/>')
     (plane / "Systems").mkdir(exist_ok=True)
-    (plane / "Systems" / "mine.xml").write_text('<system name="mine"><channel file="/etc/passwd" name="c"/></system>')
+    (plane / "Systems" / "mine.xml").write_text(
+        '<system name="mine"><channel file="/etc/passwd" name="c"/></system>'
+    )
     with pytest.raises(BadInputError, match=r"mine\.xml:1: .*leads out of the aircraft"):
         fly(plane)
 
@@ -176,7 +198,9 @@ def test_links_that_lead_out_are_refused(plane: Path, tmp_path: Path) -> None:
     secret = tmp_path / "secret.txt"
     secret.write_text("secret")
     (plane / "notes.txt").symlink_to(secret)
-    with pytest.raises(BadInputError, match=r"notes\.txt: is a link to .*outside the aircraft's folder"):
+    with pytest.raises(
+        BadInputError, match=r"notes\.txt: is a link to .*outside the aircraft's folder"
+    ):
         copy_folder(plane, tmp_path / "copy")
     with pytest.raises(BadInputError, match="outside the aircraft's folder"):
         fly(plane)
@@ -247,22 +271,44 @@ def test_a_system_beside_that_changes_between_two_flights_is_flown_as_it_is(tmp_
         assert fly(folder)["a/mark"] == value
     # One that comes to be where JSBSim looks first counts from then on.
     (folder / "Systems").mkdir()
-    (folder / "Systems" / "GNCUtilities.xml").write_text(system.read_text().replace('value="8"', 'value="9"'))
+    (folder / "Systems" / "GNCUtilities.xml").write_text(
+        system.read_text().replace('value="8"', 'value="9"')
+    )
     assert fly(folder)["a/mark"] == 9
 
 
 @pytest.mark.parametrize("name", ["jsbsim", "socket", "numpy", "signal", "multiprocessing"])
-def test_python_files_of_the_working_folder_are_not_imported_by_children(name: str, tmp_path: Path) -> None:
+def test_python_files_of_the_working_folder_are_not_imported_by_children(
+    name: str, tmp_path: Path
+) -> None:
     (tmp_path / f"{name}.py").write_text("open('imported', 'w')\nraise SystemExit(9)\n")
-    command = [sys.executable, "-m", "uqharness.simulator.preflight", "/nowhere", "x.xml", "/nowhere", "/nowhere"]
-    done = subprocess.run(command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "uqharness.simulator.preflight",
+        "/nowhere",
+        "x.xml",
+        "/nowhere",
+        "/nowhere",
+    ]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, check=False
+    )
     assert (done.returncode, "refused" in done.stdout) == (0, True), done.stderr
     assert not (tmp_path / "imported").exists()
 
 
 def test_without_that_environment_they_are(tmp_path: Path) -> None:
     (tmp_path / "jsbsim.py").write_text("open('imported', 'w')\nraise SystemExit(9)\n")
-    command = [sys.executable, "-m", "uqharness.simulator.preflight", "/nowhere", "x.xml", "/nowhere", "/nowhere"]
+    command = [
+        sys.executable,
+        "-m",
+        "uqharness.simulator.preflight",
+        "/nowhere",
+        "x.xml",
+        "/nowhere",
+        "/nowhere",
+    ]
     environment = {k: v for k, v in child_environment().items() if k != "PYTHONSAFEPATH"}
     subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
     assert (tmp_path / "imported").exists()

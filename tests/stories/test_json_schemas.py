@@ -19,7 +19,10 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 jsonschema = pytest.importorskip("jsonschema")
 
 FOLDER = ROOT / "docs" / "schemas"
-SCHEMAS = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.json"))}
+SCHEMAS = {
+    path.stem: json.loads(path.read_text(encoding="utf-8"))
+    for path in sorted(FOLDER.glob("*.json"))
+}
 CAMPAIGN = """
 [campaign]
 aircraft = "espaaro"
@@ -92,13 +95,24 @@ def printed(capsys: pytest.CaptureFixture[str], line: str, folder: Path) -> Any:
     return json.loads(said.out, parse_constant=lambda text: f"{text} is no JSON")
 
 
-SEARCHING = ("modes, no trim", "compare", "diff", "campaign-merge", "campaign-salvage", "campaign-convergence")
+SEARCHING = (
+    "modes, no trim",
+    "compare",
+    "diff",
+    "campaign-merge",
+    "campaign-salvage",
+    "campaign-convergence",
+)
 """Commands that take seconds and that no other waits for."""
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("left_out", [SEARCHING, pytest.param((), marks=pytest.mark.slow)], ids=["quick", "all"])
-def test_commands_print_what_their_schemas_say(tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: tuple[str, ...]):
+@pytest.mark.parametrize(
+    "left_out", [SEARCHING, pytest.param((), marks=pytest.mark.slow)], ids=["quick", "all"]
+)
+def test_commands_print_what_their_schemas_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: tuple[str, ...]
+):
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     wrong = []
     for name, line in COMMANDS.items():
@@ -106,11 +120,20 @@ def test_commands_print_what_their_schemas_say(tmp_path: Path, capsys: pytest.Ca
             continue
         if name == "campaign-merge":
             for part in ("1/2", "2/2"):
-                words = ["campaign", "run", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "shards"), "--serial"]
+                words = [
+                    "campaign",
+                    "run",
+                    str(tmp_path / "campaign.toml"),
+                    "--out",
+                    str(tmp_path / "shards"),
+                    "--serial",
+                ]
                 assert cli.main([*words, "--shard", part]) == 0
             capsys.readouterr()
         found, check = printed(capsys, line, tmp_path), validator(name)
-        wrong += [f"{name} {error.json_path}: {error.message}" for error in check.iter_errors(found)]
+        wrong += [
+            f"{name} {error.json_path}: {error.message}" for error in check.iter_errors(found)
+        ]
         wrong += [f"{name} prints NaN or Infinity"] if "is no JSON" in json.dumps(found) else []
         # The type of each value that the schema promises counts.
         for key in promised(name) & set(found):
@@ -132,20 +155,44 @@ def promised(name: str) -> set[str]:
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("name", DEAR)
-def test_a_dear_command_prints_what_its_schema_says(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_dear_command_prints_what_its_schema_says(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     for seed, flight in enumerate(("a", "b"), start=1):
         words = ["fly", "espaaro_truth", "--script", "flight-ident", "--noise", "--seed", str(seed)]
         assert cli.main([*words, "--out", str(tmp_path / f"{flight}.parquet")]) == 0
     if name == "next-flight":
         bounds = f'"{tmp_path / "bounds" / "model-form.json"}"'
-        campaign = CAMPAIGN.replace("{ CX = 0.008, CZ = 0.05 }", bounds).replace("duration_s = 5", "duration_s = 60")
+        campaign = CAMPAIGN.replace("{ CX = 0.008, CZ = 0.05 }", bounds).replace(
+            "duration_s = 5", "duration_s = 60"
+        )
         (tmp_path / "campaign.toml").write_text(campaign)
-        words = ["bounds", "espaaro", "--flight", str(tmp_path / "a.parquet"), "--no-check", "--no-figures"]
+        words = [
+            "bounds",
+            "espaaro",
+            "--flight",
+            str(tmp_path / "a.parquet"),
+            "--no-check",
+            "--no-figures",
+        ]
         assert cli.main([*words, "--out", str(tmp_path / "bounds")]) == 0
-        assert cli.main(["campaign", "run", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "results")]) == 0
+        assert (
+            cli.main(
+                [
+                    "campaign",
+                    "run",
+                    str(tmp_path / "campaign.toml"),
+                    "--out",
+                    str(tmp_path / "results"),
+                ]
+            )
+            == 0
+        )
     capsys.readouterr()
     found = printed(capsys, DEAR[name], tmp_path)
-    assert [f"{error.json_path}: {error.message}" for error in validator(name).iter_errors(found)] == []
+    assert [
+        f"{error.json_path}: {error.message}" for error in validator(name).iter_errors(found)
+    ] == []
 
 
 def leaves(parser: argparse.ArgumentParser, path: tuple[str, ...] = ()) -> Iterator[str]:

@@ -41,7 +41,9 @@ def test_areas_of_the_page_are_those_of_the_code():
     F = np.array([np.searchsorted(row, grid, side="right") / row.size for row in y])
     envelope = np.trapezoid(F.max(axis=0) - F.min(axis=0), grid)
     assert abs(box_area(y) / envelope - 1.0) < 1e-3
-    between = np.trapezoid(np.abs(F[0] - F[2]), grid)  # the pair that differs in the first parameter, the second at its lower end
+    between = np.trapezoid(
+        np.abs(F[0] - F[2]), grid
+    )  # the pair that differs in the first parameter, the second at its lower end
     assert abs(pair_areas(y, 2)[0, 0] / between - 1.0) < 1e-3
     box = pbox([Sample(str(k), row) for k, row in enumerate(y)])
     assert np.allclose(box.lower, [min(np.mean(row <= v) for row in y) for v in box.value])

@@ -28,14 +28,23 @@ WORDS = {
 }
 
 
-def run(book: nbformat.NotebookNode, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
+def run(
+    book: nbformat.NotebookNode, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[dict[str, str]]:
     """What each output shows, by MIME type."""
     for name in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"):
         monkeypatch.setenv(name, str(folder / ".jupyter"))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep))
+    monkeypatch.setenv(
+        "PYTHONPATH",
+        os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+    )
     monkeypatch.delenv("MPLBACKEND", raising=False)
-    nbclient.NotebookClient(book, timeout=1500, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
-    return [dict(output.get("data", {})) for cell in book.cells for output in cell.get("outputs", ())]
+    nbclient.NotebookClient(
+        book, timeout=1500, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+    ).execute()
+    return [
+        dict(output.get("data", {})) for cell in book.cells for output in cell.get("outputs", ())
+    ]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -52,9 +61,15 @@ def test_a_notebook_is_valid_and_has_no_outputs(path: Path):
 @pytest.mark.filterwarnings("ignore")  # of the kernel's client, not of this project
 @pytest.mark.timeout(1600)
 @pytest.mark.parametrize(
-    "path", [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] if p.stem in SLOW else []) for p in NOTEBOOKS]
+    "path",
+    [
+        pytest.param(p, id=p.stem, marks=[pytest.mark.slow] if p.stem in SLOW else [])
+        for p in NOTEBOOKS
+    ],
 )
-def test_a_notebook_runs_and_shows_tables_and_figures(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_notebook_runs_and_shows_tables_and_figures(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     shown = run(nbformat.read(path, as_version=4), tmp_path, monkeypatch)
     tables = "".join(data["text/html"] for data in shown if "text/html" in data)
     assert [word for word in WORDS[path.stem] if word not in tables] == []
@@ -63,6 +78,8 @@ def test_a_notebook_runs_and_shows_tables_and_figures(path: Path, tmp_path: Path
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cell_that_fails_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("import uqharness as uq\nuq.find_aircraft('nowhere')")])
+    book = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell("import uqharness as uq\nuq.find_aircraft('nowhere')")]
+    )
     with pytest.raises(nbclient.exceptions.CellExecutionError, match="nowhere"):
         run(book, tmp_path, monkeypatch)

@@ -27,7 +27,9 @@ def tracked(*folders: str) -> set[str]:
     for folder in folders:
         for path in (ROOT / folder).rglob("*"):
             parts = path.relative_to(ROOT).parts
-            if path.is_file() and not any(p == "__pycache__" or p.startswith("results") for p in parts):
+            if path.is_file() and not any(
+                p == "__pycache__" or p.startswith("results") for p in parts
+            ):
                 found.add("/".join(parts))
     return found
 
@@ -45,12 +47,18 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_file_that_commands_look_for(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
-    given = {name for name in tracked("aircraft", "scripts", "campaigns") if not name.endswith(".py")}
+    given = {
+        name for name in tracked("aircraft", "scripts", "campaigns") if not name.endswith(".py")
+    }
     data = {f"uqharness/data/{name}" for name in given if "shards" not in name.split("/")}
     assert len(data) > 40
     assert data - names == set()
     assert tracked("sysid", "uqharness") - names == set()
-    assert {"sysid/py.typed", "uqharness/py.typed", "sysid/logs/signal_maps/dataflash.toml"} <= names
+    assert {
+        "sysid/py.typed",
+        "uqharness/py.typed",
+        "sysid/logs/signal_maps/dataflash.toml",
+    } <= names
     assert "uqharness/report/templates/page.html.j2" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any("shards" in name.split("/") for name in names)
@@ -77,10 +85,15 @@ def test_the_sdist_gives_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(command, cwd=sdist, check=True, capture_output=True)
     (again,) = tmp_path.glob("*.whl")
-    first, second = ({info.filename: info.CRC for info in zipfile.ZipFile(path).infolist()} for path in (wheel, again))
+    first, second = (
+        {info.filename: info.CRC for info in zipfile.ZipFile(path).infolist()}
+        for path in (wheel, again)
+    )
     assert second == first
     # What a packager needs to test it.
-    assert {"Makefile", "requirements.lock", "tests", "docs", "CHANGELOG.md"} <= {path.name for path in sdist.iterdir()}
+    assert {"Makefile", "requirements.lock", "tests", "docs", "CHANGELOG.md"} <= {
+        path.name for path in sdist.iterdir()
+    }
     assert not (sdist / ".venv").exists()
 
 
@@ -93,7 +106,9 @@ def test_the_metadata_are_valid_and_name_the_versions_that_are_tested(wheel: Pat
     assert found.description_content_type == "text/markdown"
     assert found.license_expression == "MIT"
     # Linux with Python 3.11 alone is tested; a classifier is a claim.
-    versions = {c for c in found.classifiers if c.startswith("Programming Language :: Python :: 3.")}
+    versions = {
+        c for c in found.classifiers if c.startswith("Programming Language :: Python :: 3.")
+    }
     systems = {c for c in found.classifiers if c.startswith("Operating System")}
     assert versions == {"Programming Language :: Python :: 3.11"}
     assert systems == {"Operating System :: POSIX :: Linux"}
@@ -120,9 +135,13 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(installed: Path, folder: Path, *words: str) -> str:
-    environment = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "PYTHONHOME"}}
+    environment = {
+        key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "PYTHONHOME"}
+    }
     command = [installed / "uqharness", *words]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -130,7 +149,11 @@ def run(installed: Path, folder: Path, *words: str) -> str:
 @pytest.mark.slow
 def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_path: Path):
     where = subprocess.run(
-        [installed / "python", "-c", "import uqharness, sysid; print(uqharness.__file__, sysid.__file__)"],
+        [
+            installed / "python",
+            "-c",
+            "import uqharness, sysid; print(uqharness.__file__, sysid.__file__)",
+        ],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -138,12 +161,34 @@ def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_p
     ).stdout
     assert str(ROOT / "uqharness") not in where
     assert where.count(str(installed.parent)) == 2
-    modes = json.loads(run(installed, tmp_path, "modes", "espaaro", "--speed-mps", "22.2", "--json"))
+    modes = json.loads(
+        run(installed, tmp_path, "modes", "espaaro", "--speed-mps", "22.2", "--json")
+    )
     assert modes["trim"]["alpha_deg"] == pytest.approx(0.833, abs=0.01)
-    run(installed, tmp_path, "fly", "espaaro_truth", "--script", "doublet-elevator", "--out", "doublet.csv")
+    run(
+        installed,
+        tmp_path,
+        "fly",
+        "espaaro_truth",
+        "--script",
+        "doublet-elevator",
+        "--out",
+        "doublet.csv",
+    )
     assert len((tmp_path / "doublet.csv").read_text().splitlines()) > 100
     # Two flights of the demonstration's 512, by name.
-    part = ["campaign", "run", "demo", "--out", "part", "--hours", "0.05", "--shard", "1/32", "--serial"]
+    part = [
+        "campaign",
+        "run",
+        "demo",
+        "--out",
+        "part",
+        "--hours",
+        "0.05",
+        "--shard",
+        "1/32",
+        "--serial",
+    ]
     assert "2 flights done" in run(installed, tmp_path, *part)
 
 
@@ -151,7 +196,15 @@ def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_p
 def test_the_wheel_installs_from_the_index_into_an_empty_environment(wheel: Path, tmp_path: Path):
     environment = tmp_path / "env"
     venv.create(environment, with_pip=True)
-    pip = [environment / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
+    pip = [
+        environment / "bin" / "python",
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        str(wheel),
+    ]
     done = subprocess.run(pip, capture_output=True, text=True, check=False)
     if done.returncode and "No matching distribution" in done.stderr + done.stdout:
         pytest.skip("no package index can be reached from here")
@@ -169,7 +222,10 @@ def undocumented(source: str) -> list[str]:
 
     def walk(node: ast.Module | ast.ClassDef, prefix: str) -> None:
         for child in node.body:
-            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) and child.name[0] != "_":
+            if (
+                isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+                and child.name[0] != "_"
+            ):
                 if ast.get_docstring(child) is None:
                     found.append(prefix + child.name)
                 if isinstance(child, ast.ClassDef):
@@ -216,8 +272,11 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
     def loaded(module: str) -> list[str]:
         done = subprocess.run(
             [sys.executable, "-c", f"import sys, json, {module}; print(json.dumps({heavy}))"],
-            cwd=ROOT, capture_output=True, text=True, check=True,
-        )  # fmt: skip
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         return list(json.loads(done.stdout))
 
     assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
@@ -227,5 +286,7 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
 
 
 def test_the_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "uqharness", "--version"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "uqharness", "--version"], cwd=ROOT, capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout.split()[0]) == (0, "uqharness")

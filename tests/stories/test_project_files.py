@@ -50,10 +50,19 @@ def test_the_workflow_runs_the_readmes_command_on_every_system():
 def test_a_release_is_built_and_published_without_a_stored_secret():
     text = (ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8")
     jobs = yaml.safe_load(text)["jobs"]
-    assert [jobs[name].get("needs") for name in ("build", "publish", "notes")] == [None, "build", "publish"]
+    assert [jobs[name].get("needs") for name in ("build", "publish", "notes")] == [
+        None,
+        "build",
+        "publish",
+    ]
     assert jobs["publish"]["permissions"] == {"id-token": "write"}
     assert "secrets." not in text
-    used = {step["uses"].partition("@")[0] for job in jobs.values() for step in job["steps"] if "uses" in step}
+    used = {
+        step["uses"].partition("@")[0]
+        for job in jobs.values()
+        for step in job["steps"]
+        if "uses" in step
+    }
     assert "pypa/gh-action-pypi-publish" in used
     for step in (step["run"] for step in jobs["build"]["steps"] if "run" in step):
         for place in re.findall(r"(?:\.ci|tests)/[\w./]+", step):
@@ -62,7 +71,9 @@ def test_a_release_is_built_and_published_without_a_stored_secret():
 
 def test_release_notes_are_the_changelogs_section(capsys: pytest.CaptureFixture[str]):
     notes = runpy.run_path(str(ROOT / ".ci" / "release_notes.py"))
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     assert notes["main"]([version]) == 0
     said = capsys.readouterr().out
     assert said.startswith("### ")
@@ -70,7 +81,10 @@ def test_release_notes_are_the_changelogs_section(capsys: pytest.CaptureFixture[
     assert said.strip() in CHANGELOG
     assert notes["main"](["0.0.1"]) == 1
     assert "pyproject.toml has" in capsys.readouterr().err
-    assert notes["section"]("## 1.0.0 (2026-01-01)\n\nnew\n\n## 0.9.0 (2025-01-01)\n\nold\n", "0.9.0") == "old"
+    assert (
+        notes["section"]("## 1.0.0 (2026-01-01)\n\nnew\n\n## 0.9.0 (2025-01-01)\n\nold\n", "0.9.0")
+        == "old"
+    )
     assert notes["section"]("## Unreleased\n\nnew\n", "1.0.0") == ""
 
 
@@ -85,20 +99,29 @@ def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
 
 
 def test_the_dev_container_sets_up_as_the_readme_does():
-    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    container = json.loads(
+        (ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8")
+    )
     assert container["postCreateCommand"] == "make setup"
     assert container["image"].endswith(":3.11")
 
 
 def test_the_page_for_each_system_is_the_workflows_matrix():
-    page = (ROOT / "docs" / "development.md").read_text(encoding="utf-8").split("## Windows and macOS", 1)[1].split("\n## ", 1)[0]
+    page = (
+        (ROOT / "docs" / "development.md")
+        .read_text(encoding="utf-8")
+        .split("## Windows and macOS", 1)[1]
+        .split("\n## ", 1)[0]
+    )
     matrix = loaded(".github/workflows/ci.yml")["jobs"]["test"]["strategy"]["matrix"]
     assert {name for name in matrix["system"] if f"`{name}`" not in page} == set()
     assert f"{matrix['python'][0]} to {matrix['python'][-1]}" in page
     assert "No runner has run" in page
 
 
-@pytest.mark.parametrize("path", [form for form in FORMS if form.stem != "config"], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [form for form in FORMS if form.stem != "config"], ids=lambda path: path.stem
+)
 def test_a_form_asks_for_what_is_needed(path):
     form = yaml.safe_load(path.read_text(encoding="utf-8"))
     assert form["name"]
@@ -111,13 +134,24 @@ def test_a_form_asks_for_what_is_needed(path):
 
 
 def test_the_changelog_begins_with_this_release():
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     releases = re.findall(r"^## (.+)$", CHANGELOG, re.M)
     coming = re.fullmatch(r"\d+\.\d+\.\d+ \(not yet released\)", releases[0]) is not None
     released = releases[1:] if coming else releases
-    assert all(re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)|Unreleased", name) for name in released)
-    assert version.removesuffix(".dev0") in (releases[0] if version not in released[0] else released[0])
-    assert set(re.findall(r"^### (.+)$", CHANGELOG, re.M)) <= {"Added", "Changed", "Removed", "Fixed"}
+    assert all(
+        re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)|Unreleased", name) for name in released
+    )
+    assert version.removesuffix(".dev0") in (
+        releases[0] if version not in released[0] else released[0]
+    )
+    assert set(re.findall(r"^### (.+)$", CHANGELOG, re.M)) <= {
+        "Added",
+        "Changed",
+        "Removed",
+        "Fixed",
+    }
 
 
 def test_the_contributors_page_names_what_there_is():

@@ -13,7 +13,9 @@ NAMES = ("Zw", "Zq", "Zde", "Mw", "Mq", "Mde")
 PUBLISHED = np.array([-1.4249, -1.4768, -6.2632, 0.2163, -3.7067, -12.784])
 START = np.array([-1.22871, -1.4768, -4.20491, 0.116197, -2.7067, -18.7718])  # the author's
 DT = 0.05
-DATA = np.loadtxt(TESTS / "reference" / "unstable_aircraft.csv", delimiter=",", comments="#", skiprows=3)
+DATA = np.loadtxt(
+    TESTS / "reference" / "unstable_aircraft.csv", delimiter=",", comments="#", skiprows=3
+)
 W, Q, DE, AZ = DATA.T
 MEASURED = np.column_stack([AZ, W, Q])
 
@@ -58,16 +60,22 @@ def test_stepwise_takes_what_the_published_equation_has_and_nothing_else():
 
 @pytest.mark.slow
 def test_filter_error_agrees_within_its_bounds_from_the_authors_start():
-    fit = filter_error(rate, seen, np.zeros(2), START, DE[:, None], MEASURED, np.arange(W.size) * DT, names=NAMES)
+    fit = filter_error(
+        rate, seen, np.zeros(2), START, DE[:, None], MEASURED, np.arange(W.size) * DT, names=NAMES
+    )
     assert fit.converged
     assert (np.abs(fit.theta - PUBLISHED) < 2.0 * fit.std).all()
     np.testing.assert_allclose(fit.theta, PUBLISHED, rtol=2e-3)
 
 
-@pytest.mark.parametrize("start", [START, 1.5 * PUBLISHED, np.zeros(6)], ids=["author's", "half off", "zero"])
+@pytest.mark.parametrize(
+    "start", [START, 1.5 * PUBLISHED, np.zeros(6)], ids=["author's", "half off", "zero"]
+)
 def test_output_error_of_an_unstable_aircraft_comes_home_from_far_off(start):
     noise = np.array([0.05, 0.03, 0.005])
-    measured = simulate(PUBLISHED, DE) + noise * np.random.default_rng(5).standard_normal(MEASURED.shape)
+    measured = simulate(PUBLISHED, DE) + noise * np.random.default_rng(5).standard_normal(
+        MEASURED.shape
+    )
     fit = output_error(lambda theta: simulate(theta, DE), start, measured, names=NAMES)
     assert fit.converged
     assert (np.abs(fit.theta - PUBLISHED) < 3.0 * fit.std).all()
@@ -76,7 +84,10 @@ def test_output_error_of_an_unstable_aircraft_comes_home_from_far_off(start):
 
 def test_output_error_is_as_near_as_its_input_between_samples_allows():
     held, straight = (
-        output_error(lambda theta, held=held: simulate(theta, DE, held), START, MEASURED, names=NAMES) for held in (True, False)
+        output_error(
+            lambda theta, held=held: simulate(theta, DE, held), START, MEASURED, names=NAMES
+        )
+        for held in (True, False)
     )
     np.testing.assert_allclose(straight.theta, PUBLISHED, rtol=0.03)
     assert not np.allclose(held.theta, PUBLISHED, rtol=0.15)

@@ -85,10 +85,13 @@ def pages(tmp_path_factory):
     campaigns = folders.campaigns(root)
     assert main(["sensitivity", str(campaigns / "before"), "--json"]) == 0
     made = {
-        "identify": folders.identified(root / "identified"), "compare": folders.compared(root / "compared"),
-        "refine": folders.refined(root / "refined"), "bounds": folders.bounded(root / "bounds"),
-        "validate-bounds": folders.covered(root / "check"), "campaign": campaigns / "before",
-    }  # fmt: skip
+        "identify": folders.identified(root / "identified"),
+        "compare": folders.compared(root / "compared"),
+        "refine": folders.refined(root / "refined"),
+        "bounds": folders.bounded(root / "bounds"),
+        "validate-bounds": folders.covered(root / "check"),
+        "campaign": campaigns / "before",
+    }
     for kind, folder in made.items():
         write_report(folder)
         shutil.copytree(folder, root / "study" / kind)
@@ -97,7 +100,9 @@ def pages(tmp_path_factory):
     stages.append(folders.stage("after", "campaign", "after"))
     both = {"before": "campaign", "after": "after"}
     question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
-    document = folders.study(stages, before_after=both, answer=folders.ANSWER, tracks=folders.TRACKS, question=question)
+    document = folders.study(
+        stages, before_after=both, answer=folders.ANSWER, tracks=folders.TRACKS, question=question
+    )
     made["study"] = folders.written(root / "study", "study.json", document)
     folders.tracks(made["study"])
     write_report(made["study"])
@@ -105,7 +110,9 @@ def pages(tmp_path_factory):
         folder = root / kind
         folder.mkdir()
         made[kind] = folder
-        words = [word.format(folder / "report.html", folder=folder, **made) for word in line.split()]
+        words = [
+            word.format(folder / "report.html", folder=folder, **made) for word in line.split()
+        ]
         assert main(words) in (0, 1), kind
     return made
 
@@ -115,13 +122,16 @@ def browser():
     """The first Chromium that starts; without one the tests are skipped, with what was tried."""
     # Here and not above: a module that is skipped whole leaves pytest -m browser without a test, which it calls a failure.
     playwright = pytest.importorskip(
-        "playwright.sync_api", reason="no browser test: playwright is not installed (pip install -e '.[browser]')"
+        "playwright.sync_api",
+        reason="no browser test: playwright is not installed (pip install -e '.[browser]')",
     )
     tried = []
     with playwright.sync_playwright() as play:
         for path in dict.fromkeys((os.environ.get("UQ_BROWSER"), None, *map(shutil.which, _NAMES))):
             try:
-                found = play.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
+                found = play.chromium.launch(
+                    executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"]
+                )
             except playwright.Error as error:
                 tried.append(f"{path or 'its own'}: {str(error).splitlines()[0]}")
                 continue
@@ -136,18 +146,29 @@ def opened(browser, pages):
     """Opens a page and collects everything that goes wrong while it is open."""
     contexts = []
 
-    def visit(kind, width=1400, scheme="light", touch=False, script=True, *, height=900, unfold=True):
+    def visit(
+        kind, width=1400, scheme="light", touch=False, script=True, *, height=900, unfold=True
+    ):
         size = {"width": width, "height": height}
-        context = browser.new_context(viewport=size, color_scheme=scheme, has_touch=touch, java_script_enabled=script)
+        context = browser.new_context(
+            viewport=size, color_scheme=scheme, has_touch=touch, java_script_enabled=script
+        )
         contexts.append(context)
         page = context.new_page()
         page.wrong = []
         page.on("console", lambda message: page.wrong.append(f"console: {message.text}"))
         page.on("pageerror", lambda error: page.wrong.append(f"error: {error}"))
-        page.on("request", lambda request: request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}"))
+        page.on(
+            "request",
+            lambda request: (
+                request.url.startswith("file:") or page.wrong.append(f"fetched {request.url}")
+            ),
+        )
         page.goto((pages[kind] / "report.html").as_uri())
         if script and unfold:
-            page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+            page.evaluate(
+                "document.querySelectorAll('details').forEach((part) => { part.open = true; })"
+            )
         return page
 
     yield visit
@@ -186,8 +207,12 @@ def test_the_accessibility_tree_has_a_name_for_everything(opened, kind):
         ):
             assert node.get("name", {}).get("value", "").strip(), node["role"]
     levels = [
-        p["value"]["value"] for n in shown if n["role"]["value"] == "heading" for p in n["properties"] if p["name"] == "level"
-    ]  # fmt: skip
+        p["value"]["value"]
+        for n in shown
+        if n["role"]["value"] == "heading"
+        for p in n["properties"]
+        if p["name"] == "level"
+    ]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(b <= a + 1 for a, b in pairwise(levels))
@@ -210,7 +235,10 @@ def test_the_cursor_reads_the_pbox_by_keyboard_mouse_and_touch(opened, pages):
     table = pq.read_table(pages["campaign"] / "pbox.parquet").to_pandas()
     rows = table[(table["metric"] == "cross_track_median_m") & (table["value"] <= at)].iloc[-1]
     read = output.inner_text()
-    assert [f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read for k in ("lower", "upper")] == [
+    assert [
+        f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read
+        for k in ("lower", "upper")
+    ] == [
         True,
         True,
     ]
@@ -237,7 +265,13 @@ FIRST = """() => [...document.querySelectorAll("h1, .verdict, .verdict + .figure
 def test_a_study_shows_question_answer_and_figures_on_the_first_screen(opened):
     page = opened("study", 1280, height=800, unfold=False)
     parts = page.evaluate(FIRST)
-    assert [part["name"] for part in parts] == ["h1", "section", "ground-track", "track-distance", "answer-pbox"]
+    assert [part["name"] for part in parts] == [
+        "h1",
+        "section",
+        "ground-track",
+        "track-distance",
+        "answer-pbox",
+    ]
     assert [part["name"] for part in parts if part["bottom"] > 800] == []
     # Side by side, each wide enough for its text.
     assert len({round(part["top"]) for part in parts[2:]}) == 1
@@ -264,7 +298,8 @@ def test_the_reader_of_a_studys_p_box_tells_shares_and_no_empty_band(opened, wid
     seen, tops = set(), set()
     for share in (0.2, 0.5, 0.8):
         slider.evaluate(
-            "(slider, at) => { slider.value = at; slider.dispatchEvent(new Event('input')); }", low + share * (high - low)
+            "(slider, at) => { slider.value = at; slider.dispatchEvent(new Event('input')); }",
+            low + share * (high - low),
         )
         said = output.inner_text()
         assert "after: " in said

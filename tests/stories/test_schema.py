@@ -10,7 +10,9 @@ from lxml import etree
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.places import ROOT
 
-FILES = sorted(path for folder in ("aircraft", "scripts") for path in (ROOT / folder).rglob("*.xml"))
+FILES = sorted(
+    path for folder in ("aircraft", "scripts") for path in (ROOT / folder).rglob("*.xml")
+)
 
 AIRCRAFT = """<?xml version="1.0"?>
 <fdm_config name="test" version="2.0" release="ALPHA">
@@ -135,7 +137,12 @@ REFUSED = [
     ("no version", "aircraft", ' version="2.0"', ""),
     ("version of two digits", "aircraft", 'version="2.0"', 'version="2.10"'),
     ("date in words", "aircraft", "2024-01-31", "January"),
-    ("no metrics", "aircraft", AIRCRAFT[AIRCRAFT.index("<metrics>") : AIRCRAFT.index("<mass_balance")], ""),
+    (
+        "no metrics",
+        "aircraft",
+        AIRCRAFT[AIRCRAFT.index("<metrics>") : AIRCRAFT.index("<mass_balance")],
+        "",
+    ),
     ("metrics out of order", "aircraft", SPAN + "\n    " + CHORD, CHORD + SPAN),
     ("metrics not all there", "aircraft", CHORD, ""),
     ("word for a number", "aircraft", ">1.5<", ">large<"),
@@ -149,16 +156,41 @@ REFUSED = [
     ("place with a name", "aircraft", PLACE, PLACE.replace("<location", '<location name="nose"')),
     ("persistent outside a script", "aircraft", 'value="1"', 'value="1" persistent="true"'),
     ("unknown axis", "aircraft", '"LIFT"', '"NORMAL"'),
-    ("property within an axis", "aircraft", '<axis name="LIFT">', '<axis name="LIFT"><property>test/x</property>'),
+    (
+        "property within an axis",
+        "aircraft",
+        '<axis name="LIFT">',
+        '<axis name="LIFT"><property>test/x</property>',
+    ),
     ("apply_at_cg not a boolean", "aircraft", 'apply_at_cg="true"', 'apply_at_cg="yes"'),
-    ("apply_at_cg outside an axis", "aircraft", 'name="aero/qS"', 'name="aero/qS" apply_at_cg="true"'),
-    ("table without data", "aircraft", "<tableData> -0.1 -0.4 <!-- linear --> 0.1 0.6 </tableData>", ""),
+    (
+        "apply_at_cg outside an axis",
+        "aircraft",
+        'name="aero/qS"',
+        'name="aero/qS" apply_at_cg="true"',
+    ),
+    (
+        "table without data",
+        "aircraft",
+        "<tableData> -0.1 -0.4 <!-- linear --> 0.1 0.6 </tableData>",
+        "",
+    ),
     ("word in a table", "aircraft", "0.1 0.6", "0.1 six"),
     ("output without a rate", "aircraft", ' rate="10"', ""),
     # systems
     ("note in a system", "system", "<property value", "<note>about it</note><property value"),
-    ("documentation in a channel", "system", "<pure_gain", "<documentation>about it</documentation><pure_gain"),
-    ("component outside a channel", "system", "<channel", '<summer name="x"><input>a/b</input></summer><channel'),
+    (
+        "documentation in a channel",
+        "system",
+        "<pure_gain",
+        "<documentation>about it</documentation><pure_gain",
+    ),
+    (
+        "component outside a channel",
+        "system",
+        "<channel",
+        '<summer name="x"><input>a/b</input></summer><channel',
+    ),
     ("channel without a name", "system", '<channel name="control"', "<channel"),
     ("unknown component", "system", "lag_filter", "low_pass"),
     ("component without a name", "system", '<summer name="test/sum">', "<summer>"),
@@ -168,7 +200,12 @@ REFUSED = [
     ("space in a property name", "system", "-test/in", "- test/in"),
     ("property for a filter coefficient", "system", "<c1>5</c1>", "<c1>test/c1</c1>"),
     ("second order filter with a coefficient too few", "system", "<c6>9</c6>", ""),
-    ("two outputs of an actuator", "system", "<lag>20</lag>", "<output>test/x</output><output>test/y</output>"),
+    (
+        "two outputs of an actuator",
+        "system",
+        "<lag>20</lag>",
+        "<output>test/x</output><output>test/y</output>",
+    ),
     ("two rate limits", "system", "<lag>20</lag>", '<rate_limit sense="incr">1</rate_limit>'),
     ("test without a value", "system", ' value="test/pid"', ""),
     ("default after the tests", "system", "</switch>", '<default value="1"/></switch>'),
@@ -179,11 +216,21 @@ REFUSED = [
     ("unknown operation", "system", "abs", "modulus"),
     ("operation upstream left out", "system", "abs", "sign"),
     ("one operand too few", "system", "<lt><p>test/a</p><v>1</v></lt>", "<lt><p>test/a</p></lt>"),
-    ("one operand too many", "system", "<abs><p>test/a</p></abs>", "<abs><p>test/a</p><v>1</v></abs>"),
+    (
+        "one operand too many",
+        "system",
+        "<abs><p>test/a</p></abs>",
+        "<abs><p>test/a</p><v>1</v></abs>",
+    ),
     ("sum of one", "system", "<abs><p>test/a</p></abs>", "<sum><p>test/a</p></sum>"),
     ("word for a value", "system", "<v>1</v>", "<v>one</v>"),
     ("two roots of a function", "system", "<pi/></ifthen>", "<pi/></ifthen><v>1</v>"),
-    ("copy of a function", "system", '<function name="test/noise"', '<function name="test/noise" copyto="test/x"'),
+    (
+        "copy of a function",
+        "system",
+        '<function name="test/noise"',
+        '<function name="test/noise" copyto="test/x"',
+    ),
     # scripts and initial conditions
     ("script without an aircraft", "script", ' aircraft="test"', ""),
     ("run without an end", "script", ' end="10"', ""),
@@ -191,7 +238,12 @@ REFUSED = [
     ("unknown action", "script", "FG_RAMP", "FG_JUMP"),
     ("set without a name", "script", 'set name="test/in"', "set"),
     ("property after the events", "script", "</run>", "<property>test/x</property></run>"),
-    ("notification of words only", "script", "<notify>", "<notify><description>now</description></notify><notify>"),
+    (
+        "notification of words only",
+        "script",
+        "<notify>",
+        "<notify><description>now</description></notify><notify>",
+    ),
     ("unknown state", "initial", "ubody", "u-body"),
     ("two heights", "initial", "<running>", "<altitudeMSL>1</altitudeMSL><running>"),
     ("unknown format", "initial", 'name="test"', 'version="3.0"'),
@@ -221,7 +273,9 @@ def test_sound_document_is_accepted(name: str, tmp_path: Path) -> None:
     assert not errors, "\n".join(errors)
 
 
-@pytest.mark.parametrize(("name", "old", "new"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED])
+@pytest.mark.parametrize(
+    ("name", "old", "new"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED]
+)
 def test_faulty_document_is_refused(name: str, old: str, new: str, tmp_path: Path) -> None:
     assert old in DOCUMENTS[name]
     text = DOCUMENTS[name].replace(old, new)
@@ -237,4 +291,6 @@ def test_broken_xml_is_reported(tmp_path: Path) -> None:
 def test_error_names_file_and_line(tmp_path: Path) -> None:
     text = SYSTEM.replace("  <channel", "  <note/>\n  <channel")
     line = text[: text.index("<note/>")].count("\n") + 1
-    assert f"{tmp_path / 'case.xml'}:{line}: Did not expect element note there" in errors_of(text, tmp_path)
+    assert f"{tmp_path / 'case.xml'}:{line}: Did not expect element note there" in errors_of(
+        text, tmp_path
+    )

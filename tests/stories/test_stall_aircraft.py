@@ -32,12 +32,22 @@ DURATION = 4.0
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
 FLOOR = np.array([2e-3, 2e-3, 2e-3, 2.5e-4, 2.5e-4, 2.5e-4, 3e-4, 3e-4, 1.5e-3, 1e-2])
 PROPERTIES = (
-    "velocities/u-fps", "velocities/v-fps", "velocities/w-fps",
-    "velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec",
-    "attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad", "position/h-sl-ft",
-    "fcs/elevator-pos-deg", "fcs/aileron-pos-deg", "fcs/rudder-pos-deg", "fcs/throttle-pos-pct",
+    "velocities/u-fps",
+    "velocities/v-fps",
+    "velocities/w-fps",
+    "velocities/p-rad_sec",
+    "velocities/q-rad_sec",
+    "velocities/r-rad_sec",
+    "attitude/phi-rad",
+    "attitude/theta-rad",
+    "attitude/psi-rad",
+    "position/h-sl-ft",
+    "fcs/elevator-pos-deg",
+    "fcs/aileron-pos-deg",
+    "fcs/rudder-pos-deg",
+    "fcs/throttle-pos-pct",
     "aero/stall_X",
-)  # fmt: skip
+)
 STEADY = ("synthetic_stall", "espaaro_truth")
 
 
@@ -115,12 +125,25 @@ SEEN = [
     ("stall", {"aero/stall_alpha1_deg": 11.5}),
 ]
 SEEN_SYNTHETIC = [
-    ("stall", {"aero/oswald_e": 0.7}), ("doublet", {"aero/CT_dt": 80.0}), ("doublet", {"aero/CL_de": 0.0004}),
-    ("doublet", {"aero/Cm_q": 0.0}), ("doublet", {"aero/CD_0": 0.105}), ("doublet", {"aero/CL_0": 0.37}),
-    ("doublet", {"aero/CL_alpha": 3.0}), ("roll", {"aero/Cn_da": 0.00006}), ("roll", {"aero/Cl_r": 0.04}),
-    ("roll", {"aero/Cn_p": 0.023}), ("roll", {"aero/CY_p": 0.033}), ("yaw", {"aero/Cl_dr": -0.0002}), ("yaw", {"aero/CY_r": 0.1}),
-]  # fmt: skip
-SEEN_TRUTH = [("stall", {"aero/CX_q": 0.0}), ("roll", {"aero/Cm_p2": 0.0}), ("doublet", {"aero/Cl_de": 0.0})]
+    ("stall", {"aero/oswald_e": 0.7}),
+    ("doublet", {"aero/CT_dt": 80.0}),
+    ("doublet", {"aero/CL_de": 0.0004}),
+    ("doublet", {"aero/Cm_q": 0.0}),
+    ("doublet", {"aero/CD_0": 0.105}),
+    ("doublet", {"aero/CL_0": 0.37}),
+    ("doublet", {"aero/CL_alpha": 3.0}),
+    ("roll", {"aero/Cn_da": 0.00006}),
+    ("roll", {"aero/Cl_r": 0.04}),
+    ("roll", {"aero/Cn_p": 0.023}),
+    ("roll", {"aero/CY_p": 0.033}),
+    ("yaw", {"aero/Cl_dr": -0.0002}),
+    ("yaw", {"aero/CY_r": 0.1}),
+]
+SEEN_TRUTH = [
+    ("stall", {"aero/CX_q": 0.0}),
+    ("roll", {"aero/Cm_p2": 0.0}),
+    ("doublet", {"aero/Cl_de": 0.0}),
+]
 
 
 @pytest.mark.parametrize(
@@ -138,12 +161,20 @@ def test_a_wrong_number_is_seen(name, manoeuvre, changes):
 def test_separation_point_at_a_forced_state(alpha, second):
     # Falling out of balance, the aircraft has an alphadot at once, which the lag must take with its sign.
     u, _, w = body_velocity(21.0, np.radians(alpha), 0.0)
-    names = ("aero/stall_X", "aero/stall_lift_factor", "aero/alpha_lag-deg", "aero/alphadot-rad_sec")
+    names = (
+        "aero/stall_X",
+        "aero/stall_lift_factor",
+        "aero/alpha_lag-deg",
+        "aero/alphadot-rad_sec",
+    )
     _, out = force_state(
-        find_aircraft("synthetic_stall"), BodyState(u, 0.0, w, 0.0, np.radians(alpha), 0.0),
-        {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0, "throttle": 60.0}, HEIGHT,
-        {"aero/stall_second_lag": second, "aero/stall_tau2": 0.7}, names,
-    )  # fmt: skip
+        find_aircraft("synthetic_stall"),
+        BodyState(u, 0.0, w, 0.0, np.radians(alpha), 0.0),
+        {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0, "throttle": 60.0},
+        HEIGHT,
+        {"aero/stall_second_lag": second, "aero/stall_tau2": 0.7},
+        names,
+    )
     X, share, lag, alphadot = (out[name] for name in names)
     assert abs(lag) > 0.01
     assert lag == pytest.approx(0.7 * 0.53 / 21.0 * np.degrees(alphadot), rel=1e-6)
@@ -173,7 +204,12 @@ def test_the_truth_is_the_espaaro_and_four_effects():
     ours = (folder / "espaaro/espaaro.xml").read_text().splitlines()
     truth = (folder / "espaaro_truth/espaaro_truth.xml").read_text().splitlines()
     gone = [line[2:].strip() for line in difflib.ndiff(ours, truth) if line.startswith("- ")]
-    names = ("espaaro", "E-SPAARO", "CZ_alpha</property> <property>aero/alpha-rad", "aero/Cl_de</property>")
+    names = (
+        "espaaro",
+        "E-SPAARO",
+        "CZ_alpha</property> <property>aero/alpha-rad",
+        "aero/Cl_de</property>",
+    )
     assert len(gone) == 5
     assert all(any(name in line for name in names) for line in gone), gone
 
@@ -182,7 +218,9 @@ def test_the_truth_is_the_espaaro_and_four_effects():
 def test_systems_are_the_espaaros(name):
     own = PROJECT_ROOT / "aircraft/espaaro/Systems"
     for path in own.glob("*.xml"):
-        assert (PROJECT_ROOT / "aircraft" / name / "Systems" / path.name).resolve() == path.resolve()
+        assert (
+            PROJECT_ROOT / "aircraft" / name / "Systems" / path.name
+        ).resolve() == path.resolve()
     # A link's content counts for the identity of the aircraft.
     assert content_hash(find_aircraft(name)) != content_hash(find_aircraft("espaaro"))
 
@@ -194,4 +232,9 @@ def test_flies_with_jsbsim_alone(name):
         "assert f.load_model(sys.argv[2]); f.load_ic('cruise', True); f.run_ic(); [f.run() for _ in range(100)];"
         "assert 15 < f['velocities/vt-fps'] * 0.3048 < 30"
     )
-    subprocess.run([sys.executable, "-c", program, str(PROJECT_ROOT), name], check=True, capture_output=True, timeout=60)
+    subprocess.run(
+        [sys.executable, "-c", program, str(PROJECT_ROOT), name],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )

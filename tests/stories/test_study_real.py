@@ -63,7 +63,14 @@ coefficients = ["CX", "CY"]
 
 def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     (tmp_path / "study.toml").write_text(SMALL)
-    words = ["study", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    words = [
+        "study",
+        str(tmp_path / "study.toml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "1",
+    ]
     assert cli.main(words) == 0
     said = capsys.readouterr()
     assert said.err == ""
@@ -79,15 +86,22 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     assert "commanded path" in page
     out = tmp_path / "out"
     document = json.loads((out / "study.json").read_text())
-    assert "2 of 2 parameters were identified from ident by output error" in document["verdict"][-1]["text"]
+    assert (
+        "2 of 2 parameters were identified from ident by output error"
+        in document["verdict"][-1]["text"]
+    )
     assert {row["state"] for row in document["stages"]} == {"done"}
     assert all((out / row["folder"]).is_dir() for row in document["stages"])
     # The campaign flew the identified aircraft within that very aircraft's bounds.
     form = read_model_form(out / "bounds-before" / "model-form.json")
     assert form.aircraft.sha256 == content_hash(find_aircraft(out / "identify" / "aircraft"))
     flown = find_aircraft(out / "campaign-before" / "aircraft" / "aircraft")
-    assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (out / "bounds-before" / "model-form.xml").read_bytes()
-    assert (flown.folder / "espaaro.xml").read_bytes() == (out / "identify" / "aircraft" / "espaaro.xml").read_bytes()
+    assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (
+        out / "bounds-before" / "model-form.xml"
+    ).read_bytes()
+    assert (flown.folder / "espaaro.xml").read_bytes() == (
+        out / "identify" / "aircraft" / "espaaro.xml"
+    ).read_bytes()
     manifest = json.loads((out / "campaign-before" / "manifest.json").read_text())
     assert manifest["cases"] == 40  # two of each of 4 corners and 16 points between them
     # A stage's command, given to a shell, does what the stage did.
@@ -100,7 +114,11 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
 @pytest.mark.slow
 def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(tmp_path):
     text = (PROJECT_ROOT / "campaigns" / "chain" / "chain.toml").read_text()
-    text = text.replace("../../scripts/", "").replace("flights = 40 ", "flights = 1 ").replace("[3, 7, 12]", "3")
+    text = (
+        text.replace("../../scripts/", "")
+        .replace("flights = 40 ", "flights = 1 ")
+        .replace("[3, 7, 12]", "3")
+    )
     (tmp_path / "study.toml").write_text(text)
     document = run_chain(cli.run_words, read_chain(tmp_path / "study.toml"), tmp_path / "out")
     assert {row["exit"] for row in document["stages"]} == {0}

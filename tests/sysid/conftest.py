@@ -23,7 +23,9 @@ def flown() -> FlightRecord:
 
 
 @pytest.fixture(scope="session")
-def bin_log(tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card: AirframeCard) -> Path:
+def bin_log(
+    tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card: AirframeCard
+) -> Path:
     path = tmp_path_factory.mktemp("logs") / "flight.bin"
     write_dataflash(flown, path, card, vehicle="ArduPlane V4.6.0")
     return path

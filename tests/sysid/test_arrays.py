@@ -51,7 +51,11 @@ def test_parameters_are_a_copy_of_finite_numbers():
     taken[0] = 9.0
     assert given[0] == 1.0
     assert as_parameters(3.0).tolist() == [3.0]
-    for bad, said in (([], "at least one"), ([[1.0]], "vector"), ([1.0, np.nan, np.inf], r"\[1, 2\]")):
+    for bad, said in (
+        ([], "at least one"),
+        ([[1.0]], "vector"),
+        ([1.0, np.nan, np.inf], r"\[1, 2\]"),
+    ):
         with pytest.raises(ValueError, match=said):
             as_parameters(bad)
     with pytest.raises(ValueError, match="numeric"):
@@ -61,7 +65,11 @@ def test_parameters_are_a_copy_of_finite_numbers():
 def test_names_are_given_or_numbered():
     assert as_names(None, 2, "p") == ("p0", "p1")
     assert as_names(["x", "y"], 2, "p") == ("x", "y")
-    for bad, said in ((["x"], "1 entries for 2"), (["x", "x"], "repeats x"), ("xy", "single string")):
+    for bad, said in (
+        (["x"], "1 entries for 2"),
+        (["x", "x"], "repeats x"),
+        ("xy", "single string"),
+    ):
         with pytest.raises(ValueError, match=said):
             as_names(bad, 2, "p")
 

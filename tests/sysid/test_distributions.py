@@ -20,7 +20,10 @@ X = np.array([1e-3, 0.2, 1.0, 4.0, 30.0])
     [
         (own.normal_quantile(P), stats.norm.ppf(P)),
         (own.normal_tail(X), stats.norm.sf(X)),
-        *((own.student_quantile(P, dof), stats.t.ppf(P, dof)) for dof in (0.7, 3, 41.5, 1e6, np.inf)),
+        *(
+            (own.student_quantile(P, dof), stats.t.ppf(P, dof))
+            for dof in (0.7, 3, 41.5, 1e6, np.inf)
+        ),
         *((own.chi2_quantile(P, dof), stats.chi2.ppf(P, dof)) for dof in (1, 2, 60)),
         *((own.chi2_upper_quantile(P, dof), stats.chi2.isf(P, dof)) for dof in (1, 2, 60)),
         *((own.chi2_tail(X, dof), stats.chi2.sf(X, dof)) for dof in (1, 2, 60)),
@@ -39,7 +42,9 @@ def test_what_is_undefined_is_nan_and_a_number_stays_one() -> None:
     assert np.ndim(own.student_quantile(0.9, 5)) == 0
 
 
-@pytest.mark.parametrize("module", ["sysid.distributions", "uqharness.statistics.pbox", "sysid.model_form.model_form"])
+@pytest.mark.parametrize(
+    "module", ["sysid.distributions", "uqharness.statistics.pbox", "sysid.model_form.model_form"]
+)
 def test_scipy_stats_is_not_loaded(module: str) -> None:
     asked = f"import sys, {module}; sys.exit('scipy.stats' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import math
 
-from sysid.errors import MOST_CHARACTERS, MOST_LINES, Finding, LogError, finding_from_dict, in_a_line, shortened
+from sysid.errors import (
+    MOST_CHARACTERS,
+    MOST_LINES,
+    Finding,
+    LogError,
+    finding_from_dict,
+    in_a_line,
+    shortened,
+)
 
 
 def test_an_error_is_one_line_of_a_length_to_be_read() -> None:
@@ -18,7 +26,10 @@ def test_an_error_is_one_line_of_a_length_to_be_read() -> None:
     assert many.splitlines()[-1] == f"and {500 - MOST_LINES + 1} more"
     assert len(many.splitlines()) == MOST_LINES
     assert shortened(many) == many
-    assert str(LogError("unknown signal 'a\nb'", "m.toml", "line 3")) == "m.toml: line 3: unknown signal 'a b'"
+    assert (
+        str(LogError("unknown signal 'a\nb'", "m.toml", "line 3"))
+        == "m.toml: line 3: unknown signal 'a b'"
+    )
 
 
 def test_a_librarys_words_are_one_short_line() -> None:
@@ -31,6 +42,11 @@ def test_a_finding_comes_back_from_its_dictionary() -> None:
     finding = Finding("gap", "q_radps", "warning", "a gap", {"total_s": 1.5, "longest_s": math.inf})
     assert finding.as_dict()["numbers"] == {"total_s": 1.5, "longest_s": None}
     back = finding_from_dict(finding.as_dict())
-    assert (back.code, back.channel, back.severity, back.message) == ("gap", "q_radps", "warning", "a gap")
+    assert (back.code, back.channel, back.severity, back.message) == (
+        "gap",
+        "q_radps",
+        "warning",
+        "a gap",
+    )
     assert back.numbers["total_s"] == 1.5
     assert math.isnan(back.numbers["longest_s"])

@@ -13,7 +13,14 @@ from sysid.notebook_view import MOST_ROWS, frame_table, rows_table, view, writte
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(1.23456789, "1.235"), (math.nan, ""), (True, "True"), (3, "3"), (math.inf, "inf"), ("a", "a")],
+    [
+        (1.23456789, "1.235"),
+        (math.nan, ""),
+        (True, "True"),
+        (3, "3"),
+        (math.inf, "inf"),
+        ("a", "a"),
+    ],
 )
 def test_numbers_in_cells(value: object, text: str):
     assert written(value) == text

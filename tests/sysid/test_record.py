@@ -21,11 +21,21 @@ def example() -> FlightRecord:
     labels = np.full(len(record), "", dtype=object)
     labels[30:40] = "pitch-doublet"
     meta = Metadata(
-        source="a.bin", sha256="00", dialect="dataflash", vehicle="ArduPlane", aircraft="espaaro", grid_hz=50.0,
-        start={"lat_deg": 37.1977}, native_hz={"V_mps": 10.0}, channels={"V_mps": "ARSP.Airspeed"},
-        estimates=("beta_rad",), free_flight_s=((0.5, 3.5),),
-        findings=(Finding("gap", "IMU", "warning", "a gap", {"total_s": 1.5, "nan": float("nan")}),),
-    )  # fmt: skip
+        source="a.bin",
+        sha256="00",
+        dialect="dataflash",
+        vehicle="ArduPlane",
+        aircraft="espaaro",
+        grid_hz=50.0,
+        start={"lat_deg": 37.1977},
+        native_hz={"V_mps": 10.0},
+        channels={"V_mps": "ARSP.Airspeed"},
+        estimates=("beta_rad",),
+        free_flight_s=((0.5, 3.5),),
+        findings=(
+            Finding("gap", "IMU", "warning", "a gap", {"total_s": 1.5, "nan": float("nan")}),
+        ),
+    )
     return FlightRecord({**record.columns, "alpha_rad": gappy, "manoeuvre": labels}, meta)
 
 
@@ -49,7 +59,9 @@ def test_a_renamed_record_is_read_by_content(tmp_path: Path) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=20), st.integers(0, 19))
-def test_any_numbers_survive_csv(tmp_path_factory: pytest.TempPathFactory, values: list[float], hole: int) -> None:
+def test_any_numbers_survive_csv(
+    tmp_path_factory: pytest.TempPathFactory, values: list[float], hole: int
+) -> None:
     column = np.array(values)
     column[hole % len(column)] = np.nan
     path = tmp_path_factory.mktemp("csv") / "r.csv"

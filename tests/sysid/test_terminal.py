@@ -23,7 +23,9 @@ def test_ordinary_text_is_untouched() -> None:
 
 
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
-def test_both_streams_are_cleaned_for_the_block_and_only_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_streams_are_cleaned_for_the_block_and_only_once(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain = io.StringIO()
     monkeypatch.setattr(sys, name, plain)
     with clean_terminal():

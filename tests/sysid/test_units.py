@@ -10,7 +10,9 @@ from sysid import units
 
 ROOT = Path(__file__).resolve().parents[2]
 # Of the international foot, inch, pound and knot, the slug and standard gravity, and of an angle.
-_VALUE = re.compile(r"0\.3048|0\.0254|515\.37|4\.4482|1\.35581|14\.5939|0\.453592|0\.51444|47\.8802|57\.2957|0\.0174532|9\.80665")
+_VALUE = re.compile(
+    r"0\.3048|0\.0254|515\.37|4\.4482|1\.35581|14\.5939|0\.453592|0\.51444|47\.8802|57\.2957|0\.0174532|9\.80665"
+)
 
 
 def test_exact_units_follow_from_pound_foot_and_standard_gravity() -> None:
@@ -30,14 +32,21 @@ def test_exact_units_follow_from_pound_foot_and_standard_gravity() -> None:
         (units.SLUG_FT3_KGPM3, units.LBF_N / units.FT_M**4, 1e-9),
     ],
 )
-def test_short_units_are_the_exact_ones_with_fewer_digits(short: float, exact: float, rel: float) -> None:
+def test_short_units_are_the_exact_ones_with_fewer_digits(
+    short: float, exact: float, rel: float
+) -> None:
     assert short != exact
     assert short == pytest.approx(exact, rel=rel)
 
 
 def test_no_other_module_writes_such_a_value() -> None:
     assert _VALUE.search("V_mps = 0.3048 * V_fps")
-    modules = (path for package in ("sysid", "uqharness") for path in (ROOT / package).rglob("*.py"))
+    modules = (
+        path for package in ("sysid", "uqharness") for path in (ROOT / package).rglob("*.py")
+    )
     found = [str(path.relative_to(ROOT)) for path in modules if _VALUE.search(path.read_text())]
-    allowed = {"sysid/units.py", "sysid/logs/checking/checks.py"}  # the latter in a sentence for people
+    allowed = {
+        "sysid/units.py",
+        "sysid/logs/checking/checks.py",
+    }  # the latter in a sentence for people
     assert set(found) <= allowed, found

@@ -39,19 +39,43 @@ def test_what_fits_is_taken_as_a_plain_value(read: Callable, given: object, foun
         (arguments.workers, "2", "workers = '2': a whole number of at least 1 is needed"),
         (arguments.workers, 0, "workers = 0: a whole number of at least 1 is needed"),
         (arguments.workers, True, "workers = True: a whole number of at least 1 is needed"),
-        (lambda v: arguments.whole("seed", v), 1.5, "seed = 1.5: a whole number of at least 0 is needed"),
+        (
+            lambda v: arguments.whole("seed", v),
+            1.5,
+            "seed = 1.5: a whole number of at least 0 is needed",
+        ),
         (lambda v: arguments.number("hours", v), True, "hours = True: a finite number is needed"),
-        (lambda v: arguments.number("hours", v), math.nan, "hours = nan: a finite number is needed"),
-        (lambda v: arguments.share("confidence", v), "x", "confidence = 'x': a number between 0 and 1, such as 0.95, is needed"),
+        (
+            lambda v: arguments.number("hours", v),
+            math.nan,
+            "hours = nan: a finite number is needed",
+        ),
+        (
+            lambda v: arguments.share("confidence", v),
+            "x",
+            "confidence = 'x': a number between 0 and 1, such as 0.95, is needed",
+        ),
         (lambda v: arguments.flag("noise", v), 3, "noise = 3: True or False is needed"),
         (lambda v: arguments.path("out", v), 5, "out = 5: a path, as a str or a Path, is needed"),
         (lambda v: arguments.path("out", v), "", "out = '': a path, as a str or a Path, is needed"),
-        (lambda v: arguments.one_of("servos", v, ("card", "ideal")), ["card"], "servos = ['card']: allowed are card, ideal"),
-        (lambda v: arguments.instance("box", v, dict, "a dict"), None, "box = None: a dict is needed"),
-        (arguments.properties, [1], "properties = [1]: a mapping such as {\"aero/Cm_q\": -10.0} is needed"),
+        (
+            lambda v: arguments.one_of("servos", v, ("card", "ideal")),
+            ["card"],
+            "servos = ['card']: allowed are card, ideal",
+        ),
+        (
+            lambda v: arguments.instance("box", v, dict, "a dict"),
+            None,
+            "box = None: a dict is needed",
+        ),
+        (
+            arguments.properties,
+            [1],
+            'properties = [1]: a mapping such as {"aero/Cm_q": -10.0} is needed',
+        ),
         (arguments.properties, {"a": math.inf}, "properties: a = inf: a finite number is needed"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_said_in_one_sentence(read: Callable, given: object, said: str):
     with pytest.raises(BadInputError) as caught:
         read(given)

@@ -53,15 +53,27 @@ def place(tmp_path) -> Path:
     for name in HOSTILE:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n")
+        path.write_text(
+            f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n"
+        )
     return folder
 
 
 def run(place: Path, *command: str) -> tuple[subprocess.CompletedProcess, str]:
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONSAFEPATH", "PYTHONPATH")}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONSAFEPATH", "PYTHONPATH")
+    }
     done = subprocess.run(
-        command, cwd=place, env=environment, capture_output=True, text=True, timeout=120, check=False
-    )  # fmt: skip
+        command,
+        cwd=place,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     marks = place.parent / "marks"
     return done, marks.read_text() if marks.exists() else ""
 
@@ -73,7 +85,10 @@ def run_script(place: Path, *how: str) -> tuple[subprocess.CompletedProcess, str
     return run(place, sys.executable, str(script), *how)
 
 
-@pytest.mark.parametrize(("how", "said"), [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")])
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")],
+)
 def test_no_worker_imports_what_lies_in_the_working_folder(place, how, said):
     done, marks = run_script(place, how)
     assert (done.returncode, done.stdout.strip(), marks) == (0, said, ""), done.stderr
@@ -90,7 +105,9 @@ def test_the_command_flies_a_campaign_in_such_a_folder(place):
         "[aleatory]\nflights = 2\nduration_s = 2\n"
         '[epistemic]\nmethod = "none"\n'
     )
-    done, marks = run(place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "1")
+    done, marks = run(
+        place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "1"
+    )
     assert (done.returncode, marks) == (0, ""), done.stderr
     assert "2 flights done" in done.stdout
 
@@ -106,7 +123,9 @@ def test_this_process_keeps_its_own_settings(monkeypatch):
 
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> str:
     """Name of a module with that code, which children find."""
-    (tmp_path / "asked_in_a_child.py").write_text(f"import os, sys\nfrom uqharness.child_process import give_answer\n{code}\n")
+    (tmp_path / "asked_in_a_child.py").write_text(
+        f"import os, sys\nfrom uqharness.child_process import give_answer\n{code}\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     return "asked_in_a_child"
 
@@ -128,13 +147,20 @@ def test_a_module_answers_from_a_process_of_its_own(tmp_path, monkeypatch):
     ],
 )
 def test_how_a_child_ended_is_said_in_words(tmp_path, monkeypatch, code, number, words):
-    ended = run_module(module(tmp_path, monkeypatch, f"print('last words', flush=True)\n{code}"), timeout_s=60)
+    ended = run_module(
+        module(tmp_path, monkeypatch, f"print('last words', flush=True)\n{code}"), timeout_s=60
+    )
     assert (ended.code, ended.answer, ended.said) == (number, {}, "last words")
     assert ending(ended.code) == words
 
 
 def test_a_child_that_does_not_come_back_is_ended(tmp_path, monkeypatch):
-    assert run_module(module(tmp_path, monkeypatch, "import time\ntime.sleep(600)"), timeout_s=1.0).code is None
+    assert (
+        run_module(
+            module(tmp_path, monkeypatch, "import time\ntime.sleep(600)"), timeout_s=1.0
+        ).code
+        is None
+    )
 
 
 def test_what_looks_like_an_answer_and_is_none_counts_as_none(tmp_path, monkeypatch):

@@ -51,7 +51,9 @@ def test_a_lock_is_taken_once_and_given_back_at_the_end_of_its_process(tmp_path:
         "import os, sys\nfrom uqharness.files import lock_at_once\n"
         "print(lock_at_once(os.open(sys.argv[1], os.O_RDWR)), flush=True)\nsys.stdin.read()"
     )
-    with subprocess.Popen([sys.executable, "-c", held, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+    with subprocess.Popen(
+        [sys.executable, "-c", held, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"True\n"
         handle = os.open(path, os.O_RDWR)

@@ -14,20 +14,42 @@ from uqharness.errors import BadInputError
 from uqharness.report.write import write_report
 
 MAKE = {
-    "fit.json": folders.identified, "compare.json": folders.compared, "coverage.json": folders.covered,
+    "fit.json": folders.identified,
+    "compare.json": folders.compared,
+    "coverage.json": folders.covered,
     "refinement.json": folders.refined,
-}  # fmt: skip
+}
 STUDY = folders.study([folders.stage("fly", "fly", "fly", state="waiting")])
 DROPPED = {
-    "fit.json": ["parameters", "parameters.aero/Cm_q.std", "parameters.aero/Cm_q.value", "fit", "aircraft"],
-    "compare.json": ["channels.q_radps.ratio", "coefficients", "manoeuvres.roll doublet.channels", "moments.0.noises"],
+    "fit.json": [
+        "parameters",
+        "parameters.aero/Cm_q.std",
+        "parameters.aero/Cm_q.value",
+        "fit",
+        "aircraft",
+    ],
+    "compare.json": [
+        "channels.q_radps.ratio",
+        "coefficients",
+        "manoeuvres.roll doublet.channels",
+        "moments.0.noises",
+    ],
     "coverage.json": ["coverage.CX.0\\.95", "coverage"],
     "refinement.json": [
-        "effects.0.value", "effects.0.alternatives.0.would_separate", "withdrawn.0.test", "withdrawn.0.test.std", "gap.test",
-        "gap.test.channels.q_radps.noise_rms", "gap.test.intervals.coefficients.Cm.coverage_before", "remaining.unexplained",
-        "switch.0.property", "parameters.aero/Cm_q.std", "disagreement.0.size", "gap.test.coefficients",
+        "effects.0.value",
+        "effects.0.alternatives.0.would_separate",
+        "withdrawn.0.test",
+        "withdrawn.0.test.std",
+        "gap.test",
+        "gap.test.channels.q_radps.noise_rms",
+        "gap.test.intervals.coefficients.Cm.coverage_before",
+        "remaining.unexplained",
+        "switch.0.property",
+        "parameters.aero/Cm_q.std",
+        "disagreement.0.size",
+        "gap.test.coefficients",
     ],
-}  # fmt: skip
+}
 CASES = [(name, key) for name, keys in DROPPED.items() for key in keys]
 
 
@@ -64,7 +86,9 @@ def test_a_page_is_refused_with_file_and_key(name, key, new, tmp_path):
     assert not (folder / "report.html").exists()
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"parameters": ' + "[" * 50_000 + "]" * 50_000 + "}", "9" * 5000])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", '{"parameters": ' + "[" * 50_000 + "]" * 50_000 + "}", "9" * 5000]
+)
 def test_what_is_no_json_object(text, tmp_path):
     (tmp_path / "fit.json").write_text(text)
     with pytest.raises(BadInputError, match=r"fit\.json"):
@@ -73,7 +97,9 @@ def test_what_is_no_json_object(text, tmp_path):
 
 @pytest.mark.parametrize("place", ["../../etc", "/etc", "a/../../b", "C:\\Windows"])
 def test_a_study_shows_nothing_from_outside_its_folder(place, tmp_path):
-    folder = folders.written(tmp_path, "study.json", STUDY | {"before_after": {"before": place, "after": "after"}})
+    folder = folders.written(
+        tmp_path, "study.json", STUDY | {"before_after": {"before": place, "after": "after"}}
+    )
     with pytest.raises(BadInputError, match="within the folder"):
         write_report(folder)
     stages = [folders.stage("bounds", "bounds", place)]
@@ -91,9 +117,15 @@ def changed(folder, change):
     ("change", "said"),
     [
         (lambda t: t.drop_columns(["time_s"]), "time_s is there 0 times"),
-        (lambda t: t.set_column(0, "segment", t["segment"].cast(pa.float64())), "segment is double"),
+        (
+            lambda t: t.set_column(0, "segment", t["segment"].cast(pa.float64())),
+            "segment is double",
+        ),
         (lambda t: t.append_column("q_radps", t["q_radps"]), "q_radps is there 2 times"),
-        (lambda t: t.set_column(1, "flight", pa.array([None] * len(t), pa.string())), "flight has gaps"),
+        (
+            lambda t: t.set_column(1, "flight", pa.array([None] * len(t), pa.string())),
+            "flight has gaps",
+        ),
         (lambda t: t.append_column("nested", pa.array([[1.0]] * len(t))), "nested is list"),
     ],
 )
@@ -106,7 +138,9 @@ def test_histories_that_no_command_writes(change, said, tmp_path):
 
 def test_histories_with_text_that_is_none(tmp_path):
     folder = folders.identified(tmp_path / "results")
-    odd = pa.Array.from_buffers(pa.string(), 1, [None, pa.py_buffer(b"\0\0\0\0\1\0\0\0"), pa.py_buffer(b"\xff")])
+    odd = pa.Array.from_buffers(
+        pa.string(), 1, [None, pa.py_buffer(b"\0\0\0\0\1\0\0\0"), pa.py_buffer(b"\xff")]
+    )
     changed(folder, lambda t: t.set_column(2, "manoeuvre", pa.chunked_array([odd] * len(t))))
     with pytest.raises(BadInputError, match=r"histories\.parquet: not a readable parquet file"):
         write_report(folder)

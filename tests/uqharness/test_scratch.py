@@ -127,8 +127,9 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
     for process, _ in dead:
         _end(process)
     living = [
-        subprocess.Popen([sys.executable, "-c", _HOLD], stdout=subprocess.PIPE, text=True) for _ in range(4)
-    ]  # fmt: skip
+        subprocess.Popen([sys.executable, "-c", _HOLD], stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
     try:
         with ThreadPoolExecutor(4) as threads:
             sweeps = [threads.submit(scratch.sweep) for _ in range(200)]
@@ -142,7 +143,9 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
             _end(process)
 
 
-def test_a_folder_swept_while_it_was_being_made_is_made_again(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_swept_while_it_was_being_made_is_made_again(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real, taken = scratch.lock_at_once, []
 
     def too_late(handle: int) -> bool:
@@ -191,7 +194,9 @@ def test_an_emptied_folder_of_temporary_files_is_no_end(place: Path) -> None:
             assert second.path.is_dir()
 
 
-def test_no_place_for_temporary_files_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_place_for_temporary_files_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     monkeypatch.setattr(scratch, "_homes", {})
     with pytest.raises(BadInputError, match="set TMPDIR"):

@@ -40,6 +40,8 @@ def test_numbers(value):
     assert is_number(value)
 
 
-@pytest.mark.parametrize("value", [True, False, math.nan, math.inf, -math.inf, 10**400, "1", None, [1]])
+@pytest.mark.parametrize(
+    "value", [True, False, math.nan, math.inf, -math.inf, 10**400, "1", None, [1]]
+)
 def test_what_is_no_number(value):
     assert not is_number(value)

@@ -21,7 +21,10 @@ name = "two"
 """
 
 
-@pytest.mark.parametrize("value", ['with "quotes", \\, \x7f and ä', 1.5e-300, -3, True, [1, [2.5, "x"]], float("inf"), ""])
+@pytest.mark.parametrize(
+    "value",
+    ['with "quotes", \\, \x7f and ä', 1.5e-300, -3, True, [1, [2.5, "x"]], float("inf"), ""],
+)
 def test_a_value_is_read_back_as_it_was(value):
     assert parse_toml(f"a = {as_toml(value)}") == {"a": value}
 
@@ -52,7 +55,11 @@ def test_the_line_of_a_key_or_of_its_section(location, line):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"a = \xff", "not a text file in UTF-8"), (b"a = 1\nb = ", ":2: not valid TOML"), (None, "cannot be read")],
+    [
+        (b"a = \xff", "not a text file in UTF-8"),
+        (b"a = 1\nb = ", ":2: not valid TOML"),
+        (None, "cannot be read"),
+    ],
 )
 def test_a_file_that_cannot_be_read_is_named(content, said, tmp_path: Path):
     path = tmp_path / "file.toml"

@@ -66,13 +66,20 @@ def find_trim(
     (True, 60)
     """
     number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda given: 0.0 < given < math.inf)
-    for name, angle in (("climb_rad", climb_rad), ("bank_rad", bank_rad), ("heading_rad", heading_rad), ("altitude_m", altitude_m)):
+    for name, angle in (
+        ("climb_rad", climb_rad),
+        ("bank_rad", bank_rad),
+        ("heading_rad", heading_rad),
+        ("altitude_m", altitude_m),
+    ):
         number(name, angle)
     if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
         raise BadInputError(
             f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees either way are needed"
         )
-    condition = SteadyCondition(V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties))
+    condition = SteadyCondition(
+        V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
+    )
     return trim.find_trim(given_aircraft(aircraft), condition)
 
 
@@ -166,23 +173,33 @@ def instrument(
     """
     folder = path("out", out)
     if form is None and constant is None:
-        raise BadInputError('instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds of zero')
+        raise BadInputError(
+            'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds of zero'
+        )
     if form is not None and constant is not None:
-        raise BadInputError("instrument: form and constant are two sources of bounds; give one of them")
+        raise BadInputError(
+            "instrument: form and constant are two sources of bounds; give one of them"
+        )
     if isinstance(form, MadeBounds):
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
         form = read_model_form(path("form", form))
-    given = instance("constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}')
+    given = instance(
+        "constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}'
+    )
     bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
     model = given_aircraft(aircraft)
     check_folder(folder)
-    return instrument_aircraft(model, bounds, folder, air=flag("air", air), check=flag("check", check), mass=_mass(mass))
+    return instrument_aircraft(
+        model, bounds, folder, air=flag("air", air), check=flag("check", check), mass=_mass(mass)
+    )
 
 
 def _mass(given: Mapping[str, float] | None) -> MassProperties:
     allowed = tuple(MassProperties.__dataclass_fields__)
-    numbers = instance("mass", {} if given is None else given, Mapping, 'a mapping such as {"mass_kg": 900.0}')
+    numbers = instance(
+        "mass", {} if given is None else given, Mapping, 'a mapping such as {"mass_kg": 900.0}'
+    )
     if unknown := [name for name in numbers if name not in allowed]:
         raise BadInputError(f"mass: {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
     return MassProperties(**{name: number(name, value) for name, value in numbers.items()})
@@ -190,9 +207,13 @@ def _mass(given: Mapping[str, float] | None) -> MassProperties:
 
 def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
     ends = tuple(value) if isinstance(value, tuple | list) else (value,)
-    numbers = all(isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends)
+    numbers = all(
+        isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends
+    )
     needed = f"one of {', '.join(COEFFICIENTS)} with a half width, or (lower <= 0, upper >= 0),"
-    require(f"constant: {name}", value, name in COEFFICIENTS and numbers and len(ends) in (1, 2), needed)
+    require(
+        f"constant: {name}", value, name in COEFFICIENTS and numbers and len(ends) in (1, 2), needed
+    )
     low, high = ends if len(ends) == 2 else (-ends[0], ends[0])
     require(f"constant: {name}", value, low <= 0.0 <= high, needed)
     return float(low) + 0.0, float(high)

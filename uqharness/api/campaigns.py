@@ -20,7 +20,14 @@ from numpy.typing import ArrayLike
 from uqharness.api.flights import AnyPath
 from uqharness.arguments import number, one_of, path, require, share, whole
 from uqharness.arguments import workers as given_workers
-from uqharness.campaign import CONFIDENCE, STATEMENTS, Progress, band_confidence, bounds_notes, pboxes
+from uqharness.campaign import (
+    CONFIDENCE,
+    STATEMENTS,
+    Progress,
+    band_confidence,
+    bounds_notes,
+    pboxes,
+)
 from uqharness.campaign import run as running
 from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
@@ -71,14 +78,22 @@ class CampaignResult:
     def pboxes(self) -> dict[tuple[str, str], PBox]:
         """(metric, condition) to its p-box; the rows of pbox.parquet."""
         confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
-        return {(metric, condition.label): box for metric, condition, box in pboxes(self.cases, confidence)}
+        return {
+            (metric, condition.label): box
+            for metric, condition, box in pboxes(self.cases, confidence)
+        }
 
     def statements(self) -> pd.DataFrame:
         """statements.csv: per condition and radius the excursions per hour, their limits, and the answer (docs/statements.md)."""
         import pandas as pd
 
         content = read_checked(self.folder, self.manifest, STATEMENTS)
-        return pd.read_csv(io.BytesIO(content), dtype={"best": str, "worst": str}, keep_default_na=False, na_values=[""])
+        return pd.read_csv(
+            io.BytesIO(content),
+            dtype={"best": str, "worst": str},
+            keep_default_na=False,
+            na_values=[""],
+        )
 
 
 def run_campaign(
@@ -145,7 +160,14 @@ def run_campaign(
         require("on_progress", on_progress, callable(on_progress), "a function of a Progress")
     spec = campaign_of(campaign)
     if hours is not None:
-        spec = spec.with_hours(number("hours", hours, "a number of flight hours above 0", lambda given: 0.0 < given < math.inf))
+        spec = spec.with_hours(
+            number(
+                "hours",
+                hours,
+                "a number of flight hours above 0",
+                lambda given: 0.0 < given < math.inf,
+            )
+        )
     if samples is not None:
         samples = whole("samples", samples, 1)
         spec = reading.with_samples(spec, samples)
@@ -234,7 +256,12 @@ def pbox(
     (2.0, 3.0)
     """
     confidence = share("confidence", confidence)
-    require("samples", samples, isinstance(samples, Iterable) and not isinstance(samples, str), "a mapping or sequence of arrays")
+    require(
+        "samples",
+        samples,
+        isinstance(samples, Iterable) and not isinstance(samples, str),
+        "a mapping or sequence of arrays",
+    )
     named = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
         return boxes.pbox([_sample(str(name), values) for name, values in named], confidence)
@@ -260,7 +287,9 @@ def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> Campaig
         except BadInputError as error:
             raise BadInputError(*(_IN_A_FILE.sub("", line) for line in error.args)) from None
     if not isinstance(campaign, str | PathLike):
-        raise BadInputError(f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}")
+        raise BadInputError(
+            f"a campaign is a file, a name or its sections as a dictionary; received {type(campaign).__name__}"
+        )
     return reading.read_campaign(find_campaign(Path(campaign)))
 
 

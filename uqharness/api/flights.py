@@ -90,7 +90,9 @@ class Flight(Tabled):
 
         Raises BadInputError for another ending and a folder that cannot be written.
         """
-        return write_record(self.to_dataframe(), argument_path("path", path), self.aircraft, self.start)
+        return write_record(
+            self.to_dataframe(), argument_path("path", path), self.aircraft, self.start
+        )
 
 
 AnyFlight: TypeAlias = str | PathLike[str] | FlightRecord | Flight
@@ -161,7 +163,11 @@ def fly(
     ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
     """
     model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
-    for name, value in (("wind_mps", wind_mps), ("wind_from_deg", wind_from_deg), ("rate_hz", rate_hz)):
+    for name, value in (
+        ("wind_mps", wind_mps),
+        ("wind_from_deg", wind_from_deg),
+        ("rate_hz", rate_hz),
+    ):
         number(name, value)
     if duration_s is not None:
         number("duration_s", duration_s)
@@ -181,8 +187,18 @@ def fly(
     frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
     known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
     record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
-    record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))))
-    return Flight(run.path.stem, record, _content_sha256(record), recorded.status, recorded.reason, model, start_of(recorded))
+    record = FlightRecord(
+        known, Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record)))
+    )
+    return Flight(
+        run.path.stem,
+        record,
+        _content_sha256(record),
+        recorded.status,
+        recorded.reason,
+        model,
+        start_of(recorded),
+    )
 
 
 def read_flights(
@@ -225,18 +241,27 @@ def read_flights(
     """
     model = carded_aircraft(aircraft)
     several = [paths] if isinstance(paths, str | PathLike) else paths
-    files = [argument_path("paths", p) for p in instance("paths", several, Iterable, "a path or several")]
+    files = [
+        argument_path("paths", p) for p in instance("paths", several, Iterable, "a path or several")
+    ]
     table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     records = [read_flight(path, model, table, own_map) for path in files]
     hashes = [file_sha256(path) for path in files]
     refuse_twice(files, hashes)
-    return [Flight(path.stem, record, sha256) for path, record, sha256 in zip(files, records, hashes, strict=True)]
+    return [
+        Flight(path.stem, record, sha256)
+        for path, record, sha256 in zip(files, records, hashes, strict=True)
+    ]
 
 
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:
     """The aircraft of that name or folder, or the one given. Raises BadInputError."""
-    return aircraft if isinstance(aircraft, Aircraft) else find_aircraft(argument_path("aircraft", aircraft))
+    return (
+        aircraft
+        if isinstance(aircraft, Aircraft)
+        else find_aircraft(argument_path("aircraft", aircraft))
+    )
 
 
 def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
@@ -248,10 +273,14 @@ def given_flights(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) 
     """One flight or several, whatever each was given as, at least one and none twice. Raises BadInputError."""
     if isinstance(flights, str | PathLike | FlightRecord | Flight):
         flights = [flights]
-    several = instance("flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them")
+    several = instance(
+        "flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them"
+    )
     found = [_given(flight, aircraft) for flight in several]
     if not found:
-        raise BadInputError("no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)")
+        raise BadInputError(
+            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'], aircraft)"
+        )
     refuse_twice([flight.name for flight in found], [flight.sha256 for flight in found])
     return found
 

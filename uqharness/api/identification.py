@@ -11,7 +11,14 @@ from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, carded_aircraf
 from uqharness.arguments import flag, instance, one_of, share, whole
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
-from uqharness.identification import BoundsOptions, Comparison, Identification, MadeBounds, parse_channels, parse_designs
+from uqharness.identification import (
+    BoundsOptions,
+    Comparison,
+    Identification,
+    MadeBounds,
+    parse_channels,
+    parse_designs,
+)
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.identification import model_form as bounding
@@ -88,8 +95,14 @@ def identify(
     model, workers = carded_aircraft(aircraft), given_workers(workers)
     asked = None if parameters is None else _names("parameters", parameters)
     if asked == []:
-        raise BadInputError("parameters is empty; name properties such as aero/Cm_q, or leave it out")
-    late, biased, fitted = _channels("delays", delays), _channels("biases", biases), _channels("outputs", outputs)
+        raise BadInputError(
+            "parameters is empty; name properties such as aero/Cm_q, or leave it out"
+        )
+    late, biased, fitted = (
+        _channels("delays", delays),
+        _channels("biases", biases),
+        _channels("outputs", outputs),
+    )
     ready, measured = _prepared(given_flights(flights, model), model)
     return identifying.identify(
         model,
@@ -156,7 +169,9 @@ def compare(
     late, biased = _channels("delays", delays), _channels("biases", biases)
     found = given_flights(flight, model)
     if len(found) != 1:
-        raise BadInputError(f"compare takes one flight, {len(found)} were given; call it once for each")
+        raise BadInputError(
+            f"compare takes one flight, {len(found)} were given; call it once for each"
+        )
     ready, measured = _prepared(found, model, align=False)
     return comparing.compare(
         model,
@@ -232,7 +247,9 @@ def fit_model_form(
     model = carded_aircraft(aircraft)
     chosen, named = _designs("states", states), _designs("terms", terms)
     options = BoundsOptions(
-        designs=parse_designs(chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False),
+        designs=parse_designs(
+            chosen, named, one_of("order", whole("order", order), (0, 1, 2, 3)), False
+        ),
         fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),
         outside=one_of("outside", outside, ("grow", "clamp")),
@@ -242,11 +259,17 @@ def fit_model_form(
     found = given_flights(flights, model)
     ready, measured = _prepared(found, model)
     hashes = [flight.sha256 for flight in found]
-    return bounding.make_bounds(model, [recut(flight, measured) for flight in ready], measured, hashes, options)
+    return bounding.make_bounds(
+        model, [recut(flight, measured) for flight in ready], measured, hashes, options
+    )
 
 
-def _prepared(flights: Sequence[Flight], aircraft: Aircraft, align: bool = True) -> tuple[list[replayed.Flight], tuple[str, ...]]:
-    return replayed.prepare_together([f.name for f in flights], [f.record for f in flights], aircraft, align=align)
+def _prepared(
+    flights: Sequence[Flight], aircraft: Aircraft, align: bool = True
+) -> tuple[list[replayed.Flight], tuple[str, ...]]:
+    return replayed.prepare_together(
+        [f.name for f in flights], [f.record for f in flights], aircraft, align=align
+    )
 
 
 def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
@@ -255,12 +278,18 @@ def _channels(what: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
 
 def _names(what: str, names: Sequence[str]) -> list[str]:
     """One name or several."""
-    several = [names] if isinstance(names, str) else instance(what, names, Iterable, "a name or several")
+    several = (
+        [names] if isinstance(names, str) else instance(what, names, Iterable, "a name or several")
+    )
     return [instance(what, name, str, "a name, as a str,") for name in several]
 
 
 def _designs(what: str, given: Mapping[str, Sequence[str]] | None) -> list[str]:
-    known = {} if given is None else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
+    known = (
+        {}
+        if given is None
+        else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
+    )
     return [f"{c}={','.join(_names(what, names))}" for c, names in known.items()]
 
 

@@ -9,7 +9,14 @@ from typing import Literal
 
 from sysid.effects import read_effects
 from sysid.record import FlightRecord
-from uqharness.api.flights import AnyAircraft, AnyFlight, AnyPath, Flight, carded_aircraft, given_flights
+from uqharness.api.flights import (
+    AnyAircraft,
+    AnyFlight,
+    AnyPath,
+    Flight,
+    carded_aircraft,
+    given_flights,
+)
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
@@ -93,19 +100,32 @@ def refine(
     one_of("servos", servos, ("card", "ideal"))
     flag("figures", figures)
     require("on_stage", on_stage, callable(on_stage), "a function of a text")
-    own, mission = (None if f is None else path(n, f) for n, f in (("effects", effects), ("campaign", campaign)))
+    own, mission = (
+        None if f is None else path(n, f) for n, f in (("effects", effects), ("campaign", campaign))
+    )
     if not flag("pbox", pbox) and campaign is not None:
-        raise BadInputError("campaign and pbox = False: a campaign is flown for its p-box; leave out one of them")
+        raise BadInputError(
+            "campaign and pbox = False: a campaign is flown for its p-box; leave out one of them"
+        )
     check_folder(folder)
     extra = tuple(read_effects(own)) if own is not None else ()
     with scratch_folder("flights") as scratch:
-        files = {name: _files(flights, model, scratch.path / name) for name, flights in (("train", train), ("test", test))}
+        files = {
+            name: _files(flights, model, scratch.path / name)
+            for name, flights in (("train", train), ("test", test))
+        }
         options: dict[str, object] = {
-            "--servos": servos if servos != "card" else None, "--effects": own, "--campaign": mission, "--no-pbox": not pbox,
-            "--workers": workers, "--no-figures": not figures,
-        }  # fmt: skip
+            "--servos": servos if servos != "card" else None,
+            "--effects": own,
+            "--campaign": mission,
+            "--no-pbox": not pbox,
+            "--workers": workers,
+            "--no-figures": not figures,
+        }
         # No command reads flights that are in memory.
-        in_files = all(scratch.path not in file.parents for flights in files.values() for file in flights)
+        in_files = all(
+            scratch.path not in file.parents for flights in files.values() for file in flights
+        )
         request = Request(
             model,
             files["train"],
@@ -124,15 +144,25 @@ def refine(
     return done
 
 
-def _files(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path) -> tuple[Path, ...]:
+def _files(
+    flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder: Path
+) -> tuple[Path, ...]:
     """Files of the flights: their own, or ones in ``folder`` for flights that are in memory."""
     several = [flights] if isinstance(flights, str | PathLike | FlightRecord | Flight) else flights
-    given = list(instance("flights", several, Iterable, "a path, a FlightRecord, a Flight or several of them"))
+    given = list(
+        instance(
+            "flights", several, Iterable, "a path, a FlightRecord, a Flight or several of them"
+        )
+    )
     loose = [flight for flight in given if not isinstance(flight, str | PathLike)]
     known = given_flights(loose, aircraft) if loose else []
-    written = iter([folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])])
+    written = iter(
+        [folder / f"{name}.parquet" for name in renamed([flight.name for flight in known])]
+    )
     folder.mkdir()
-    found = [Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given]
+    found = [
+        Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in given
+    ]
     for file, flight in zip((p for p in found if p.parent == folder), known, strict=True):
         flight.record.write(file)
     if not found:
@@ -140,9 +170,15 @@ def _files(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft, folder:
     return tuple(found)
 
 
-def _command(aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], options: Mapping[str, object]) -> tuple[str, ...]:
+def _command(
+    aircraft: AnyAircraft, files: Mapping[str, Sequence[Path]], options: Mapping[str, object]
+) -> tuple[str, ...]:
     """The command that does the same: files by name alone, no option at its default."""
-    words = ["uqharness", "refine", aircraft.name if isinstance(aircraft, Aircraft) else str(aircraft)]
+    words = [
+        "uqharness",
+        "refine",
+        aircraft.name if isinstance(aircraft, Aircraft) else str(aircraft),
+    ]
     for role, paths in files.items():
         words += [f"--{role}", *(file.name for file in paths)]
     for option, value in options.items():

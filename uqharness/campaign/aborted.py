@@ -15,10 +15,20 @@ from uqharness.campaign.execution import CaseOutcome
 from uqharness.flight import FlightSpec
 from uqharness.statistics import Array, upper_limits
 
-LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = "loss_of_control", "ground_contact", "diverged", "other"
+LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
+    "loss_of_control",
+    "ground_contact",
+    "diverged",
+    "other",
+)
 KINDS = (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER)
 """Each aborted flight is of one kind: how it ended, else that control was lost and it flew on."""
-_BY_STATUS = {"ground-contact": GROUND_CONTACT, "diverged": DIVERGED, "crashed": OTHER, "timeout": OTHER}
+_BY_STATUS = {
+    "ground-contact": GROUND_CONTACT,
+    "diverged": DIVERGED,
+    "crashed": OTHER,
+    "timeout": OTHER,
+}
 
 
 @dataclass(frozen=True)
@@ -48,8 +58,13 @@ class Aborted:
 
         A flight is aborted once, so its count clusters no more than independent ones do.
         """
-        flights, total = np.isfinite(self.lost).sum(axis=1).astype(float), np.nansum(self.lost, axis=1)
-        return upper_limits(flights, total, np.ones_like(total), error, assumed, self.missing_shares)
+        flights, total = (
+            np.isfinite(self.lost).sum(axis=1).astype(float),
+            np.nansum(self.lost, axis=1),
+        )
+        return upper_limits(
+            flights, total, np.ones_like(total), error, assumed, self.missing_shares
+        )
 
 
 def aborted_flight(outcome: CaseOutcome, flight: FlightSpec) -> tuple[float, float]:
@@ -68,8 +83,13 @@ def aborted(groups: Sequence[Any], duration_s: float) -> Aborted:
         ended = [_BY_STATUS.get(str(status), "") for status in group["status"]]
         flags = [0.0] * len(group)
         if LOSS_OF_CONTROL in group:
-            flags = np.nan_to_num(group[LOSS_OF_CONTROL].to_numpy(dtype=float, na_value=np.nan)).tolist()
-        found = [kind or (LOSS_OF_CONTROL if flag else "") for kind, flag in zip(ended, flags, strict=True)]
+            flags = np.nan_to_num(
+                group[LOSS_OF_CONTROL].to_numpy(dtype=float, na_value=np.nan)
+            ).tolist()
+        found = [
+            kind or (LOSS_OF_CONTROL if flag else "")
+            for kind, flag in zip(ended, flags, strict=True)
+        ]
         for kind in filter(None, found):
             kinds[kind] += 1
         flown = np.clip(group["duration_s"].to_numpy(dtype=float) / duration_s, 0.0, 1.0)

@@ -59,10 +59,14 @@ def bounds_notes(spec: CampaignSpec) -> list[str]:
         whose = f"'{made_for.name}', not '{aircraft.name}'"
     meant = "they mean something only if its aerodynamics are the same"
     path = spec.inputs.model_form
-    return [f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"]
+    return [
+        f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"
+    ]
 
 
-def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path) -> Mission:
+def find_copied_mission(
+    spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path
+) -> Mission:
     """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
 
     ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
@@ -72,7 +76,13 @@ def find_copied_mission(spec: CampaignSpec, aircraft: Aircraft, script: Path | N
         aircraft_hash = content_hash(find_aircraft(made))
         script_hash = sha256_hex(read_xml(script or scratch.path / SCRIPT))
     place = folder.resolve()
-    return Mission(place / _COPIED / made.name, aircraft_hash, (script or place / SCRIPT).resolve(), script_hash, aircraft.folder)
+    return Mission(
+        place / _COPIED / made.name,
+        aircraft_hash,
+        (script or place / SCRIPT).resolve(),
+        script_hash,
+        aircraft.folder,
+    )
 
 
 def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
@@ -120,7 +130,10 @@ def system_file(aircraft: Aircraft) -> Path:
     for system in parse_xml(aircraft.xml).getroot().iter("system"):
         named = system.get("file", "").removesuffix(".xml")
         if named == SYSTEM:
-            for path in (aircraft.folder / "Systems" / f"{SYSTEM}.xml", aircraft.folder / f"{SYSTEM}.xml"):
+            for path in (
+                aircraft.folder / "Systems" / f"{SYSTEM}.xml",
+                aircraft.folder / f"{SYSTEM}.xml",
+            ):
                 if path.is_file():
                     return path
     raise BadInputError(

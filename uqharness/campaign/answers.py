@@ -37,12 +37,20 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
     Raises BadInputError where the table is not as it was written.
     """
     rows = [row for row in read_decisions(folder, manifest) if row["epistemic_id"] == ALL_CORNERS]
-    if not rows and ((folder / STATEMENTS).exists() or (is_sealed(manifest) and "shard" not in manifest)):
+    if not rows and (
+        (folder / STATEMENTS).exists() or (is_sealed(manifest) and "shard" not in manifest)
+    ):
         content = read_checked(folder, manifest, STATEMENTS)
         texts = ("condition", "distance", "answer")
-        every = csv_rows(content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts)
+        every = csv_rows(
+            content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts
+        )
         smallest = min((float(row["radius_m"]) for row in every), default=0.0)
-        rows = [row for row in every if row["distance"] == "horizontal" and float(row["radius_m"]) == smallest]
+        rows = [
+            row
+            for row in every
+            if row["distance"] == "horizontal" and float(row["radius_m"]) == smallest
+        ]
     return [_answer(row) for row in rows]
 
 
@@ -68,8 +76,12 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     if not answers:
         return []
     first, counted = answers[0], Counter(answer.answer for answer in answers)
-    summary = ", ".join(f"{counted[word]} {_WORDS.get(word, word)}" for word in _ORDER if counted[word])
-    found = [f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"]
+    summary = ", ".join(
+        f"{counted[word]} {_WORDS.get(word, word)}" for word in _ORDER if counted[word]
+    )
+    found = [
+        f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"
+    ]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
         share = answer.flight_share_upper

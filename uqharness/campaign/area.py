@@ -25,9 +25,22 @@ from uqharness.statistics import AreaMetric, area_metric
 AREAS = "area.csv"
 _WHERE = ("wind_mps", "turbulence")
 _PLAIN = (
-    pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean, pa.types.is_string, pa.types.is_large_string,
-)  # fmt: skip
-_COLUMNS = ("metric", "condition", "flights", "area", "area_below", "area_above", "beyond_chance", "verdict")
+    pa.types.is_floating,
+    pa.types.is_integer,
+    pa.types.is_boolean,
+    pa.types.is_string,
+    pa.types.is_large_string,
+)
+_COLUMNS = (
+    "metric",
+    "condition",
+    "flights",
+    "area",
+    "area_below",
+    "area_above",
+    "beyond_chance",
+    "verdict",
+)
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,9 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
         if frames[-1].empty:
             raise BadInputError(f"{path}: holds no flight; give a table with a row per flight")
     if not frames or all(frame.empty for frame in frames):
-        raise BadInputError("no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER")
+        raise BadInputError(
+            "no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER"
+        )
     return pd.concat(frames, ignore_index=True)
 
 
@@ -63,7 +78,10 @@ def _read_table(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
         found = read_table(path)
         for field in found.schema:
-            if not any(test(field.type) for test in _PLAIN) or found.column_names.count(field.name) > 1:
+            if (
+                not any(test(field.type) for test in _PLAIN)
+                or found.column_names.count(field.name) > 1
+            ):
                 raise BadInputError(
                     f"{path}: column {field.name} is of type {field.type}, or there twice; columns of numbers and texts are "
                     "compared, each there once"
@@ -108,6 +126,8 @@ def table(found: Sequence[Compared]) -> bytes:
     writer.writerow(_COLUMNS)
     for item in found:
         part = item.found
-        numbers = [f"{value:.6g}" for value in (part.area, part.below, part.above, part.beyond_chance)]
+        numbers = [
+            f"{value:.6g}" for value in (part.area, part.below, part.above, part.beyond_chance)
+        ]
         writer.writerow([item.metric, item.condition.label, part.flights, *numbers, item.verdict])
     return buffer.getvalue().encode()

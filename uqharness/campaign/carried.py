@@ -43,19 +43,28 @@ class Carried:
         return float(np.nanmin(self.radius_m)) if self.measured else float("nan")
 
 
-def carried(counts: Mapping[float, Array], radius_m: float, flown_h: Array, assumed: float, error: float) -> Carried:
+def carried(
+    counts: Mapping[float, Array], radius_m: float, flown_h: Array, assumed: float, error: float
+) -> Carried:
     """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,) hours; asked beyond ``radius_m``.
 
     A measured limit fails with about ``error`` at each corner; what contradicts the carried one does so at all corners together.
     """
     corners = flown_h.size
-    found, where, shown = np.full(corners, float(assumed)), np.full(corners, np.nan), np.zeros(corners)
+    found, where, shown = (
+        np.full(corners, float(assumed)),
+        np.full(corners, np.nan),
+        np.zeros(corners),
+    )
     for radius in sorted(radius for radius in counts if radius <= radius_m):
         events = np.nansum(counts[radius], axis=1)
         rare = events < RARE_PER_H * flown_h
         low = dispersion_limits(counts[radius], error / corners)[0]
         # A count above the limit by chance must not silence a radius: what counts there is that it is shown to be frequent.
-        frequent = lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1) >= RARE_PER_H * flown_h
+        frequent = (
+            lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1)
+            >= RARE_PER_H * flown_h
+        )
         told = (events >= TOLD) & (~frequent | (radius == radius_m))
         shown = np.where(told, np.maximum(shown, low), shown)
         if radius < radius_m:

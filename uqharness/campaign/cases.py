@@ -22,7 +22,14 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
-from uqharness.flight import COEFFICIENTS, FlightSpec, TransientDriver, flight_seed, normals, numbered_stream
+from uqharness.flight import (
+    COEFFICIENTS,
+    FlightSpec,
+    TransientDriver,
+    flight_seed,
+    normals,
+    numbered_stream,
+)
 
 
 @dataclass(frozen=True)
@@ -111,11 +118,17 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
     for aleatory_id in part.aleatory_ids:
         seed_turbulence = flight_seed(root_seed, aleatory_id, "turbulence")
         seed_noise = flight_seed(root_seed, aleatory_id, "noise")
-        draws = {name: unit_draw(root_seed, aleatory_id, name, item) for name, item in air.variables.items()}
+        draws = {
+            name: unit_draw(root_seed, aleatory_id, name, item)
+            for name, item in air.variables.items()
+        }
         transient = _transient(spec, aleatory_id)
         for wind_mps, turbulence in part.conditions:
             for sample, properties in samples:
-                values = {name: item.value(draws[name], sample.means.get(name, 0.5)) for name, item in air.variables.items()}
+                values = {
+                    name: item.value(draws[name], sample.means.get(name, 0.5))
+                    for name, item in air.variables.items()
+                }
                 flight = FlightSpec(
                     aircraft=mission.aircraft,
                     script=mission.script,
@@ -152,7 +165,9 @@ def _transient(spec: CampaignSpec, aleatory_id: int) -> TransientDriver | None:
     rates = spec.inputs.transient_rates
     if not rates:
         return None
-    return TransientDriver(spec.campaign.seed, aleatory_id, tuple(rates), tuple(map(float, rates.values())))
+    return TransientDriver(
+        spec.campaign.seed, aleatory_id, tuple(rates), tuple(map(float, rates.values()))
+    )
 
 
 def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSection) -> float:
@@ -169,7 +184,9 @@ def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]
     return columns | {f"variable_{name}": value for name, value in values.items()}
 
 
-def _refuse_twice(properties: Mapping[str, float], variables: Mapping[str, VariableSection]) -> None:
+def _refuse_twice(
+    properties: Mapping[str, float], variables: Mapping[str, VariableSection]
+) -> None:
     twice = [name for name in variables if name in properties]
     if twice:
         raise BadInputError(
@@ -178,7 +195,11 @@ def _refuse_twice(properties: Mapping[str, float], variables: Mapping[str, Varia
         )
 
 
-_FIELDS = tuple(field.name for field in dataclasses.fields(FlightSpec) if field.name not in ("levels", "transient"))
+_FIELDS = tuple(
+    field.name
+    for field in dataclasses.fields(FlightSpec)
+    if field.name not in ("levels", "transient")
+)
 
 
 def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
@@ -186,7 +207,9 @@ def case_id(flight: FlightSpec, mission: Mission, engine: str = JSBSIM) -> str:
     identity = {name: getattr(flight, name) for name in _FIELDS}
     # A flight whose levels stand still is the flight it was before they could move.
     identity |= {"levels": dataclasses.asdict(flight.levels)} if flight.levels is not None else {}
-    identity |= {"transient": dataclasses.asdict(flight.transient)} if flight.transient is not None else {}
+    identity |= (
+        {"transient": dataclasses.asdict(flight.transient)} if flight.transient is not None else {}
+    )
     # JSBSim's are the flights they were before there was another engine.
     identity |= {"engine": engine} if engine != JSBSIM else {}
     identity |= {

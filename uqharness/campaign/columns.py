@@ -13,14 +13,21 @@ ERROR_METRICS = tuple(
 )
 """Statistics of |error| over a flight, true and (``_measured``) as the noise-laden sensors saw it."""
 
-UNCOMMANDED_METRICS = ("heading_median_deg", "heading_mean_deg", "heading_max_deg", "load_factor_max")
+UNCOMMANDED_METRICS = (
+    "heading_median_deg",
+    "heading_mean_deg",
+    "heading_max_deg",
+    "load_factor_max",
+)
 """What a flight without a commanded path is scored by besides; columns only of a campaign that has them."""
 
 
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:
     """Names of the excursion counts: horizontal distance first, then the 3-D ones."""
     radii = tuple(radii_m)
-    return tuple(excursion_column(radius, distance) for distance in ("horizontal", "3d") for radius in radii)
+    return tuple(
+        excursion_column(radius, distance) for distance in ("horizontal", "3d") for radius in radii
+    )
 
 
 def excursion_column(radius_m: float, distance: str) -> str:
@@ -30,4 +37,7 @@ def excursion_column(radius_m: float, distance: str) -> str:
 
 def counted_radii(metrics: Mapping[str, Any]) -> tuple[float, ...]:
     """Radii [m] at which a campaign counts excursions, from its section [metrics] as plain types: asked about, then the others."""
-    return (*map(float, metrics["excursion_radius_m"]), *map(float, metrics.get("dispersion_radius_m") or ()))
+    return (
+        *map(float, metrics["excursion_radius_m"]),
+        *map(float, metrics.get("dispersion_radius_m") or ()),
+    )

@@ -56,12 +56,17 @@ def hardest_of(found: Iterable[Condition]) -> Condition:
 def conditions(frame: pd.DataFrame) -> list[Condition]:
     """Conditions of a case table, in its order."""
     pairs = frame[["wind_mps", "turbulence"]].drop_duplicates()
-    return [Condition(float(wind), str(air)) for wind, air in zip(pairs["wind_mps"], pairs["turbulence"], strict=True)]
+    return [
+        Condition(float(wind), str(air))
+        for wind, air in zip(pairs["wind_mps"], pairs["turbulence"], strict=True)
+    ]
 
 
 def in_condition(frame: pd.DataFrame, condition: Condition) -> pd.DataFrame:
     """The rows of one condition."""
-    return frame[(frame["wind_mps"] == condition.wind_mps) & (frame["turbulence"] == condition.turbulence)]
+    return frame[
+        (frame["wind_mps"] == condition.wind_mps) & (frame["turbulence"] == condition.turbulence)
+    ]
 
 
 def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
@@ -81,7 +86,9 @@ def samples(frame: pd.DataFrame, metric: str) -> list[Sample]:
     return found
 
 
-def pboxes(frame: pd.DataFrame, confidence: float = CONFIDENCE) -> Iterator[tuple[str, Condition, PBox]]:
+def pboxes(
+    frame: pd.DataFrame, confidence: float = CONFIDENCE
+) -> Iterator[tuple[str, Condition, PBox]]:
     """Every p-box of a case table: metric by metric, condition by condition. A metric that no flight has is left out."""
     for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
         for condition in conditions(frame):
@@ -98,8 +105,14 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
         places = rows.groupby("epistemic_id", sort=False).indices
         failed = (rows["status"] != "ok").to_numpy(dtype=bool)
         scored_s = rows["duration_s"].to_numpy(dtype=float)
-        by_corner = [(str(name), np.asarray(places[name], dtype=np.intp)) for name in rows["epistemic_id"].unique()]
-        corners = [_Corner(name, at, int(failed[at].sum()), float(scored_s[at].sum()) / 3600.0) for name, at in by_corner]
+        by_corner = [
+            (str(name), np.asarray(places[name], dtype=np.intp))
+            for name in rows["epistemic_id"].unique()
+        ]
+        corners = [
+            _Corner(name, at, int(failed[at].sum()), float(scored_s[at].sum()) / 3600.0)
+            for name, at in by_corner
+        ]
         for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
             for radius in radii_m:
                 column = f"excursions_{radius:g}m{suffix}"

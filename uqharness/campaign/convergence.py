@@ -27,9 +27,22 @@ REPEATS = 10
 _INDEPENDENT = ("white", "walk")
 
 _COLUMNS = (
-    "kind", "metric", "condition", "epistemic_id", "repeats", "flights", "samples", "distance", "expected_distance", "median_low",
-    "median_high", "area", "area_low", "area_high", "chance_of_more",
-)  # fmt: skip
+    "kind",
+    "metric",
+    "condition",
+    "epistemic_id",
+    "repeats",
+    "flights",
+    "samples",
+    "distance",
+    "expected_distance",
+    "median_low",
+    "median_high",
+    "area",
+    "area_low",
+    "area_high",
+    "chance_of_more",
+)
 
 
 @dataclass(frozen=True)
@@ -56,10 +69,16 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
     wanted = list(metrics) or [name for name in METRICS if name in known]
     unknown = [name for name in wanted if name not in known]
     if unknown:
-        raise BadInputError(f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(known)}")
+        raise BadInputError(
+            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(known)}"
+        )
     epistemic = manifest["campaign"]["epistemic"]
     drawn = epistemic["method"] in _INDEPENDENT or "parameters" in epistemic
-    found = [item for name in wanted for item in converged(frame, name, number, drawn, int(manifest["seed"]))]
+    found = [
+        item
+        for name in wanted
+        for item in converged(frame, name, number, drawn, int(manifest["seed"]))
+    ]
     if all(item.repeats is None and not item.growth for item in found):
         raise BadInputError(
             f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of an epistemic sample, and "
@@ -69,15 +88,26 @@ def study(folder: Path, metrics: Sequence[str] = (), number: int = REPEATS) -> l
     return found
 
 
-def converged(frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int) -> Iterator[Converged]:
+def converged(
+    frame: pd.DataFrame, metric: str, number: int, drawn: bool, seed: int
+) -> Iterator[Converged]:
     """Convergence of one metric of a case table, condition by condition: ``number`` repeats; growth where samples are ``drawn``."""
     for condition in conditions(frame):
         groups = {
-            str(name): _values(rows, metric) for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
+            str(name): _values(rows, metric)
+            for name, rows in in_condition(frame, condition).groupby("epistemic_id", sort=False)
         }
-        apart = {name: repeats(values, number, CONFIDENCE) for name, values in groups.items() if values.size >= 2 * number}
+        apart = {
+            name: repeats(values, number, CONFIDENCE)
+            for name, values in groups.items()
+            if values.size >= 2 * number
+        }
         name = max(apart, key=lambda item: apart[item].distance) if apart else ""
-        enough = drawn and len(groups) >= 4 and any(np.isfinite(values).any() for values in groups.values())
+        enough = (
+            drawn
+            and len(groups) >= 4
+            and any(np.isfinite(values).any() for values in groups.values())
+        )
         grown = tuple(growth(list(groups.values()), seed)) if enough else ()
         yield Converged(metric, condition, name, apart.get(name), grown)
 
@@ -105,12 +135,20 @@ def as_rows(found: Sequence[Converged]) -> list[dict[str, Any]]:
                     "flights": part.flights,
                 }
                 | {"distance": part.distance, "expected_distance": part.expected}
-                | {"median_low": float(part.medians.min()), "median_high": float(part.medians.max())}
+                | {
+                    "median_low": float(part.medians.min()),
+                    "median_high": float(part.medians.max()),
+                }
             )
         for size in item.growth:
             rows.append(
                 common
-                | {"kind": "epistemic", "samples": size.samples, "area": size.area, "area_low": size.area_low}
+                | {
+                    "kind": "epistemic",
+                    "samples": size.samples,
+                    "area": size.area,
+                    "area_low": size.area_low,
+                }
                 | {"area_high": size.area_high, "chance_of_more": size.chance_of_more}
             )
     return rows
@@ -122,7 +160,12 @@ def table(found: Sequence[Converged]) -> bytes:
     writer = csv.DictWriter(buffer, _COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
     for row in as_rows(found):
-        writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+        writer.writerow(
+            {
+                key: f"{value:.6g}" if isinstance(value, float) else value
+                for key, value in row.items()
+            }
+        )
     return buffer.getvalue().encode()
 
 

@@ -129,7 +129,15 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
     flights = -(-air.flights * conditions * samples // shards)
     flight_s = float(air.duration_s) + float(air.burn_in_s)
     at_most = spec.stop.rule == "decide"
-    return Size(air.flights, conditions, samples, flights, flight_s, at_most, spec.epistemic.interior_samples * _draws(spec))
+    return Size(
+        air.flights,
+        conditions,
+        samples,
+        flights,
+        flight_s,
+        at_most,
+        spec.epistemic.interior_samples * _draws(spec),
+    )
 
 
 def epistemic_count(spec: CampaignSpec) -> int:
@@ -153,12 +161,19 @@ def _draws(spec: CampaignSpec) -> int:
 
 def one_case(spec: CampaignSpec, mission: Mission) -> Case:
     """A flight like those of the campaign, made without making the others."""
-    return one_case_each(with_conditions(spec, spec.aleatory.wind_mps[:1], spec.aleatory.turbulence[-1:]), mission)[0]
+    return one_case_each(
+        with_conditions(spec, spec.aleatory.wind_mps[:1], spec.aleatory.turbulence[-1:]), mission
+    )[0]
 
 
-def with_conditions(spec: CampaignSpec, wind_mps: tuple[float, ...], turbulence: tuple[str, ...]) -> CampaignSpec:
+def with_conditions(
+    spec: CampaignSpec, wind_mps: tuple[float, ...], turbulence: tuple[str, ...]
+) -> CampaignSpec:
     """The same campaign in other conditions."""
-    return dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update={"wind_mps": wind_mps, "turbulence": turbulence}))
+    return dataclasses.replace(
+        spec,
+        aleatory=spec.aleatory.model_copy(update={"wind_mps": wind_mps, "turbulence": turbulence}),
+    )
 
 
 def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
@@ -168,10 +183,15 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
     if section.method in ("corners", "levels"):
         changes |= {"method": "levels", "levels": (1.0,), "set": "box", "interior": 0}
     air = spec.aleatory.model_copy(update={"flights": 1})
-    return build_cases(dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)), mission)
+    return build_cases(
+        dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)),
+        mission,
+    )
 
 
-def measured_pace(flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec) -> Pace | None:
+def measured_pace(
+    flown: Callable[[FlightSpec], bool], brief: FlightSpec, whole: FlightSpec
+) -> Pace | None:
     """The pace from a few flights of a process that has flown ``brief`` before; None where one of them does not end well.
 
     ``flown`` flies and says whether that went well; ``whole`` is the flight as the campaign has it.
@@ -222,7 +242,11 @@ def time_in_words(seconds: float) -> str:
     """``40 s``, ``12 min``, ``3.5 h``, ``2.1 days``, ``40 years``."""
     for unit, length in (("years", 365.25 * DAY_S), ("days", DAY_S), ("h", 3600.0), ("min", 60.0)):
         if seconds >= (2.0 if unit == "days" else 1.0) * length:
-            return f"{seconds / length:.2g} {unit}" if seconds < 100 * length else f"{seconds / length:.0f} {unit}"
+            return (
+                f"{seconds / length:.2g} {unit}"
+                if seconds < 100 * length
+                else f"{seconds / length:.0f} {unit}"
+            )
     return f"{math.ceil(seconds)} s"
 
 
@@ -230,5 +254,9 @@ def disk_in_words(size: float) -> str:
     """``12 kB``, ``3.4 MB``, ``1.2 GB``, ``2 TB``."""
     for unit, length in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if size >= length:
-            return f"{size / length:.2g} {unit}" if size < 100 * length else f"{size / length:.0f} {unit}"
+            return (
+                f"{size / length:.2g} {unit}"
+                if size < 100 * length
+                else f"{size / length:.0f} {unit}"
+            )
     return f"{math.ceil(size / 1000)} kB"

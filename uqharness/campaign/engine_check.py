@@ -47,7 +47,10 @@ _ENOUGH = 64
 # most of either: from there on both grow alike.
 _TIMES_ROUNDING = 1e5
 _LOST = "loss_of_control"
-_TIMEOUT, _NOT_COMPARED = "timeout", "a flight had no result within its time limit: nothing is compared"
+_TIMEOUT, _NOT_COMPARED = (
+    "timeout",
+    "a flight had no result within its time limit: nothing is compared",
+)
 _ALIKE, _EXCUSED, _DIFFERS = "alike", "excused", "differs"
 
 Spreads = Mapping[str, float]
@@ -60,14 +63,22 @@ class Judge:
     ``refly`` flies a case in JSBSim from a start that is one unit in the last place off; ``finished`` are flights of earlier runs.
     """
 
-    def __init__(self, folder: Path, cases: Sequence[Case], refly: Refly, finished: Iterable[CaseOutcome] = ()) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        cases: Sequence[Case],
+        refly: Refly,
+        finished: Iterable[CaseOutcome] = (),
+    ) -> None:
         self._folder, self._refly = folder, refly
         self._condition = {case.case_id: condition_of(case) for case in cases}
         self._in_condition = dict.fromkeys(self._condition.values(), 0)
         for condition in self._condition.values():
             self._in_condition[condition] += 1
         self._cases = {case.case_id: case for case in _judged(cases)}
-        self._values: dict[Condition, dict[str, array[float]]] = {condition: {} for condition in self._in_condition}
+        self._values: dict[Condition, dict[str, array[float]]] = {
+            condition: {} for condition in self._in_condition
+        }
         self._flown = dict.fromkeys(self._in_condition, 0)
         self._batch: dict[str, CaseOutcome] = {}
         self._jsbsim: dict[str, CaseOutcome] = {}
@@ -78,7 +89,11 @@ class Judge:
 
     def groups(self, cases: Iterable[Case]) -> list[Group]:
         """JSBSim's flights that are still wanted of these cases."""
-        wanted = [case for case in cases if case.case_id in self._cases and case.case_id not in self._jsbsim]
+        wanted = [
+            case
+            for case in cases
+            if case.case_id in self._cases and case.case_id not in self._jsbsim
+        ]
         return [Group(JUDGE, ((_JUDGED + case.case_id, case.flight),)) for case in wanted]
 
     def take(self, outcomes: Iterable[CaseOutcome]) -> list[CaseOutcome]:
@@ -105,9 +120,13 @@ class Judge:
             if not (final or (known and (WHOLE, case_id) not in self._rows)):
                 continue
             if condition not in spreads:
-                spreads[condition] = {name: spread(values) for name, values in self._values[condition].items()}
+                spreads[condition] = {
+                    name: spread(values) for name, values in self._values[condition].items()
+                }
             pair = (self._batch[case_id], self._jsbsim[case_id])
-            self._rows[WHOLE, case_id] = compared(WHOLE, case, pair, spreads[condition], self._refly)
+            self._rows[WHOLE, case_id] = compared(
+                WHOLE, case, pair, spreads[condition], self._refly
+            )
             looked = True
         if looked:
             self._write()
@@ -142,9 +161,15 @@ class Judge:
             by_flight.setdefault((row.part, row.case_id), []).append(row)
         for (part, case_id), kept in by_flight.items():
             status = [row.jsbsim for row in kept if row.metric == STATUS]
-            known = len(status) == 1 and status[0] != _TIMEOUT and all(row.verdict != _DIFFERS for row in kept)
+            known = (
+                len(status) == 1
+                and status[0] != _TIMEOUT
+                and all(row.verdict != _DIFFERS for row in kept)
+            )
             if part == WHOLE and case_id in self._cases and known:
-                metrics = {row.metric: as_number(row.jsbsim) for row in kept if row.metric != STATUS}
+                metrics = {
+                    row.metric: as_number(row.jsbsim) for row in kept if row.metric != STATUS
+                }
                 self._jsbsim[case_id] = CaseOutcome(case_id, status[0], "", 0.0, metrics)
                 self._rows[part, case_id] = kept
 
@@ -176,7 +201,7 @@ def spread(values: Sequence[float]) -> float:
 
 def compared(
     part: str, case: Case, pair: tuple[CaseOutcome, CaseOutcome], spreads: Spreads, refly: Refly
-) -> list[CheckRow]:  # fmt: skip
+) -> list[CheckRow]:
     """Rows of one case flown in the batch engine and in JSBSim, which are the ``pair``."""
     batch, jsbsim = pair
     # A limit on time says how busy the machine is, and nothing of either engine.
@@ -188,8 +213,12 @@ def compared(
             found.append(refly(case))
         return found[0]
 
-    def row(metric: str, ours: str, theirs: str, share: tuple[str, str], judged: tuple[str, str]) -> CheckRow:
-        return CheckRow(part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *judged)
+    def row(
+        metric: str, ours: str, theirs: str, share: tuple[str, str], judged: tuple[str, str]
+    ) -> CheckRow:
+        return CheckRow(
+            part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *judged
+        )
 
     alike = batch.status == jsbsim.status
     excused = not alike and (late or moved().status != jsbsim.status)
@@ -201,13 +230,25 @@ def compared(
             rows.append(row(name, "", as_text(theirs), ("", ""), (_ALIKE, "")))
             continue
         scale = 1.0 if is_count(name) else spreads.get(name, LEAST_SPREAD)
-        share = 0.0 if ours == theirs or (math.isnan(ours) and math.isnan(theirs)) else abs(ours - theirs) / scale
+        share = (
+            0.0
+            if ours == theirs or (math.isnan(ours) and math.isnan(theirs))
+            else abs(ours - theirs) / scale
+        )
         alike = share <= TOLERANCE
         why = "" if alike else _NOT_COMPARED if late else _excuse(name, pair, moved)
         if batch.status != jsbsim.status and not why:
             # What is left of a flight that ended otherwise is judged by how it ended.
             why = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""
-        rows.append(row(name, as_text(ours), as_text(theirs), (as_text(scale), as_text(share)), _verdict(alike, bool(why), why)))
+        rows.append(
+            row(
+                name,
+                as_text(ours),
+                as_text(theirs),
+                (as_text(scale), as_text(share)),
+                _verdict(alike, bool(why), why),
+            )
+        )
     return rows
 
 
@@ -215,7 +256,9 @@ def _verdict(alike: bool, excused: bool, why: str) -> tuple[str, str]:
     return (_ALIKE, "") if alike else (_EXCUSED, why) if excused else (_DIFFERS, "")
 
 
-def _excuse(name: str, pair: tuple[CaseOutcome, CaseOutcome], moved: Callable[[], CaseOutcome]) -> str:
+def _excuse(
+    name: str, pair: tuple[CaseOutcome, CaseOutcome], moved: Callable[[], CaseOutcome]
+) -> str:
     """Why a difference is no fault of the engine; empty where it is."""
     batch, jsbsim = pair
     if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= NEAR_M:
@@ -223,7 +266,9 @@ def _excuse(name: str, pair: tuple[CaseOutcome, CaseOutcome], moved: Callable[[]
     lost = any(outcome.metrics.get(_LOST, 0.0) != 0.0 for outcome in pair)
     if not lost:
         return ""
-    ours, theirs, other = (outcome.metrics.get(name, math.nan) for outcome in (batch, jsbsim, moved()))
+    ours, theirs, other = (
+        outcome.metrics.get(name, math.nan) for outcome in (batch, jsbsim, moved())
+    )
     if abs(ours - theirs) <= _TIMES_ROUNDING * abs(other - theirs):
         return "control was lost, and JSBSim's own differs after one ulp"
     return ""
@@ -239,9 +284,15 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
     wrong = [row for row in rows if row.verdict == _DIFFERS]
     if not wrong:
         return
-    worst = max(wrong, key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference))
+    worst = max(
+        wrong, key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference)
+    )
     when = " in its first seconds" if worst.part == START else ""
-    apart = f", {float(worst.difference):.2g} of its spread apart (at most {TOLERANCE:g})" if worst.difference else ""
+    apart = (
+        f", {float(worst.difference):.2g} of its spread apart (at most {TOLERANCE:g})"
+        if worst.difference
+        else ""
+    )
     raise EnginesDifferError(
         f"{folder}: the batch engine differs from JSBSim: case {worst.case_id} ({worst.condition}){when} has {worst.metric} "
         f"{worst.batch or 'undefined'} in the batch engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; "

@@ -44,7 +44,9 @@ class Engines:
         if isinstance(fly, Engines):
             return fly
         if fly is not None:
-            return Engines(fly, OneByOne(fly), None, "the flights are flown by a function of their own")
+            return Engines(
+                fly, OneByOne(fly), None, "the flights are flown by a function of their own"
+            )
         from uqharness.flight.fly import fly as own
 
         return Engines(own, fly_group, OwnBatch())
@@ -91,30 +93,41 @@ class Earlier:
     why: tuple[str, ...] = ()
 
 
-def settle(spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None = None) -> Settled:
+def settle(
+    spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None = None
+) -> Settled:
     """Settle the engine of a campaign: what is asked for, else that of its ``earlier`` flights, else batch where it can fly it.
 
     Raises BadInputError where the batch engine is asked for, or flew before, and cannot fly it here.
     """
     asked = spec.campaign.engine
     goes_on = earlier is not None and asked in ("auto", earlier.engine)
-    wanted, why = (earlier.engine, earlier.why) if earlier is not None and goes_on else (asked, (_ASKED,))
+    wanted, why = (
+        (earlier.engine, earlier.why) if earlier is not None and goes_on else (asked, (_ASKED,))
+    )
     if wanted == JSBSIM:
         return Settled(spec.with_engine(JSBSIM), asked, why)
     if goes_on and wanted == BATCH:
         # What it understands was asked at the first run, of the same aircraft and version.
         reason = engines.unavailable()
         if reason is not None:
-            raise BadInputError(f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where it began")
+            raise BadInputError(
+                f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where it began"
+            )
         return Settled(spec.with_engine(BATCH), asked, why)
     reasons = reasons_against(spec, mission, engines)
     if wanted == BATCH:
         if reasons:
-            raise BadInputError(f"{spec.path}: the batch engine was asked for and cannot fly this campaign:", *reasons)
+            raise BadInputError(
+                f"{spec.path}: the batch engine was asked for and cannot fly this campaign:",
+                *reasons,
+            )
         return Settled(spec.with_engine(BATCH), asked, (_ASKED,))
     if reasons:
         return Settled(spec.with_engine(JSBSIM), asked, reasons)
-    return Settled(spec.with_engine(BATCH), asked, ("it understands the whole aircraft and mission",))
+    return Settled(
+        spec.with_engine(BATCH), asked, ("it understands the whole aircraft and mission",)
+    )
 
 
 def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
@@ -124,8 +137,16 @@ def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> t
         return (reason or engines.no_batch,)
     varying = varying_properties(spec)
     with laid_out(spec, mission) as there:
-        found = [text for case in one_case_each(spec, there) for text in _refusals(engines.batch, case.flight, varying)]
-        return tuple(dict.fromkeys(text.replace(str(there.aircraft), str(mission.aircraft)) for text in found))
+        found = [
+            text
+            for case in one_case_each(spec, there)
+            for text in _refusals(engines.batch, case.flight, varying)
+        ]
+        return tuple(
+            dict.fromkeys(
+                text.replace(str(there.aircraft), str(mission.aircraft)) for text in found
+            )
+        )
 
 
 def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tuple[str, ...]:
@@ -133,7 +154,9 @@ def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tup
         return batch.refusals(flight, varying)
     except Exception as error:
         # A defect of one engine is no reason to fly in none.
-        return (f"the batch engine failed at reading {flight.aircraft.name}: {type(error).__name__}: {error}",)
+        return (
+            f"the batch engine failed at reading {flight.aircraft.name}: {type(error).__name__}: {error}",
+        )
 
 
 def varying_properties(spec: CampaignSpec) -> tuple[str, ...]:

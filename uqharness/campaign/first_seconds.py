@@ -39,7 +39,9 @@ def throwaway_process() -> ProcessExecutor:
     return ProcessExecutor(1, timeout_s=lambda flight: _LIMIT_S, retries=0, keep=True)
 
 
-def compare_start(engines: Engines, cases: Sequence[Case], process: ProcessExecutor) -> list[CheckRow]:
+def compare_start(
+    engines: Engines, cases: Sequence[Case], process: ProcessExecutor
+) -> list[CheckRow]:
     """Fly the first seconds of some cases of each condition in both engines; what came of it, a row a metric.
 
     Raises BadInputError where they cannot be flown at all.
@@ -49,9 +51,15 @@ def compare_start(engines: Engines, cases: Sequence[Case], process: ProcessExecu
     for case in cases:
         by_condition.setdefault(condition_of(case), []).append(case)
     for members in by_condition.values():
-        picked = [_brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]]
-        batch = _flown(engines, process, [Group(BATCH, tuple((case.case_id, case.flight) for case in picked))])
-        jsbsim = _flown(engines, process, [Group(JUDGE, ((case.case_id, case.flight),)) for case in picked])
+        picked = [
+            _brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]
+        ]
+        batch = _flown(
+            engines, process, [Group(BATCH, tuple((case.case_id, case.flight) for case in picked))]
+        )
+        jsbsim = _flown(
+            engines, process, [Group(JUDGE, ((case.case_id, case.flight),)) for case in picked]
+        )
         values: dict[str, array[float]] = {}
         for outcome in batch.values():
             for name, value in outcome.metrics.items():
@@ -59,11 +67,15 @@ def compare_start(engines: Engines, cases: Sequence[Case], process: ProcessExecu
         spreads = {name: spread(found) for name, found in values.items()}
         for case in picked:
             pair = (batch[case.case_id], jsbsim[case.case_id])
-            rows += compared(START, case, pair, spreads, lambda case: one_ulp_off(engines, case, process))
+            rows += compared(
+                START, case, pair, spreads, lambda case: one_ulp_off(engines, case, process)
+            )
     return rows
 
 
-def settled_by_flight(spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None) -> Settled:
+def settled_by_flight(
+    spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None
+) -> Settled:
     """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and JSBSim is taken if they differ.
 
     Raises BadInputError as ``settle`` does.
@@ -74,7 +86,8 @@ def settled_by_flight(spec: CampaignSpec, mission: Mission, engines: Engines, ea
     with laid_out(spec, mission) as there, contextlib.closing(throwaway_process()) as process:
         case = _brief(one_case_each(settled.spec, there)[-1])
         ours, theirs = (
-            next(iter(_outcomes(engines, process, [Group(engine, ((case.case_id, case.flight),))]))) for engine in (BATCH, JUDGE)
+            next(iter(_outcomes(engines, process, [Group(engine, ((case.case_id, case.flight),))])))
+            for engine in (BATCH, JUDGE)
         )
     why = _apart(ours, theirs)
     return settled if why is None else Settled(spec.with_engine(JSBSIM), settled.asked, (why,))
@@ -96,7 +109,9 @@ def _apart(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
 
 def one_ulp_off(engines: Engines, case: Case, process: ProcessExecutor) -> CaseOutcome:
     """JSBSim's flight of the case from a start that is one unit in the last place off."""
-    return _flown(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[case.case_id]
+    return _flown(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[
+        case.case_id
+    ]
 
 
 def one_ulp_off_alone(engines: Engines, case: Case) -> CaseOutcome:
@@ -116,7 +131,9 @@ def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor
     least = float("inf")
     for _ in range(2):
         started = time.monotonic()
-        if any(outcome.status != "ok" for outcome in _outcomes(engines, process, [Group(BATCH, lanes)])):
+        if any(
+            outcome.status != "ok" for outcome in _outcomes(engines, process, [Group(BATCH, lanes)])
+        ):
             return None
         # Other work on the machine only ever adds.
         least = min(least, time.monotonic() - started)
@@ -125,10 +142,17 @@ def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor
 
 def _brief(case: Case) -> Case:
     flight = case.flight
-    return dataclasses.replace(case, flight=dataclasses.replace(flight, duration_s=min(START_S, flight.duration_s), burn_in_s=0.0))
+    return dataclasses.replace(
+        case,
+        flight=dataclasses.replace(
+            flight, duration_s=min(START_S, flight.duration_s), burn_in_s=0.0
+        ),
+    )
 
 
-def _flown(engines: Engines, process: ProcessExecutor, groups: Iterable[Group]) -> dict[str, CaseOutcome]:
+def _flown(
+    engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
+) -> dict[str, CaseOutcome]:
     found = {outcome.case_id: outcome for outcome in _outcomes(engines, process, groups)}
     for outcome in found.values():
         if outcome.bad_input:
@@ -136,5 +160,7 @@ def _flown(engines: Engines, process: ProcessExecutor, groups: Iterable[Group]) 
     return found
 
 
-def _outcomes(engines: Engines, process: ProcessExecutor, groups: Iterable[Group]) -> list[CaseOutcome]:
+def _outcomes(
+    engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
+) -> list[CaseOutcome]:
     return [outcome for batch in process.run_groups(engines.fly_group, groups) for outcome in batch]

@@ -62,7 +62,9 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     hashes: dict[str, str] = {}
     model_form: Path | None = None
     coefficients: tuple[str, ...] = section.coefficients
-    rates: dict[str, float] = {str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()}
+    rates: dict[str, float] = {
+        str(name): rate for name, rate in (section.walk_rate_per_sqrt_s or {}).items()
+    }
     if section.method == "walk" and not rates and not isinstance(section.bounds, str):
         rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
     form: ModelForm | None = None
@@ -71,7 +73,9 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
         form = read_bounds(model_form)
         coefficients = _coefficients(section, model_form, form)
         if section.method == "walk":
-            rates = {name: rates.get(name, form.coefficients[name].walk_rate) for name in coefficients}
+            rates = {
+                name: rates.get(name, form.coefficients[name].walk_rate) for name in coefficients
+            }
             lacking = [name for name in coefficients if not rates[name] > 0]
             if lacking:
                 raise BadInputError(
@@ -86,7 +90,9 @@ def read_inputs(section: EpistemicSection, beside: Path) -> CampaignInputs:
     return found if form is None else replace(found, **_of_form(section, form, coefficients))
 
 
-def _of_form(section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]) -> dict[str, Any]:
+def _of_form(
+    section: EpistemicSection, form: ModelForm, coefficients: tuple[str, ...]
+) -> dict[str, Any]:
     """What a model form says beside its bounds."""
     parts = {name: form.coefficients[name].parts for name in coefficients}
     flown = section.transient is not False and section.method != "none"
@@ -110,14 +116,18 @@ def read_bounds(path: Path) -> ModelForm:
     try:
         return read_model_form(path)
     except LogError as error:
-        raise BadInputError(f"{error} (uqharness bounds AIRCRAFT --flight FILE --out DIR makes one)") from None
+        raise BadInputError(
+            f"{error} (uqharness bounds AIRCRAFT --flight FILE --out DIR makes one)"
+        ) from None
 
 
 def _find(name: str, beside: Path, role: str, hashes: dict[str, str]) -> Path:
     given = Path(name)
     path = next((p for p in (beside / given, given) if p.is_file()), None)
     if path is None:
-        raise BadInputError(f"{beside / given}: named as {role} and not there, nor is {given} in this folder")
+        raise BadInputError(
+            f"{beside / given}: named as {role} and not there, nor is {given} in this folder"
+        )
     try:
         hashes[role] = sha256_hex(read_regular(path))
     except OSError as error:
@@ -131,7 +141,9 @@ def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tup
         return tuple(name for name in asked if name in form.coefficients)
     missing = [name for name in asked if name not in form.coefficients]
     if missing:
-        raise BadInputError(f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names")
+        raise BadInputError(
+            f"{path}: has no bounds for {', '.join(missing)}, which [epistemic] coefficients names"
+        )
     return asked
 
 
@@ -145,22 +157,32 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
     try:
         names = [str(name) for name in document["names"]]
         covariance = np.array(document["cov"], dtype=np.float64)
-        values = np.array([document["parameters"][name]["value"] for name in names], dtype=np.float64)
+        values = np.array(
+            [document["parameters"][name]["value"] for name in names], dtype=np.float64
+        )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInputError(
             f"{path}: not a fit with parameters, names and cov ({error}); make one with: uqharness identify"
         ) from None
     if not names:
-        raise BadInputError(f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from")
-    if covariance.shape != (len(names), len(names)) or not (np.isfinite(covariance).all() and np.isfinite(values).all()):
-        raise BadInputError(f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names")
+        raise BadInputError(
+            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to draw from"
+        )
+    if covariance.shape != (len(names), len(names)) or not (
+        np.isfinite(covariance).all() and np.isfinite(values).all()
+    ):
+        raise BadInputError(
+            f"{path}: cov must be a finite {len(names)} x {len(names)} matrix, as many as there are names"
+        )
     if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
         raise BadInputError(f"{path}: cov is not symmetric")
     found = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
     if asked is not None:
         unknown = [name for name in asked if name not in names]
         if unknown:
-            raise BadInputError(f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})")
+            raise BadInputError(
+                f"{path}: {', '.join(unknown)} is not among the identified parameters ({', '.join(names)})"
+            )
         rows = [names.index(name) for name in asked]
         found = Estimates(asked, values[rows], found.covariance[np.ix_(rows, rows)])
     try:
@@ -168,5 +190,7 @@ def _estimates(path: Path, asked: tuple[str, ...] | None) -> Estimates:
             raise ValueError("a variance is not positive")
         found.factor()
     except ValueError:
-        raise BadInputError(f"{path}: cov is not positive definite, so nothing can be drawn from it") from None
+        raise BadInputError(
+            f"{path}: cov is not positive definite, so nothing can be drawn from it"
+        ) from None
     return found

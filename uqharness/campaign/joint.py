@@ -18,7 +18,11 @@ def joint_level(manifest: Mapping[str, Any]) -> float | None:
     if bounds is None or epistemic["method"] == "none":
         return None
     confidence = float(bounds["confidence"])
-    return confidence if epistemic["set"] == "ellipsoid" else float(confidence ** len(epistemic["coefficients"]))
+    return (
+        confidence
+        if epistemic["set"] == "ellipsoid"
+        else float(confidence ** len(epistemic["coefficients"]))
+    )
 
 
 def joint_words(manifest: Mapping[str, Any]) -> list[str]:

@@ -36,9 +36,22 @@ LOOKS = 50
 """Looks, evenly spread over the flights, unless asked otherwise."""
 
 _COLUMNS = (
-    "condition", "wind_mps", "turbulence", "radius_m", "acceptable_per_h", "epistemic_id", "answer", "reason", "flights", "hours",
-    "excursions_upper", "rate_upper_per_h", "dispersion_observed", "dispersion_allowed", "error_rate",
-)  # fmt: skip
+    "condition",
+    "wind_mps",
+    "turbulence",
+    "radius_m",
+    "acceptable_per_h",
+    "epistemic_id",
+    "answer",
+    "reason",
+    "flights",
+    "hours",
+    "excursions_upper",
+    "rate_upper_per_h",
+    "dispersion_observed",
+    "dispersion_allowed",
+    "error_rate",
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +73,9 @@ class Rule:
         hours = duration_s / 3600.0
         zone = (self.zone_per_h[0] * hours, self.zone_per_h[1] * hours)
         acceptable, losses = self.acceptable_per_h * hours, self.acceptable_loss_per_h * hours
-        return Question(acceptable, zone, self.dispersion, self.error_rate, self.every_corner, losses)
+        return Question(
+            acceptable, zone, self.dispersion, self.error_rate, self.every_corner, losses
+        )
 
 
 def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
@@ -70,7 +85,11 @@ def rule_of(campaign: Mapping[str, Any], corners: int) -> Rule | None:
         return None
     acceptable, flights = float(metrics["acceptable_per_h"]), int(air["flights"])
     every_corner = stop.get("answer_for") == "corner"
-    questions = len(air["wind_mps"]) * len(air["turbulence"]) if stop.get("simultaneous_over") == "campaign" else 1
+    questions = (
+        len(air["wind_mps"]) * len(air["turbulence"])
+        if stop.get("simultaneous_over") == "campaign"
+        else 1
+    )
     questions *= corners if every_corner else 1
     look_every = int(stop.get("look_every") or max(1, flights // LOOKS))
     low, high = stop.get("indifference_per_h") or (ZONE[0] * acceptable, ZONE[1] * acceptable)
@@ -120,14 +139,19 @@ class Rounds:
         first, flown, flights = 0, 0, 1 + max(case.aleatory_id for case in self._cases)
         while first < flights and any(cell.evidence.open.any() for cell in self._cells):
             ids = range(first, min(first + self._rule.look_every, flights))
-            now = sorted((case for cell in self._cells for case in cell.open_cases(ids)), key=lambda case: order[case.case_id])
+            now = sorted(
+                (case for cell in self._cells for case in cell.open_cases(ids)),
+                key=lambda case: order[case.case_id],
+            )
             flown += len(now)
             yield now
             outcomes = {case.case_id: _outcome(store, case) for case in now}
             for cell in self._cells:
                 cell.learn(ids, outcomes)
             first = ids.stop
-            self.most = flown + sum(int(cell.evidence.open.sum()) for cell in self._cells) * (flights - first)
+            self.most = flown + sum(int(cell.evidence.open.sum()) for cell in self._cells) * (
+                flights - first
+            )
             self._write()
         for cell in self._cells:
             cell.evidence = close(cell.evidence)
@@ -148,7 +172,12 @@ class Rounds:
 
 def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
     """Rows of decisions.csv, as text. Raises BadInputError."""
-    return csv_rows(content, path, ("radius_m", "acceptable_per_h", "hours"), ("condition", "epistemic_id", "answer", "reason"))
+    return csv_rows(
+        content,
+        path,
+        ("radius_m", "acceptable_per_h", "hours"),
+        ("condition", "epistemic_id", "answer", "reason"),
+    )
 
 
 class _Cell:
@@ -176,7 +205,9 @@ class _Cell:
                 lost[row, column], missing[row, column] = aborted_flight(outcome, case.flight)
                 low[row, column], high[row, column] = _counts(outcome, self._column)
         high = np.fmax(high, np.where(lost > 0.0, 1.0, high))
-        self.evidence = look(add(self.evidence, self._question, low, high, lost, missing), self._question)
+        self.evidence = look(
+            add(self.evidence, self._question, low, high, lost, missing), self._question
+        )
 
     def rows(self, rule: Rule) -> Iterator[list[Any]]:
         found, hours = self.evidence, self.first.flight.duration_s / 3600.0
@@ -196,7 +227,16 @@ class _Cell:
         ]
         rest = [f"{rule.dispersion:g}", f"{rule.error_rate:.6g}"]
         answer = found.cell or "flying"
-        yield [*condition, *asked, ALL_CORNERS, answer, found.reason, *sums, f"{found.dispersion[worst]:.6g}", *rest]
+        yield [
+            *condition,
+            *asked,
+            ALL_CORNERS,
+            answer,
+            found.reason,
+            *sums,
+            f"{found.dispersion[worst]:.6g}",
+            *rest,
+        ]
         for row, corner in enumerate(self._corners):
             # A corner left behind when its cell was answered has no answer of its own.
             own = found.answers[row] or ("open" if found.cell else "flying")
@@ -206,7 +246,16 @@ class _Cell:
                 int(found.total[row]),
                 f"{rate[row]:.6g}",
             ]
-            yield [*condition, *asked, corner, own, "", *number, f"{found.dispersion[row]:.6g}", *rest]
+            yield [
+                *condition,
+                *asked,
+                corner,
+                own,
+                "",
+                *number,
+                f"{found.dispersion[row]:.6g}",
+                *rest,
+            ]
 
 
 def _cells(cases: Sequence[Case], rule: Rule) -> list[_Cell]:

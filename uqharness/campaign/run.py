@@ -19,7 +19,13 @@ from uqharness.campaign.engines import Engines, Settled, earlier_engine, laid_ou
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
-from uqharness.campaign.first_seconds import batch_pace, compare_start, one_ulp_off_alone, settled_by_flight, throwaway_process
+from uqharness.campaign.first_seconds import (
+    batch_pace,
+    compare_start,
+    one_ulp_off_alone,
+    settled_by_flight,
+    throwaway_process,
+)
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.manifest import (
     MANIFEST,
@@ -104,7 +110,11 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     from uqharness.simulator import content_hash, find_script
 
     aircraft = named_aircraft(spec)
-    script = None if spec.start is not None else find_script(spec.campaign.mission, spec.path.resolve().parent)
+    script = (
+        None
+        if spec.start is not None
+        else find_script(spec.campaign.mission, spec.path.resolve().parent)
+    )
     if needs_copy(spec):
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
@@ -139,7 +149,9 @@ def run_campaign(
     given = mission is not None
     folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
     if executor is not None and not hasattr(executor, "run_groups"):
-        engines = dataclasses.replace(engines, batch=None, no_batch="the executor flies case by case (it has no run_groups)")
+        engines = dataclasses.replace(
+            engines, batch=None, no_batch="the executor flies case by case (it has no run_groups)"
+        )
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
     settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
@@ -169,7 +181,9 @@ def run_campaign(
         if not (folder / LOCK).exists():
             _refuse_foreign(folder)
     with run_lock(_made(folder)):
-        manifest = describe(spec, mission, len(cases), command) | ({} if shard is None else {"shard": str(shard)})
+        manifest = describe(spec, mission, len(cases), command) | (
+            {} if shard is None else {"shard": str(shard)}
+        )
         old, finished = _earlier(folder, manifest)
         if not given:
             from uqharness.campaign.aircraft import make_copy, needs_copy
@@ -181,27 +195,42 @@ def run_campaign(
             return dataclasses.replace(found, engine=settled.engine)
         # Tables that other commands added are of these flights, and stay.
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
-        manifest |= {"engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]}
+        manifest |= {
+            "engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]
+        }
         write_manifest(folder, manifest)
         with Store(folder) as store:
             try:
                 judge = None
                 if settled.engine == BATCH:
-                    judge = Judge(folder, cases, lambda case: one_ulp_off_alone(engines, case), store.outcomes())
-                summary = _fly_missing(store, finished, rounds, executor, engines, judge, on_progress, told)
+                    judge = Judge(
+                        folder,
+                        cases,
+                        lambda case: one_ulp_off_alone(engines, case),
+                        store.outcomes(),
+                    )
+                summary = _fly_missing(
+                    store, finished, rounds, executor, engines, judge, on_progress, told
+                )
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
                     write_manifest(folder, manifest | {"state": INTERRUPTED})
                 raise
             _refuse_if_edited(folder, manifest, mission if given else find_mission(spec, folder))
-            tables = {} if shard is not None else make_tables(spec, cases, store.outcomes(), rounds.decisions)
+            tables = (
+                {}
+                if shard is not None
+                else make_tables(spec, cases, store.outcomes(), rounds.decisions)
+            )
             write_tables(folder, tables)
             write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
     return dataclasses.replace(summary, engine=settled.engine)
 
 
-def check_campaign(spec: CampaignSpec, mission: Mission, scratch: Path) -> tuple[Settled, Pace | None]:
+def check_campaign(
+    spec: CampaignSpec, mission: Mission, scratch: Path
+) -> tuple[Settled, Pace | None]:
     """The engine that a campaign will fly in, and its pace on this machine; what is compared on the way lies in ``scratch``.
 
     Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
@@ -249,7 +278,12 @@ def _earlier(folder: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] 
 
 
 def _look_again(
-    folder: Path, manifest: dict[str, Any], spec: CampaignSpec, cases: Sequence[Case], with_tables: bool, workers: int
+    folder: Path,
+    manifest: dict[str, Any],
+    spec: CampaignSpec,
+    cases: Sequence[Case],
+    with_tables: bool,
+    workers: int,
 ) -> CampaignSummary:
     """A campaign that is complete: its journal is held against the manifest, a table that is not as written is written again."""
     with Store(folder) as store:
@@ -267,7 +301,9 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
     The pace at which it flies, None where that could not be measured. Raises BadInputError with the reason when the model cannot
     be flown.
     """
-    brief = dataclasses.replace(case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0)
+    brief = dataclasses.replace(
+        case.flight, duration_s=min(VALIDATION_S, case.flight.duration_s), burn_in_s=0.0
+    )
     throwaway = ProcessExecutor(1, timeout_s=lambda flight: 120.0, retries=0, keep=True)
 
     def flown(flight: FlightSpec) -> bool:
@@ -301,7 +337,10 @@ def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:
 
 def _refuse_if_edited(folder: Path, manifest: dict[str, Any], mission: Mission) -> None:
     """Flights before and after an edit would stand in one table under one hash."""
-    if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (mission.aircraft_hash, mission.script_hash):
+    if (manifest["hashes"]["aircraft"], manifest["hashes"]["script"]) != (
+        mission.aircraft_hash,
+        mission.script_hash,
+    ):
         write_manifest(folder, manifest | {"state": SPOILT})
         raise _spoilt(folder)
 
@@ -317,7 +356,9 @@ def _made(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(f"{path}: cannot be made: {error.strerror or error}; choose another --out") from None
+        raise BadInputError(
+            f"{path}: cannot be made: {error.strerror or error}; choose another --out"
+        ) from None
     return path
 
 
@@ -333,9 +374,13 @@ def _refuse_foreign(folder: Path) -> None:
     """A folder of something else. Asked before the lock, which is a file in it, and again under it."""
     if not folder.is_dir() or (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         return
-    others = sorted(item.name for item in folder.iterdir() if item.name != LOCK and item.suffix != PART)
+    others = sorted(
+        item.name for item in folder.iterdir() if item.name != LOCK and item.suffix != PART
+    )
     if others:
-        raise BadInputError(f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out")
+        raise BadInputError(
+            f"{folder}: not empty and not a campaign folder (it has {others[0]}); choose another --out"
+        )
 
 
 def _fly_missing(
@@ -356,7 +401,15 @@ def _fly_missing(
     def progress() -> Progress:
         done = statuses.total()
         elapsed_s = time.monotonic() - started
-        return Progress(rounds.most, done, done_before, done - statuses["ok"], flown_s, elapsed_s, executor.workers)
+        return Progress(
+            rounds.most,
+            done,
+            done_before,
+            done - statuses["ok"],
+            flown_s,
+            elapsed_s,
+            executor.workers,
+        )
 
     for wanted in rounds(store):
         missing = [case for case in wanted if case.case_id not in finished]
@@ -364,14 +417,20 @@ def _fly_missing(
         if not missing and not judged:
             continue
         if not checked:
-            pace = validate_model(engines.fly, missing[0]) if judge is None else _checked_start(judge, engines, missing or wanted)
+            pace = (
+                validate_model(engines.fly, missing[0])
+                if judge is None
+                else _checked_start(judge, engines, missing or wanted)
+            )
             before_flying(pace, done_before)
             checked, started = True, time.monotonic()
         if judge is None:
             batches = executor.run(engines.fly, ((case.case_id, case.flight) for case in missing))
         else:
             # The judge's first: what is wrong is then seen soon.
-            batches = executor.run_groups(engines.fly_group, [*judged, *groups_of(missing, executor.workers)])
+            batches = executor.run_groups(
+                engines.fly_group, [*judged, *groups_of(missing, executor.workers)]
+            )
         try:
             for found in batches:
                 batch = found if judge is None else judge.take(found)
@@ -388,4 +447,6 @@ def _fly_missing(
             close = getattr(batches, "close", None)
             if close is not None:
                 close()
-    return CampaignSummary(store.folder, rounds.most, done_before, dict(sorted(statuses.items())), progress())
+    return CampaignSummary(
+        store.folder, rounds.most, done_before, dict(sorted(statuses.items())), progress()
+    )

@@ -64,7 +64,9 @@ class _Grouped:
     def values(self, of: Flown, metric: str) -> Array:
         """(n, A) of a metric; NaN where a flight failed. Raises BadInputError for one that the table has not."""
         if metric not in of.frame:
-            raise BadInputError(f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}")
+            raise BadInputError(
+                f"metric {metric}: not in {of.folder / CASES}; it has {', '.join(metrics_of(of))}"
+            )
         return np.where(self.flown, of.frame[metric].to_numpy(dtype=float)[self.places], np.nan)
 
 
@@ -124,16 +126,34 @@ def read_interior_campaign(folder: Path, corners: Flown) -> Flown:
     """A campaign of levels between the bounds that meets the same air as ``corners``. Raises BadInputError naming what differs."""
     flown = _read(folder)
     if flown.manifest["campaign"]["epistemic"]["method"] != "levels":
-        raise BadInputError(f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]')
+        raise BadInputError(
+            f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]'
+        )
     mine, theirs = flown.manifest["campaign"], corners.manifest["campaign"]
     different = [key for key in ("seed",) if mine["campaign"][key] != theirs["campaign"][key]]
-    different += [key for key in theirs["aleatory"] if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]]
-    different += [key for key in ("coefficients", "bounds") if mine["epistemic"].get(key) != theirs["epistemic"].get(key)]
-    different += [key for key, value in corners.manifest["hashes"].items() if flown.manifest["hashes"].get(key) != value]
+    different += [
+        key
+        for key in theirs["aleatory"]
+        if key != "flights" and mine["aleatory"].get(key) != theirs["aleatory"][key]
+    ]
+    different += [
+        key
+        for key in ("coefficients", "bounds")
+        if mine["epistemic"].get(key) != theirs["epistemic"].get(key)
+    ]
+    different += [
+        key
+        for key, value in corners.manifest["hashes"].items()
+        if flown.manifest["hashes"].get(key) != value
+    ]
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
-        different.append(f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)")
+        different.append(
+            f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are needed)"
+        )
     if different:
-        raise BadInputError(f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ")
+        raise BadInputError(
+            f"{folder}: does not belong to {corners.folder}: {', '.join(different)} differ"
+        )
     return flown
 
 
@@ -170,7 +190,9 @@ def analyse_campaign(
     return found
 
 
-def _analyse(table: _Table, between: _Table | None, condition: Condition, metric: str, seed: int) -> MetricSensitivity:
+def _analyse(
+    table: _Table, between: _Table | None, condition: Condition, metric: str, seed: int
+) -> MetricSensitivity:
     flown = table.of
     names = flown.coefficients
     d = len(names)
@@ -179,7 +201,9 @@ def _analyse(table: _Table, between: _Table | None, condition: Condition, metric
     try:
         y = np.array([values.pop(tuple(corner)) for corner in ends])
     except KeyError as missing:
-        raise BadInputError(f"{flown.folder}: the corner {missing} was not flown in {condition.words}") from None
+        raise BadInputError(
+            f"{flown.folder}: the corner {missing} was not flown in {condition.words}"
+        ) from None
     inside = np.array(list(values.values())) if values else None
     if between is not None:
         others = zip(between.levels.keys, between.levels.values(between.of, metric), strict=True)
@@ -201,7 +225,9 @@ def _analyse(table: _Table, between: _Table | None, condition: Condition, metric
     return MetricSensitivity(condition, metric, result, y.shape[1], lost, ranking, said)
 
 
-def _with_points(inside: Array | None, points: list[Array], known: NDArray[np.bool_]) -> Array | None:
+def _with_points(
+    inside: Array | None, points: list[Array], known: NDArray[np.bool_]
+) -> Array | None:
     """``inside`` with a campaign's interior points: they check the corners and leave out no air; one that failed is dropped."""
     whole = [point for point in points if np.all(np.isfinite(point[known]))]
     found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])
@@ -218,13 +244,21 @@ def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
     for key, group in rows.groupby(level_names, sort=False):
         ordered = group.sort_values("aleatory_id")
         if not np.array_equal(ordered["aleatory_id"].to_numpy(), ids):
-            raise BadInputError(f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples")
+            raise BadInputError(
+                f"{flown.folder}: {condition.words}: not every corner flew the same aleatory samples"
+            )
         ok = (ordered["status"] == "ok").to_numpy()
         durations = ordered["duration_s"].to_numpy()[ok]
         if durations.size and np.ptp(durations) > 1e-6:
-            raise BadInputError(f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared")
+            raise BadInputError(
+                f"{flown.folder}: {condition.words}: flights of unequal duration cannot be compared"
+            )
         keys.append(tuple(np.atleast_1d(np.asarray(key, dtype=float)).tolist()))
         places.append(ordered.index.to_numpy())
         complete.append(ok)
     shape = (len(keys), len(ids))
-    return _Grouped(tuple(keys), np.array(places, dtype=np.intp).reshape(shape), np.array(complete, dtype=bool).reshape(shape))
+    return _Grouped(
+        tuple(keys),
+        np.array(places, dtype=np.intp).reshape(shape),
+        np.array(complete, dtype=bool).reshape(shape),
+    )

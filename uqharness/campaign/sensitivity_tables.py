@@ -20,10 +20,28 @@ from uqharness.text_tables import csv_rows
 
 SENSITIVITY = "sensitivity.csv"
 COLUMNS = (
-    "condition", "wind_mps", "turbulence", "metric", "unit", "coefficient", "share_min", "share_max", "share_low",
-    "share_high", "shrink_min", "shrink_max", "shrink_low", "shrink_high", "width", "width_low", "width_high", "flights",
-    "left_out", "interior_outside", "reason",
-)  # fmt: skip
+    "condition",
+    "wind_mps",
+    "turbulence",
+    "metric",
+    "unit",
+    "coefficient",
+    "share_min",
+    "share_max",
+    "share_low",
+    "share_high",
+    "shrink_min",
+    "shrink_max",
+    "shrink_low",
+    "shrink_high",
+    "width",
+    "width_low",
+    "width_high",
+    "flights",
+    "left_out",
+    "interior_outside",
+    "reason",
+)
 
 
 def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
@@ -33,15 +51,30 @@ def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
             assert isinstance(index, PairRange)
-            shares = [index.minimum.value, index.maximum.value, index.minimum.low, index.maximum.high]
-            shrink = [details[key][i] if key in details else math.nan
-                      for key in ("shrink_min", "shrink_max", "shrink_low", "shrink_high")]  # fmt: skip
+            shares = [
+                index.minimum.value,
+                index.maximum.value,
+                index.minimum.low,
+                index.maximum.high,
+            ]
+            shrink = [
+                details[key][i] if key in details else math.nan
+                for key in ("shrink_min", "shrink_max", "shrink_low", "shrink_high")
+            ]
             width = [details.get(key, math.nan) for key in ("area", "area_low", "area_high")]
             yield [
-                item.condition.label, f"{item.condition.wind_mps:g}", item.condition.turbulence, item.metric,
-                unit_of(item.metric), name, *map(number, [*shares, *shrink, *width]), str(item.flights), str(item.left_out),
-                number(details.get("interior_outside", math.nan)), index.reason,
-            ]  # fmt: skip
+                item.condition.label,
+                f"{item.condition.wind_mps:g}",
+                item.condition.turbulence,
+                item.metric,
+                unit_of(item.metric),
+                name,
+                *map(number, [*shares, *shrink, *width]),
+                str(item.flights),
+                str(item.left_out),
+                number(details.get("interior_outside", math.nan)),
+                index.reason,
+            ]
 
 
 def as_csv(found: Sequence[MetricSensitivity]) -> bytes:
@@ -70,8 +103,15 @@ def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
 
 
 _NUMBERS = (
-    "share_min", "share_max", "share_low", "share_high", "shrink_min", "shrink_max", "shrink_low", "shrink_high",
-)  # fmt: skip
+    "share_min",
+    "share_max",
+    "share_low",
+    "share_high",
+    "shrink_min",
+    "shrink_max",
+    "shrink_low",
+    "shrink_high",
+)
 
 
 def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]] | None:
@@ -81,6 +121,12 @@ def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
     content = read_checked(folder, manifest, SENSITIVITY)
     texts = ("condition", "turbulence", "metric", "coefficient", "reason")
     rows = csv_rows(content, folder / SENSITIVITY, ("wind_mps",), texts, _NUMBERS)
-    if any(row["turbulence"] not in TURBULENCE_W20_KT or bool(row["share_min"]) != bool(row["share_max"]) for row in rows):
-        raise BadInputError(f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again")
+    if any(
+        row["turbulence"] not in TURBULENCE_W20_KT
+        or bool(row["share_min"]) != bool(row["share_max"])
+        for row in rows
+    ):
+        raise BadInputError(
+            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again"
+        )
     return rows

@@ -30,9 +30,12 @@ class Winner:
 
 
 def find_winner(
-    folder: Path, metric: str | None = None, coefficient: str | None = None, seed: int = 0,
+    folder: Path,
+    metric: str | None = None,
+    coefficient: str | None = None,
+    seed: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Winner:  # fmt: skip
+) -> Winner:
     """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or ``coefficient``, with its part.
 
     Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or no coefficient that wins.
@@ -41,8 +44,14 @@ def find_winner(
     there = metrics_of(flown)
     chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
     if chosen not in there:
-        raise BadInputError(f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}")
-    found = [f for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress) if f.ranking.first]
+        raise BadInputError(
+            f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}"
+        )
+    found = [
+        f
+        for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress)
+        if f.ranking.first
+    ]
     if not found:
         raise BadInputError(
             f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly more of the campaign, choose "
@@ -57,7 +66,9 @@ def find_winner(
     first = max(parts, key=lambda name: parts[name])
     name = coefficient or first
     if name not in parts:
-        raise BadInputError(f"--coefficient {name}: not uncertain in {folder}; there are {', '.join(parts)}")
+        raise BadInputError(
+            f"--coefficient {name}: not uncertain in {folder}; there are {', '.join(parts)}"
+        )
     if name not in COEFFICIENTS:
         raise BadInputError(
             f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form: measure it. For the aerodynamic "
@@ -67,6 +78,10 @@ def find_winner(
     index = best.result.indices[name]
     assert isinstance(index, PairRange)
     return Winner(
-        name, chosen, (index.minimum.value, index.maximum.value), best.condition.label,
-        all(f.ranking.first == name and f.ranking.certain for f in found), tuple(f"{f.condition.words}: {f.words}" for f in found),
-    )  # fmt: skip
+        name,
+        chosen,
+        (index.minimum.value, index.maximum.value),
+        best.condition.label,
+        all(f.ranking.first == name and f.ranking.certain for f in found),
+        tuple(f"{f.condition.words}: {f.words}" for f in found),
+    )

@@ -20,7 +20,13 @@ import numpy as np
 from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
 from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
 from uqharness.campaign.columns import counted_radii, excursion_column
-from uqharness.campaign.conditions import CONFIDENCE, Condition, ExcursionCell, excursion_cells, in_condition
+from uqharness.campaign.conditions import (
+    CONFIDENCE,
+    Condition,
+    ExcursionCell,
+    excursion_cells,
+    in_condition,
+)
 from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
 from uqharness.statistics import (
     NO,
@@ -41,13 +47,41 @@ from uqharness.statistics import (
 STATEMENTS = "statements.csv"
 
 _COLUMNS = (
-    "condition", "wind_mps", "turbulence", "radius_m", "distance", "best_per_h", "best_lower_per_h", "best_upper_per_h",
-    "worst_per_h", "worst_lower_per_h", "worst_upper_per_h", "best", "worst", "acceptable_per_h", "answer", "confidence",
-    "dispersion_allowed", "dispersion_observed", "flights", "hours", "failed", "extrapolated_share",
-    "flight_share_upper", "acceptable_loss_per_h", "loss_upper_per_h", "aborted", "loss_of_control", "ground_contact", "diverged",
-    "reason", "dispersion_measured_at", "dispersion_radius_m", "quiet_hours_needed",
+    "condition",
+    "wind_mps",
+    "turbulence",
+    "radius_m",
+    "distance",
+    "best_per_h",
+    "best_lower_per_h",
+    "best_upper_per_h",
+    "worst_per_h",
+    "worst_lower_per_h",
+    "worst_upper_per_h",
+    "best",
+    "worst",
+    "acceptable_per_h",
+    "answer",
+    "confidence",
+    "dispersion_allowed",
+    "dispersion_observed",
+    "flights",
+    "hours",
+    "failed",
+    "extrapolated_share",
+    "flight_share_upper",
+    "acceptable_loss_per_h",
+    "loss_upper_per_h",
+    "aborted",
+    "loss_of_control",
+    "ground_contact",
+    "diverged",
+    "reason",
+    "dispersion_measured_at",
+    "dispersion_radius_m",
+    "quiet_hours_needed",
     "yes_up_to_dispersion",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -100,21 +134,31 @@ class Statement:
         """How many flights may have an excursion, in words; empty where that is not known."""
         if np.isnan(self.flight_share_upper):
             return ""
-        return (
-            f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner (95 % limit, any clustering)"
-        )
+        return f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner (95 % limit, any clustering)"
 
 
-def statements(frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()) -> list[Statement]:
+def statements(
+    frame: Any, campaign: Mapping[str, Any], decisions: Sequence[Mapping[str, str]] = ()
+) -> list[Statement]:
     """Statements from a case table. ``campaign``: its settings as plain types; ``decisions``: rows of decisions.csv."""
     rule = rule_of(campaign, frame["epistemic_id"].nunique())
-    answers = {(row["condition"], row["radius_m"]): row["answer"] for row in decisions if row["epistemic_id"] == ALL_CORNERS}
+    answers = {
+        (row["condition"], row["radius_m"]): row["answer"]
+        for row in decisions
+        if row["epistemic_id"] == ALL_CORNERS
+    }
     found = []
     flown: dict[Condition, _Flown] = {}
     for cell in excursion_cells(frame, campaign["metrics"]["excursion_radius_m"]):
         if cell.condition not in flown:
-            flown[cell.condition] = _Flown.of(in_condition(frame, cell.condition), float(campaign["aleatory"]["duration_s"]))
-        decided = answers.get((cell.condition.label, f"{cell.radius_m:g}")) if cell.distance == "horizontal" else None
+            flown[cell.condition] = _Flown.of(
+                in_condition(frame, cell.condition), float(campaign["aleatory"]["duration_s"])
+            )
+        decided = (
+            answers.get((cell.condition.label, f"{cell.radius_m:g}"))
+            if cell.distance == "horizontal"
+            else None
+        )
         found.append(_statement(flown[cell.condition], campaign, cell, rule, decided))
     return found
 
@@ -136,11 +180,21 @@ class _Flown:
         hours = np.array([float(group["duration_s"].sum()) for group in groups]) / 3600.0
         places = rows.groupby("epistemic_id", sort=False).indices
         failed = (rows["status"] != "ok").to_numpy(dtype=bool)
-        return cls(rows, [places[n] for n in rows["epistemic_id"].unique()], failed, aborted(groups, duration_s), hours)
+        return cls(
+            rows,
+            [places[n] for n in rows["epistemic_id"].unique()],
+            failed,
+            aborted(groups, duration_s),
+            hours,
+        )
 
 
 def _statement(
-    flown: _Flown, campaign: Mapping[str, Any], cell: ExcursionCell, rule: Rule | None, decided: str | None
+    flown: _Flown,
+    campaign: Mapping[str, Any],
+    cell: ExcursionCell,
+    rule: Rule | None,
+    decided: str | None,
 ) -> Statement:
     rows, losses, flown_h = flown.rows, flown.losses, flown.hours
     metrics, hours = campaign["metrics"], float(campaign["aleatory"]["duration_s"]) / 3600.0
@@ -151,8 +205,14 @@ def _statement(
     anytime = None if rule is None else assumed
     error, corners = 1.0 - CONFIDENCE, len(flown.places)
     side = error / 2.0
-    radii = [] if rule is not None else [radius for radius in counted_radii(metrics) if radius < cell.radius_m]
-    nearer = {radius: _counts(flown, excursion_column(radius, cell.distance))[1] for radius in radii}
+    radii = (
+        []
+        if rule is not None
+        else [radius for radius in counted_radii(metrics) if radius < cell.radius_m]
+    )
+    nearer = {
+        radius: _counts(flown, excursion_column(radius, cell.distance))[1] for radius in radii
+    }
     clusters = carried(nearer | {cell.radius_m: high}, cell.radius_m, flown_h, assumed, error)
     observed = observed_dispersion(high)
     ended = np.where(losses.missing > 0.0, high, 0.0).max(axis=1)
@@ -166,7 +226,10 @@ def _statement(
     upper, upper_all = upper_per_h(side), upper_per_h(side / corners)
     loss_upper = losses.upper(side, None if rule is None else 1.0) / hours
     counted, possible = (_per_hour(np.nansum(counts, axis=1), flown_h) for counts in (low, high))
-    at_best, at_worst = int(np.where(np.isnan(counted), np.inf, counted).argmin()), int(possible.argmax())
+    at_best, at_worst = (
+        int(np.where(np.isnan(counted), np.inf, counted).argmin()),
+        int(possible.argmax()),
+    )
     names = [rate.epistemic_id for rate in cell.rates]
     acceptable = float(metrics["acceptable_per_h"])
     acceptable_loss = float(metrics.get("acceptable_loss_per_h") or acceptable)
@@ -174,15 +237,25 @@ def _statement(
     answer, reason = OPEN, ""
     if np.all(upper <= acceptable) and np.all(loss_upper <= acceptable_loss):
         answer, reason = (OPEN, BEYOND) if clusters.beyond else (YES, "")
-    elif _shown_above((low, losses.lost), losses.missing, (acceptable * hours, acceptable_loss * hours), error):
+    elif _shown_above(
+        (low, losses.lost), losses.missing, (acceptable * hours, acceptable_loss * hours), error
+    ):
         answer = NO
     stands = float("nan")
     if (decided or answer) == YES:
-        stands = float(dispersion_that_allows(acceptable * hours, flights, total, side, anytime, losses.missing_shares).min())
+        stands = float(
+            dispersion_that_allows(
+                acceptable * hours, flights, total, side, anytime, losses.missing_shares
+            ).min()
+        )
     return Statement(
         cell,
-        RateRange(float(counted[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]),
-        RateRange(float(possible[at_worst]), float(lower_all.max()), float(upper.max()), names[at_worst]),
+        RateRange(
+            float(counted[at_best]), float(lower.min()), float(upper_all.min()), names[at_best]
+        ),
+        RateRange(
+            float(possible[at_worst]), float(lower_all.max()), float(upper.max()), names[at_worst]
+        ),
         decided or answer,
         acceptable,
         largest,
@@ -190,7 +263,9 @@ def _statement(
         float(rows["extrapolated_share"].mean()),
         np.column_stack([lower_all, upper_all]),
         observed,
-        float(share_upper((high > 0).sum(axis=1), flights, error).max()) if rule is None else float("nan"),
+        float(share_upper((high > 0).sum(axis=1), flights, error).max())
+        if rule is None
+        else float("nan"),
         acceptable_loss,
         float(loss_upper.max()),
         losses.kinds,
@@ -208,14 +283,22 @@ def _per_hour(counts: Array, hours: Array) -> Array:
     return found
 
 
-def _shown_above(counts: tuple[Array, Array], missing: Array, acceptable: tuple[float, float], error: float) -> bool:
+def _shown_above(
+    counts: tuple[Array, Array], missing: Array, acceptable: tuple[float, float], error: float
+) -> bool:
     """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with probability ``error`` at most.
 
     The mean of evidence against "all are below", over corners and over what is counted, is such evidence, whatever the dependence.
     What a flight did not fly is charged at the tested mean, so that it is one per flight's length flown.
     """
     excursions, losses = (
-        log_e_above(np.where(np.isfinite(count)[..., None], bet_logs(np.nan_to_num(count + mean * missing), mean), 0.0).sum(axis=1))
+        log_e_above(
+            np.where(
+                np.isfinite(count)[..., None],
+                bet_logs(np.nan_to_num(count + mean * missing), mean),
+                0.0,
+            ).sum(axis=1)
+        )
         for count, mean in zip(counts, acceptable, strict=True)
     )
     evidence = evidence_of_either(excursions, losses)
@@ -251,7 +334,11 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
             f"{cell.radius_m:g}",
             cell.distance,
         ]
-        row += [f"{x:.6g}" for side in (item.best, item.worst) for x in (side.rate, side.lower, side.upper)]
+        row += [
+            f"{x:.6g}"
+            for side in (item.best, item.worst)
+            for x in (side.rate, side.lower, side.upper)
+        ]
         row += [
             item.best.epistemic_id,
             item.worst.epistemic_id,
@@ -260,11 +347,27 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
             f"{CONFIDENCE:g}",
         ]
         row += [f"{item.dispersion_allowed:g}", number(item.dispersion_observed)]
-        row += [str(sum(rate.flights for rate in rates)), f"{sum(rate.hours for rate in rates):.6f}"]
-        row += [str(sum(rate.failed for rate in rates)), number(item.extrapolated_share), number(item.flight_share_upper)]
-        row += [f"{item.acceptable_loss_per_h:g}", number(item.loss_upper_per_h), str(sum(item.aborted.values()))]
+        row += [
+            str(sum(rate.flights for rate in rates)),
+            f"{sum(rate.hours for rate in rates):.6f}",
+        ]
+        row += [
+            str(sum(rate.failed for rate in rates)),
+            number(item.extrapolated_share),
+            number(item.flight_share_upper),
+        ]
+        row += [
+            f"{item.acceptable_loss_per_h:g}",
+            number(item.loss_upper_per_h),
+            str(sum(item.aborted.values())),
+        ]
         row += [str(item.aborted[kind]) for kind in (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED)]
-        row += [item.reason, str(item.dispersion.measured), number(item.dispersion.nearest_m), number(item.quiet_hours_needed)]
+        row += [
+            item.reason,
+            str(item.dispersion.measured),
+            number(item.dispersion.nearest_m),
+            number(item.quiet_hours_needed),
+        ]
         row.append(number(item.yes_up_to_dispersion))
         writer.writerow(row)
     return buffer.getvalue().encode()

@@ -40,4 +40,8 @@ def tell_gains(path: Path | None, gains: AutopilotGains | None) -> None:
 
 def as_data(gains: AutopilotGains | None) -> dict[str, Any] | None:
     """The same for --json."""
-    return None if gains is None else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.others}
+    return (
+        None
+        if gains is None
+        else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.others}
+    )

@@ -52,18 +52,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flights(parser)
     add_out(parser)
     add_log_options(parser)
-    confidence = number("--confidence", "a probability such as 0.95", above=0.0, most=math.nextafter(1.0, 0.0))
-    parser.add_argument(
-        "--confidence", type=confidence, default=0.95, metavar="P", help="confidence of the intervals (default 0.95)"
+    confidence = number(
+        "--confidence", "a probability such as 0.95", above=0.0, most=math.nextafter(1.0, 0.0)
     )
     parser.add_argument(
-        "--states", action="append", default=[], metavar="C=S,S", help="states of a coefficient's polynomial; repeatable"
+        "--confidence",
+        type=confidence,
+        default=0.95,
+        metavar="P",
+        help="confidence of the intervals (default 0.95)",
     )
     parser.add_argument(
-        "--terms", action="append", default=[], metavar="C=T,T", help="terms of a coefficient, 1,V,alpha^2,alpha*q; repeatable"
+        "--states",
+        action="append",
+        default=[],
+        metavar="C=S,S",
+        help="states of a coefficient's polynomial; repeatable",
     )
-    parser.add_argument("--order", type=int, choices=(0, 1, 2, 3), default=2, help="order of the full polynomials (default 2)")
-    parser.add_argument("--roll-terms", action="store_true", help="roll rate among the states of Cm (dissertation, Fig 2.10)")
+    parser.add_argument(
+        "--terms",
+        action="append",
+        default=[],
+        metavar="C=T,T",
+        help="terms of a coefficient, 1,V,alpha^2,alpha*q; repeatable",
+    )
+    parser.add_argument(
+        "--order",
+        type=int,
+        choices=(0, 1, 2, 3),
+        default=2,
+        help="order of the full polynomials (default 2)",
+    )
+    parser.add_argument(
+        "--roll-terms",
+        action="store_true",
+        help="roll rate among the states of Cm (dissertation, Fig 2.10)",
+    )
     parser.add_argument(
         "--select",
         choices=("full", "stepwise"),
@@ -71,13 +95,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="all terms, or those that a partial F test keeps (default full)",
     )
     parser.add_argument(
-        "--as-published", action="store_true",
+        "--as-published",
+        action="store_true",
         help="the dissertation's interval of a measured sample, sensor noise included (default: the model's error alone)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--sample-size", choices=("effective", "all"),
+        "--sample-size",
+        choices=("effective", "all"),
         help="with --as-published: count all samples (default), or the effective sample size, which allows for autocorrelation",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--outside",
         choices=("grow", "clamp"),
@@ -86,10 +112,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     for option, default, text, limits in (
         ("--cutoff-hz", 6.0, "differentiator and smoother, Hz (default 6)", {"above": 0.0}),
-        ("--airspeed-cutoff-hz", 2.0, "low-pass of the airspeed, Hz (default 2; 0: none)", {"least": 0.0}),
-        ("--walk-cutoff-hz", 0.5, "low-pass for the rate of variation, Hz (default 0.5)", {"above": 0.0}),
+        (
+            "--airspeed-cutoff-hz",
+            2.0,
+            "low-pass of the airspeed, Hz (default 2; 0: none)",
+            {"least": 0.0},
+        ),
+        (
+            "--walk-cutoff-hz",
+            0.5,
+            "low-pass for the rate of variation, Hz (default 0.5)",
+            {"above": 0.0},
+        ),
     ):
-        parser.add_argument(option, type=number(option, "a frequency", **limits), default=default, metavar="F", help=text)
+        parser.add_argument(
+            option,
+            type=number(option, "a frequency", **limits),
+            default=default,
+            metavar="F",
+            help=text,
+        )
     add_no_check(parser, "the leave-one-out check and the check with other filters")
     add_no_figures(parser)
 
@@ -102,7 +144,12 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
         )
     return BoundsOptions(
         designs=parse_designs(args.states, args.terms, args.order, args.roll_terms),
-        fit=FitOptions(args.confidence, args.sample_size or "all", args.select, "inside" if args.as_published else "apart"),
+        fit=FitOptions(
+            args.confidence,
+            args.sample_size or "all",
+            args.select,
+            "inside" if args.as_published else "apart",
+        ),
         cutoffs=Cutoffs(args.cutoff_hz, args.airspeed_cutoff_hz or math.inf),
         walk_cutoff_hz=args.walk_cutoff_hz,
         outside=args.outside,
@@ -118,7 +165,9 @@ def _run(args: argparse.Namespace) -> int:
     with working("bounds") as stage:
         stage("reading the flights")
         flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
-        found = make_bounds(aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage)
+        found = make_bounds(
+            aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
+        )
         system = model_form_xml(found.form, aircraft)
         out = results_folder(args.out)
         document = bounds_document(found)
@@ -141,5 +190,7 @@ def _more_figures(found: MadeBounds, out: Path) -> None:
 
     sections = [variation_section(found.variations)]
     if found.baseline:
-        sections.append(slice_section(found.form, read_histories(out / RESIDUALS), baseline=found.baseline))
+        sections.append(
+            slice_section(found.form, read_histories(out / RESIDUALS), baseline=found.baseline)
+        )
     write_figures(out, sections, f"Model-form bounds of {found.form.aircraft.name}")

@@ -21,7 +21,9 @@ class Command(argparse.ArgumentParser):
         place, self.place = self.place, ""
         if place:
             module, _, function = place.partition(":")
-            getattr(importlib.import_module(f"uqharness.cli.{module}"), function or "add_arguments")(self)
+            getattr(
+                importlib.import_module(f"uqharness.cli.{module}"), function or "add_arguments"
+            )(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does it, once the arguments are there."""
@@ -38,4 +40,9 @@ def add_commands(parser: argparse.ArgumentParser, table: Table, dest: str, metav
 
 def commands_of(parser: argparse.ArgumentParser) -> dict[str, Command]:
     """The commands that a parser has, by name; completed parsers alone have those below them."""
-    return {n: c for a in parser._actions if isinstance(a, argparse._SubParsersAction) for n, c in a.choices.items()}
+    return {
+        n: c
+        for a in parser._actions
+        if isinstance(a, argparse._SubParsersAction)
+        for n, c in a.choices.items()
+    }

@@ -39,7 +39,9 @@ times the noise in all of V, alpha, beta, phi, theta, p, q, r, ax, ay, az (as fa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``compare``."""
     text = "Replay a flight by segment and measure the gap to the model against the sensors' noise."
-    describe(parser, _run, text, _EXAMPLE, done="the model reaches the noise floor", no="it does not")
+    describe(
+        parser, _run, text, _EXAMPLE, done="the model reaches the noise floor", no="it does not"
+    )
     add_aircraft(parser)
     parser.add_argument("--flight", type=Path, required=True, metavar="FILE", help=FLIGHT_FILE)
     add_out(parser)
@@ -55,7 +57,9 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     with working("compare", lambda: counter["segments"]) as stage:
         stage("reading the flight")
-        flights, measured = read_flights([args.flight], aircraft, args.manoeuvres, args.map, align=False)
+        flights, measured = read_flights(
+            [args.flight], aircraft, args.manoeuvres, args.map, align=False
+        )
         found = compare(
             aircraft,
             flights[0],

@@ -48,16 +48,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     describe(parser, _run, text, _EXAMPLE, no="the models differ")
     for name in ("a", "b"):
-        parser.add_argument(name, metavar=name.upper(), help="aircraft: name, folder, or REVISION:FOLDER of a git repository")
+        parser.add_argument(
+            name,
+            metavar=name.upper(),
+            help="aircraft: name, folder, or REVISION:FOLDER of a git repository",
+        )
     speed = number("--speed-mps", above=0.0, most=1000.0)
     parser.add_argument(
-        "--speed-mps", type=speed, action="append", default=[], metavar="V",
+        "--speed-mps",
+        type=speed,
+        action="append",
+        default=[],
+        metavar="V",
         help="true airspeed at which A is trimmed and its manoeuvres are flown, m/s; repeatable",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--altitude-m", type=number("--altitude-m", above=0.0, most=30_000.0), default=200.0, metavar="H",
+        "--altitude-m",
+        type=number("--altitude-m", above=0.0, most=30_000.0),
+        default=200.0,
+        metavar="H",
         help="height of the manoeuvres above sea level, m (default %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--script",
         action="append",
@@ -81,18 +92,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare this JSBSim property too; repeatable",
     )
     parser.add_argument(
-        "--tolerance", type=number("--tolerance", least=0.0, most=1.0), default=ROUNDING, metavar="R",
+        "--tolerance",
+        type=number("--tolerance", least=0.0, most=1.0),
+        default=ROUNDING,
+        metavar="R",
         help="differences up to this share of a channel's range count as equal (default %(default)g: rounding)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--repeats", type=whole("--repeats", 0, 1000), default=0, metavar="N",
+        "--repeats",
+        type=whole("--repeats", 0, 1000),
+        default=0,
+        metavar="N",
         help="fly A N more times in other turbulence; differences of that size count as equal (default %(default)s)",
-    )  # fmt: skip
-    parser.add_argument("--bounds", action="store_true", help="differences within A's model-form bounds count as equal")
+    )
     parser.add_argument(
-        "--python-b", type=Path, metavar="PYTHON",
+        "--bounds",
+        action="store_true",
+        help="differences within A's model-form bounds count as equal",
+    )
+    parser.add_argument(
+        "--python-b",
+        type=Path,
+        metavar="PYTHON",
         help="interpreter that flies B, of an environment with another JSBSim (default: this one)",
-    )  # fmt: skip
+    )
     add_page(parser, "the histories that differ")
 
 
@@ -105,12 +128,20 @@ def _run(args: argparse.Namespace) -> int:
             "--script S"
         )
     asked = Asked(
-        speeds_mps=tuple(args.speed_mps), altitude_m=args.altitude_m, scripts=tuple(find_script(s) for s in args.script),
-        turbulence=args.turbulence, seed=args.seed, properties=tuple(args.properties), python_b=args.python_b,
-        repeats=args.repeats, bounds=args.bounds,
-    )  # fmt: skip
+        speeds_mps=tuple(args.speed_mps),
+        altitude_m=args.altitude_m,
+        scripts=tuple(find_script(s) for s in args.script),
+        turbulence=args.turbulence,
+        seed=args.seed,
+        properties=tuple(args.properties),
+        python_b=args.python_b,
+        repeats=args.repeats,
+        bounds=args.bounds,
+    )
     with scratch_folder("revisions") as scratch:
-        a, b = (aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b)))
+        a, b = (
+            aircraft_at(text, scratch.path / side) for side, text in (("a", args.a), ("b", args.b))
+        )
         terms = differing_terms(a.folder, b.folder)
         with counting("flights compared") as progress:
             channels, flights = fly_matched(a, b, asked, progress)
@@ -118,7 +149,9 @@ def _run(args: argparse.Namespace) -> int:
     refused = [f for f in flights if f.reason]
     first = by_channel(found)
     if args.out is not None:
-        page = difference_page((args.a, args.b), channels, flights, first, terms, command_as_given(args))
+        page = difference_page(
+            (args.a, args.b), channels, flights, first, terms, command_as_given(args)
+        )
         write_html(args.out, page)
     differ = bool(first or refused or any(f.only_a or f.only_b for f in flights))
     if args.json:
@@ -128,7 +161,9 @@ def _run(args: argparse.Namespace) -> int:
     return 1 if differ else 0
 
 
-def _text(flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool) -> str:
+def _text(
+    flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
+) -> str:
     flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
     beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
     if not differ:
@@ -151,24 +186,35 @@ def _text(flights: Sequence[Matched], first: Sequence[Difference], terms: Sequen
         d = first[0]
         where = d.terms[0] if d.terms else None
         cause = f"; likeliest cause {_where(where)}" if where else ""
-        out.append(f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}{cause}.")
+        out.append(
+            f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}{cause}."
+        )
         rows = [
             {
-                "Channel": x.channel, "Flight": x.flight, "From [s]": f"{x.from_s:g}",
-                "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"), "Share of range [%]": f"{100 * x.share:.2g}",
+                "Channel": x.channel,
+                "Flight": x.flight,
+                "From [s]": f"{x.from_s:g}",
+                "Largest difference": f"{x.size:.3g} {x.unit}".removesuffix(" -"),
+                "Share of range [%]": f"{100 * x.share:.2g}",
             }
             for x in first[:_SHOWN]
-        ]  # fmt: skip
+        ]
         out += ["", *text_table(rows)]
         if len(first) > _SHOWN:
             out.append(f"and {len(first) - _SHOWN} more (--json lists all)")
     if terms:
-        out += ["", f"XML that differs ({len(terms)}):", *(f"  {line}" for line in _terms(first[0].terms if first else terms))]
+        out += [
+            "",
+            f"XML that differs ({len(terms)}):",
+            *(f"  {line}" for line in _terms(first[0].terms if first else terms)),
+        ]
     return "\n".join(out)
 
 
 def _terms(terms: Sequence[Term]) -> list[str]:
-    lines = [f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}" for t in terms[:_SHOWN]]
+    lines = [
+        f"{_where(t)}: {t.path}: {t.a or 'nothing'} -> {t.b or 'nothing'}" for t in terms[:_SHOWN]
+    ]
     return [*lines, f"and {len(terms) - _SHOWN} more"] if len(terms) > _SHOWN else lines
 
 
@@ -177,30 +223,56 @@ def _where(term: Term) -> str:
 
 
 def _document(
-    args: argparse.Namespace, flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term], differ: bool
+    args: argparse.Namespace,
+    flights: Sequence[Matched],
+    found: Sequence[Difference],
+    terms: Sequence[Term],
+    differ: bool,
 ) -> dict[str, Any]:
     def finite(value: float) -> float | None:
         return value if math.isfinite(value) else None
 
     return {
-        "a": args.a, "b": args.b, "differ": differ, "tolerance": args.tolerance,
+        "a": args.a,
+        "b": args.b,
+        "differ": differ,
+        "tolerance": args.tolerance,
         "flights": [
             {
-                "name": f.name, "frames": len(f.time_s), "reason": f.reason or None, "only_a": list(f.only_a),
-                "only_b": list(f.only_b), "jsbsim_b": f.jsbsim_b or None,
+                "name": f.name,
+                "frames": len(f.time_s),
+                "reason": f.reason or None,
+                "only_a": list(f.only_a),
+                "only_b": list(f.only_b),
+                "jsbsim_b": f.jsbsim_b or None,
             }
             for f in flights
         ],
         "differences": [
             {
-                "channel": d.channel, "unit": d.unit, "group": d.group, "flight": d.flight, "from_s": d.from_s,
-                "largest": finite(d.size), "at_s": d.at_s, "share_of_range": finite(d.share), "times_benign": finite(d.times),
-                "a": finite(d.a), "b": finite(d.b), "likeliest": [_where(t) for t in d.terms[:3]],
+                "channel": d.channel,
+                "unit": d.unit,
+                "group": d.group,
+                "flight": d.flight,
+                "from_s": d.from_s,
+                "largest": finite(d.size),
+                "at_s": d.at_s,
+                "share_of_range": finite(d.share),
+                "times_benign": finite(d.times),
+                "a": finite(d.a),
+                "b": finite(d.b),
+                "likeliest": [_where(t) for t in d.terms[:3]],
             }
             for d in found
         ],
         "terms": [
-            {"path": t.path, "a": t.a or None, "b": t.b or None, "a_where": t.a_where or None, "b_where": t.b_where or None}
+            {
+                "path": t.path,
+                "a": t.a or None,
+                "b": t.b or None,
+                "a_where": t.a_where or None,
+                "b_where": t.b_where or None,
+            }
             for t in terms
         ],
-    }  # fmt: skip
+    }

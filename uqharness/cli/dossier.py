@@ -31,9 +31,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Write the evidence for a model as one document: provenance, proof of match, credibility, claims, validity envelope, "
         "sources (see docs/dossier.md). Nothing is flown or fitted."
     )
-    describe(parser, _run, text, _EXAMPLE, no="the folder is incomplete or damaged; the dossier says what is missing")
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder that another command wrote")
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"file to write (default: DIR/{DOSSIER})")
+    describe(
+        parser,
+        _run,
+        text,
+        _EXAMPLE,
+        no="the folder is incomplete or damaged; the dossier says what is missing",
+    )
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="folder that another command wrote"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.html", help=f"file to write (default: DIR/{DOSSIER})"
+    )
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -47,8 +57,20 @@ def _run(args: argparse.Namespace) -> int:
         dossier = dossier_of(evidence)
         write_html(path, dossier.page)
     if args.json:
-        sources = [{"file": s.file, "sha256": s.sha256, "command": s.command, "version": s.version} for s in evidence.sources]
-        print(json.dumps({"dossier": str(path), "missing": list(dossier.missing), **_match(dossier), "sources": sources}))
+        sources = [
+            {"file": s.file, "sha256": s.sha256, "command": s.command, "version": s.version}
+            for s in evidence.sources
+        ]
+        print(
+            json.dumps(
+                {
+                    "dossier": str(path),
+                    "missing": list(dossier.missing),
+                    **_match(dossier),
+                    "sources": sources,
+                }
+            )
+        )
     else:
         print("\n".join([*first_lines(dossier.page), "", f"Dossier: {path}"]))
     return 1 if dossier.missing else 0
@@ -65,15 +87,25 @@ def _match(dossier: Dossier) -> dict[str, Any]:
 def _judged(judged: Judged) -> dict[str, Any]:
     rows = [
         {
-            "quantity": r.quantity, "difference": r.worst, "tolerance": r.band, "time_s": r.at_s, "answer": r.answer,
+            "quantity": r.quantity,
+            "difference": r.worst,
+            "tolerance": r.band,
+            "time_s": r.at_s,
+            "answer": r.answer,
             "share_inside": None if math.isnan(r.share) else r.share,
         }
         for r in judged.rows
-    ]  # fmt: skip
+    ]
     segment = judged.segment
     found = {
-        "test": judged.test.entry, "title": judged.test.title, "flight": segment.flight, "manoeuvre": segment.manoeuvre,
-        "from_s": float(segment.time_s[0]), "answer": judged.answer, "why": judged.why, "rows": rows,
-    }  # fmt: skip
+        "test": judged.test.entry,
+        "title": judged.test.title,
+        "flight": segment.flight,
+        "manoeuvre": segment.manoeuvre,
+        "from_s": float(segment.time_s[0]),
+        "answer": judged.answer,
+        "why": judged.why,
+        "rows": rows,
+    }
     out: dict[str, Any] = finite(found)
     return out

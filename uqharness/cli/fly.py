@@ -10,7 +10,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from uqharness.cli.autopilot import add_autopilot, as_data, gains_of, tell_gains
-from uqharness.cli.options import add_aircraft, add_page, add_seed, aircraft_with_card, command_as_given, describe, number
+from uqharness.cli.options import (
+    add_aircraft,
+    add_page,
+    add_seed,
+    aircraft_with_card,
+    command_as_given,
+    describe,
+    number,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import check_out, check_page
 from uqharness.flight import (
@@ -51,11 +59,18 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``fly``."""
-    text = "Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."
-    describe(parser, _run, text, _EXAMPLE, no="the flight ended early; the record holds what was flown")
+    text = (
+        "Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."
+    )
+    describe(
+        parser, _run, text, _EXAMPLE, no="the flight ended early; the record holds what was flown"
+    )
     add_aircraft(parser)
     parser.add_argument(
-        "--script", default="loiter", metavar="S", help="run script, a path or a name under scripts/ (default %(default)s)"
+        "--script",
+        default="loiter",
+        metavar="S",
+        help="run script, a path or a name under scripts/ (default %(default)s)",
     )
     parser.add_argument(
         "--mission",
@@ -63,16 +78,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="manoeuvres from trim at --speed-mps in place of a script, for any aircraft",
     )
     parser.add_argument(
-        "--speed-mps", type=number("--speed-mps", above=0.0, most=1000.0), metavar="V", help="true airspeed of --mission, m/s"
+        "--speed-mps",
+        type=number("--speed-mps", above=0.0, most=1000.0),
+        metavar="V",
+        help="true airspeed of --mission, m/s",
     )
     parser.add_argument(
-        "--altitude-m", type=number("--altitude-m", above=0.0, most=30_000.0), default=200.0, metavar="H",
+        "--altitude-m",
+        type=number("--altitude-m", above=0.0, most=30_000.0),
+        default=200.0,
+        metavar="H",
         help="height of --mission above flat ground at sea level, m (default %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--duration-s", type=number("--duration-s", above=0.0, most=1e6), metavar="T",
+        "--duration-s",
+        type=number("--duration-s", above=0.0, most=1e6),
+        metavar="T",
         help="length of the flight, s (default: the script's end)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--wind-mps",
         type=number("--wind-mps", least=0.0, most=100.0),
@@ -81,52 +104,84 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="steady wind, m/s (default 0)",
     )
     parser.add_argument(
-        "--wind-from-deg", type=number("--wind-from-deg", "an angle in degrees"), default=270.0, metavar="D",
+        "--wind-from-deg",
+        type=number("--wind-from-deg", "an angle in degrees"),
+        default=270.0,
+        metavar="D",
         help="true direction the wind blows from, deg (default 270)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none", help="MIL-F-8785C intensity (default %(default)s)"
     )
     parser.add_argument(
-        "--turbulence-source", choices=("jsbsim", "spec"), default=DEFAULT_TURBULENCE_SOURCE,
-        help="which Dryden model (default %(default)s)",
-    )  # fmt: skip
-    add_seed(parser, "turbulence and noise")
-    parser.add_argument("--noise", action="store_true", help="add sensor noise to the autopilot's inputs and to the record")
+        "--turbulence",
+        choices=tuple(TURBULENCE_W20_KT),
+        default="none",
+        help="MIL-F-8785C intensity (default %(default)s)",
+    )
     parser.add_argument(
-        "--set", action="append", default=[], metavar="PROP=VALUE", dest="settings",
+        "--turbulence-source",
+        choices=("jsbsim", "spec"),
+        default=DEFAULT_TURBULENCE_SOURCE,
+        help="which Dryden model (default %(default)s)",
+    )
+    add_seed(parser, "turbulence and noise")
+    parser.add_argument(
+        "--noise",
+        action="store_true",
+        help="add sensor noise to the autopilot's inputs and to the record",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PROP=VALUE",
+        dest="settings",
         help="set a property before the flight; repeatable",
-    )  # fmt: skip
+    )
     add_autopilot(parser)
     parser.add_argument(
-        "--rate-hz", type=number("--rate-hz", above=0.0, most=1e5), default=50.0, metavar="R", help="rows per second (default 50)"
+        "--rate-hz",
+        type=number("--rate-hz", above=0.0, most=1e5),
+        default=50.0,
+        metavar="R",
+        help="rows per second (default 50)",
     )
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="flight record: .csv, .parquet or .bin (ArduPilot DataFlash)"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="flight record: .csv, .parquet or .bin (ArduPilot DataFlash)",
     )
     add_page(parser, "the ground track and every channel over time", "--page")
 
 
 def _run(args: argparse.Namespace) -> int:
     if args.out.suffix not in FORMATS:
-        raise BadInputError(f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}")
+        raise BadInputError(
+            f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
+        )
     check_out(args.out)
     if args.page is not None:
         check_page(args.page, "--page")
-    aircraft = find_aircraft(args.aircraft) if args.mission is None else aircraft_with_card(args.aircraft)
+    aircraft = (
+        find_aircraft(args.aircraft) if args.mission is None else aircraft_with_card(args.aircraft)
+    )
     if args.mission is None and args.speed_mps is not None:
         raise BadInputError(f"--speed-mps: belongs to --mission, one of {', '.join(MISSIONS)}")
     if args.mission is None:
         return _fly(args, aircraft, aircraft, find_script(args.script))
     if args.speed_mps is None:
-        raise BadInputError(f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims (uqharness modes)")
+        raise BadInputError(
+            f"--mission {args.mission}: give --speed-mps V, at which {aircraft.name} trims (uqharness modes)"
+        )
     # Initial conditions lie in the aircraft's folder, and that is not ours to write to.
     with scratch_folder("fly") as scratch:
         root = scratch.path
         copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
         copy_beside(aircraft, root, engine.default_root())
         copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
-        path, _ = write_own_mission(copy, StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m), args.mission)
+        path, _ = write_own_mission(
+            copy, StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m), args.mission
+        )
         return _fly(args, aircraft, copy, path)
 
 
@@ -134,7 +189,9 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
     """Fly ``flown``, which is ``aircraft`` or its copy with initial conditions, and write the record."""
     script = read_script(path)
     gains = gains_of(args.autopilot, flown, path)
-    record, recorded = recorded_flight(flown, script, _spec(args, flown, script, gains.properties if gains else {}))
+    record, recorded = recorded_flight(
+        flown, script, _spec(args, flown, script, gains.properties if gains else {})
+    )
     if not aircraft.has_card:
         print(
             f"uqharness: note: {aircraft.folder} has no airframe.toml, so the record's commands are JSBSim's fcs/...-cmd-norm",
@@ -142,7 +199,13 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
         )
     left_out = write_record(record, args.out, aircraft, start_of(recorded))
     if args.page is not None:
-        asked = FlightAsked(aircraft.name, args.mission or path.stem, _conditions(args), args.out.name, command_as_given(args))
+        asked = FlightAsked(
+            aircraft.name,
+            args.mission or path.stem,
+            _conditions(args),
+            args.out.name,
+            command_as_given(args),
+        )
         columns = {name: record[name].to_numpy() for name in record.columns}
         write_html(args.page, flight_page(asked, columns, recorded.status, recorded.reason))
     summary = {
@@ -165,15 +228,25 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, flown: Aircraft, path: Pa
 
 
 def _conditions(args: argparse.Namespace) -> str:
-    wind = f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg" if args.wind_mps else "No steady wind"
-    air = f"turbulence {args.turbulence} ({args.turbulence_source})" if args.turbulence != "none" else "no turbulence"
+    wind = (
+        f"Wind {args.wind_mps:g} m/s from {args.wind_from_deg:g} deg"
+        if args.wind_mps
+        else "No steady wind"
+    )
+    air = (
+        f"turbulence {args.turbulence} ({args.turbulence_source})"
+        if args.turbulence != "none"
+        else "no turbulence"
+    )
     noise = "with sensor noise" if args.noise else "without sensor noise"
     changed = f" Autopilot's gains: {args.autopilot.name}." if args.autopilot else ""
     changed += f" Set: {', '.join(args.settings)}." if args.settings else ""
     return f"{wind}, {air}, {noise}, seed {args.seed}.{changed}"
 
 
-def _spec(args: argparse.Namespace, aircraft: Aircraft, script: Script, gains: Mapping[str, float]) -> FlightSpec:
+def _spec(
+    args: argparse.Namespace, aircraft: Aircraft, script: Script, gains: Mapping[str, float]
+) -> FlightSpec:
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=script.path,
@@ -199,6 +272,8 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
         except ValueError:
             number = math.nan
         if not equals or not name or not math.isfinite(number):
-            raise BadInputError(f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10")
+            raise BadInputError(
+                f"--set {text}: PROP=VALUE with a finite number is needed, such as --set aero/Cm_q=-10"
+            )
         parsed[name] = number
     return parsed

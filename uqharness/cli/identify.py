@@ -45,28 +45,40 @@ _LINES_S = 10.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``identify``."""
     text = "Estimate an aircraft's parameters from flight logs or records by output error (see docs/identification.md)."
-    describe(parser, _run, text, _EXAMPLE, no="the estimation did not converge, or no parameter could be identified")
+    describe(
+        parser,
+        _run,
+        text,
+        _EXAMPLE,
+        no="the estimation did not converge, or no parameter could be identified",
+    )
     add_aircraft(parser)
     add_flights(parser)
     add_out(parser)
     add_log_options(parser)
     add_replay_options(parser)
     parser.add_argument(
-        "--params", metavar="P,P",
+        "--params",
+        metavar="P,P",
         help="JSBSim properties to estimate (default: those of the card's [parameters] that the flights excite)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--outputs", metavar="C,C",
+        "--outputs",
+        metavar="C,C",
         help="channels that are fitted, such as q,alpha,az (default: all; without --params those that the parameters act on)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--start", choices=("initial", "current"), default="current",
+        "--start",
+        choices=("initial", "current"),
+        default="current",
         help="start from the card's initial values or from the XML's (default %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--method", choices=("auto", "output-error", "filter-error"), default="auto",
+        "--method",
+        choices=("auto", "output-error", "filter-error"),
+        default="auto",
         help="auto: filter error where output error's residuals show turbulence (default)",
-    )  # fmt: skip
+    )
     add_workers(parser, MOST_WORKERS)
     add_no_figures(parser)
 
@@ -77,23 +89,41 @@ def _tell(text: str) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
-    parameters = None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
+    parameters = (
+        None if args.params is None else [p.strip() for p in args.params.split(",") if p.strip()]
+    )
     if parameters == []:
-        raise BadInputError("--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out")
-    biases, delays, outputs = (parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs"))
+        raise BadInputError(
+            "--params is empty; name properties such as aero/Cm_q,aero/Cm_de, or leave it out"
+        )
+    biases, delays, outputs = (
+        parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
+    )
     check_folder(args.out)
     with working("identify", lambda: counter["segments"], lines_s=_LINES_S) as stage:
         stage("reading the flights")
         flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
         found = identify(
-            aircraft, flights, measured, parameters, start=args.start, biases=BIASES if biases is None else biases, delays=delays,
-            outputs=outputs, ideal_servos=args.servos == "ideal", method=args.method, workers=args.workers, on_stage=stage,
+            aircraft,
+            flights,
+            measured,
+            parameters,
+            start=args.start,
+            biases=BIASES if biases is None else biases,
+            delays=delays,
+            outputs=outputs,
+            ideal_servos=args.servos == "ideal",
+            method=args.method,
+            workers=args.workers,
+            on_stage=stage,
             tell=_tell,
-        )  # fmt: skip
+        )
         stage("report")
         out = results_folder(args.out)
         hashes = [file_sha256(p) for p in args.flight]
-        document = write_results(found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes)
+        document = write_results(
+            found, aircraft, [p.name for p in args.flight], command_words(args), out, hashes
+        )
         report = write_report(out, not args.no_figures)
     if args.json:
         print(json.dumps(document))

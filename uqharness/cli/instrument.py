@@ -11,11 +11,26 @@ from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import read_model_form
-from uqharness.cli.options import add_aircraft, add_no_check, add_out, add_page, command_as_given, describe, number
+from uqharness.cli.options import (
+    add_aircraft,
+    add_no_check,
+    add_out,
+    add_page,
+    command_as_given,
+    describe,
+    number,
+)
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, check_page
-from uqharness.plugin import FILE_NAME, Bounds, Instrumented, MassProperties, instrument_aircraft, undo
+from uqharness.plugin import (
+    FILE_NAME,
+    Bounds,
+    Instrumented,
+    MassProperties,
+    instrument_aircraft,
+    undo,
+)
 from uqharness.report import write_html
 from uqharness.report.pages import Instrumentation, instrument_page
 from uqharness.simulator import Aircraft, find_aircraft, find_folder
@@ -40,12 +55,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_aircraft(parser)
     add_out(parser)
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--bounds", type=Path, metavar="FILE", help="model-form.json of `uqharness bounds`")
-    source.add_argument("--constant", metavar="C=B,...", help="constant bounds: half width B or LOWER:UPPER per coefficient")
-    source.add_argument("--undo", action="store_true", help="remove the plugin; the files are restored byte for byte")
-    parser.add_argument("--air", action="store_true", help="add this project's wind and turbulence (docs/air.md) too")
+    source.add_argument(
+        "--bounds", type=Path, metavar="FILE", help="model-form.json of `uqharness bounds`"
+    )
+    source.add_argument(
+        "--constant",
+        metavar="C=B,...",
+        help="constant bounds: half width B or LOWER:UPPER per coefficient",
+    )
+    source.add_argument(
+        "--undo",
+        action="store_true",
+        help="remove the plugin; the files are restored byte for byte",
+    )
+    parser.add_argument(
+        "--air",
+        action="store_true",
+        help="add this project's wind and turbulence (docs/air.md) too",
+    )
     _add_mass(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print what would be done, write nothing")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print what would be done, write nothing"
+    )
     add_page(parser, "the bounds over the envelope", "--page")
     add_no_check(parser, "the check flights of the result and the original")
 
@@ -77,16 +108,22 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
     for part in text.split(","):
         name, equals, number = part.strip().partition("=")
         if not equals or name not in COEFFICIENTS:
-            raise BadInputError(f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is needed")
+            raise BadInputError(
+                f"--constant {part.strip()!r}: C=B with C one of {', '.join(COEFFICIENTS)} is needed"
+            )
         if name in out:
             raise BadInputError(f"--constant: {name} is given twice")
         low, colon, high = number.partition(":")
         try:
             bounds = (float(low), float(high)) if colon else (-float(low), float(low))
         except ValueError:
-            raise BadInputError(f"--constant {part.strip()!r}: a half width or LOWER:UPPER is needed") from None
+            raise BadInputError(
+                f"--constant {part.strip()!r}: a half width or LOWER:UPPER is needed"
+            ) from None
         if not (all(math.isfinite(b) for b in bounds) and bounds[0] <= 0.0 <= bounds[1]):
-            raise BadInputError(f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside")
+            raise BadInputError(
+                f"--constant {part.strip()!r}: lower must be <= 0 and upper >= 0, so that the model lies inside"
+            )
         out[name] = (bounds[0] + 0.0, bounds[1])
     return out
 
@@ -94,7 +131,9 @@ def parse_constant(text: str) -> dict[str, tuple[float, float]]:
 def _run(args: argparse.Namespace) -> int:
     if args.page is not None:
         if args.undo or args.dry_run:
-            raise BadInputError(f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run")
+            raise BadInputError(
+                f"--page {args.page}: a page is of bounds that are written; leave out --undo and --dry-run"
+            )
         check_page(args.page, "--page")
     mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
     if args.undo:
@@ -109,7 +148,13 @@ def _run(args: argparse.Namespace) -> int:
     with working("instrument") as stage:
         stage("ten flights of 10 s or less beside the original" if checked else "writing")
         done = instrument_aircraft(
-            aircraft, bounds, args.out, air=args.air, check=not args.no_check, dry_run=args.dry_run, mass=mass
+            aircraft,
+            bounds,
+            args.out,
+            air=args.air,
+            check=not args.no_check,
+            dry_run=args.dry_run,
+            mass=mass,
         )
     report = _report(aircraft, done, args)
     if done.verdict is not None:
@@ -121,24 +166,37 @@ def _run(args: argparse.Namespace) -> int:
     return code
 
 
-def _write_page(args: argparse.Namespace, aircraft: Aircraft, done: Instrumented, bounds: Bounds) -> None:
+def _write_page(
+    args: argparse.Namespace, aircraft: Aircraft, done: Instrumented, bounds: Bounds
+) -> None:
     check = None
     if done.verdict is not None and done.verdict.status == "works":
         text = f"Flown beside the untouched aircraft: {done.verdict.properties} properties bit-identical with uq/active 0."
         check = (True, text)
     elif done.verdict is not None:
-        check = (False, f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.")
-    what = Instrumentation(aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args))
+        check = (
+            False,
+            f"Flown beside the untouched aircraft, {done.verdict.status}: {done.verdict.reason}.",
+        )
+    what = Instrumentation(
+        aircraft.name, done.planned.rows, tuple(done.notes), check, command_as_given(args)
+    )
     write_html(args.page, instrument_page(what, bounds.form, bounds.constant))
 
 
 def _undo(args: argparse.Namespace) -> int:
     folder = args.out if (args.out / FILE_NAME).is_file() else find_folder(args.aircraft)
     if args.dry_run:
-        raise BadInputError("--undo --dry-run: nothing to show; the record is " + str(folder / FILE_NAME))
+        raise BadInputError(
+            "--undo --dry-run: nothing to show; the record is " + str(folder / FILE_NAME)
+        )
     done = undo(folder, args.out)
     report = {"undone": [{"file": name, "result": result} for name, result in done]}
-    print(json.dumps(report, indent=1) if args.json else "\n".join(f"{name}: {result}" for name, result in done))
+    print(
+        json.dumps(report, indent=1)
+        if args.json
+        else "\n".join(f"{name}: {result}" for name, result in done)
+    )
     return 0
 
 
@@ -146,14 +204,20 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
     planned, files = done.planned, []
     for name, change in sorted(planned.changes.items()):
         kind = "edited" if change.edited else "added" if not change.before else "replaced"
-        lines = sum(i.text.count(b"\n") for i in change.insertions) if change.edited else planned.files[name].count(b"\n")
+        lines = (
+            sum(i.text.count(b"\n") for i in change.insertions)
+            if change.edited
+            else planned.files[name].count(b"\n")
+        )
         files.append({"file": name, "change": kind, "lines": lines})
     return {
         "aircraft": aircraft.name,
         "out": str(args.out),
         "written": not args.dry_run,
         "axes": {"force": planned.section.force, "moment": planned.section.moment},
-        "coefficients": [dict(zip(("coefficient", "axis", "where"), row, strict=True)) for row in planned.rows],
+        "coefficients": [
+            dict(zip(("coefficient", "axis", "where"), row, strict=True)) for row in planned.rows
+        ],
         "scaled": [asdict(row) for row in planned.scaled],
         "files": files,
         "notes": list(done.notes),
@@ -162,23 +226,52 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
 
 def _text(report: dict[str, Any]) -> str:
     axes = report["axes"]
-    state = f"the copy in {report['out']} has" if report["written"] else f"the copy in {report['out']} would have"
+    state = (
+        f"the copy in {report['out']} has"
+        if report["written"]
+        else f"the copy in {report['out']} would have"
+    )
     lines = [
         f"{report['aircraft']}: {state} bounded increments of {len(report['coefficients'])} coefficients.",
         f"The aircraft's forces are in {axes['force']} axes, its moments in {axes['moment']} axes.",
-        "", "Increments, and where the XML adds them.",
-    ]  # fmt: skip
-    rows = [{"Coefficient": r["coefficient"], "Added to axes": r["axis"], "At": r["where"]} for r in report["coefficients"]]
+        "",
+        "Increments, and where the XML adds them.",
+    ]
+    rows = [
+        {"Coefficient": r["coefficient"], "Added to axes": r["axis"], "At": r["where"]}
+        for r in report["coefficients"]
+    ]
     lines += text_table(rows)
     if report["scaled"]:
-        lines += ["", "Scale factors that identify can estimate, one a function of the aircraft's XML."]
+        lines += [
+            "",
+            "Scale factors that identify can estimate, one a function of the aircraft's XML.",
+        ]
         lines += text_table(
-            [{"Property": r["scale"], "Axis": r["axis"], "Function at": f"{r['file']}:{r['line']}"} for r in report["scaled"]]
+            [
+                {
+                    "Property": r["scale"],
+                    "Axis": r["axis"],
+                    "Function at": f"{r['file']}:{r['line']}",
+                }
+                for r in report["scaled"]
+            ]
         )
-    lines += ["", "Files of the copy that differ from the original.", *text_table(
-        [{"File": r["file"], "Change": r["change"], "Lines of the change": str(r["lines"])} for r in report["files"]]
-    )]  # fmt: skip
-    lines += ["", *(f"note: {note}" for note in report["notes"]), *_check_lines(report.get("check"))]
+    lines += [
+        "",
+        "Files of the copy that differ from the original.",
+        *text_table(
+            [
+                {"File": r["file"], "Change": r["change"], "Lines of the change": str(r["lines"])}
+                for r in report["files"]
+            ]
+        ),
+    ]
+    lines += [
+        "",
+        *(f"note: {note}" for note in report["notes"]),
+        *_check_lines(report.get("check")),
+    ]
     if not report["written"]:
         lines.append("Nothing was written (--dry-run).")
     return "\n".join(lines).rstrip("\n")
@@ -189,6 +282,8 @@ def _check_lines(check: dict[str, Any] | None) -> list[str]:
         return []
     if check["status"] == "works":
         same = f"beside the original, {check['properties']} properties are bit-identical with uq/active 0"
-        return [f"Check: {same}; increments of force and moment have relative errors of {check['worst']:.0e} at most."]
+        return [
+            f"Check: {same}; increments of force and moment have relative errors of {check['worst']:.0e} at most."
+        ]
     what = "WRONG" if check["status"] == "wrong" else "not made, because the original fails"
     return [f"Check: {what}: {check['reason']}."]

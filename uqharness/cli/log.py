@@ -13,7 +13,14 @@ from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
-from uqharness.cli.options import add_manoeuvres, add_map, add_page, aircraft_with_card, command_as_given, describe
+from uqharness.cli.options import (
+    add_manoeuvres,
+    add_map,
+    add_page,
+    aircraft_with_card,
+    command_as_given,
+    describe,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import check_page, finite
 
@@ -32,13 +39,18 @@ VERBS: Table = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Give ``log`` its verbs."""
-    parser.description = "Check a flight log, convert it to a flight record, or export it to FlightGear."
+    parser.description = (
+        "Check a flight log, convert it to a flight record, or export it to FlightGear."
+    )
     add_commands(parser, VERBS, "log_command", "info|import|export")
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``log info``."""
-    text, no = "List the contents and findings of a log, and the purposes it serves.", "the log serves no purpose"
+    text, no = (
+        "List the contents and findings of a log, and the purposes it serves.",
+        "the log serves no purpose",
+    )
     examples = """
   uqharness log info flight1.bin --aircraft aircraft/espaaro
   uqharness log info flight1.bin --aircraft aircraft/espaaro --out flight1.html"""
@@ -51,18 +63,34 @@ def add_info(parser: argparse.ArgumentParser) -> None:
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``log import``."""
     text = "Turn a log into a flight record (Parquet or CSV by the suffix of --out)."
-    describe(parser, _import, text, "  uqharness log import flight1.bin --aircraft aircraft/espaaro --out flight1.parquet")
+    describe(
+        parser,
+        _import,
+        text,
+        "  uqharness log import flight1.bin --aircraft aircraft/espaaro --out flight1.parquet",
+    )
     _add_log(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv")
-    parser.add_argument("--whole", action="store_true", help="keep ground and tow too (default: free flight alone)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="FILE.parquet or FILE.csv"
+    )
+    parser.add_argument(
+        "--whole", action="store_true", help="keep ground and tow too (default: free flight alone)"
+    )
     add_manoeuvres(parser)
 
 
 def _add_log(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
     add_map(parser)
-    parser.add_argument("--aircraft", metavar="AIRCRAFT", help="name under aircraft/, folder, or airframe.toml")
-    parser.add_argument("--cache", type=Path, metavar="DIR", help=f"cache of imported logs (default {default_cache()})")
+    parser.add_argument(
+        "--aircraft", metavar="AIRCRAFT", help="name under aircraft/, folder, or airframe.toml"
+    )
+    parser.add_argument(
+        "--cache",
+        type=Path,
+        metavar="DIR",
+        help=f"cache of imported logs (default {default_cache()})",
+    )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache")
 
 
@@ -97,7 +125,9 @@ def _write_page(args: argparse.Namespace, info: LogInfo, record: FlightRecord) -
 
 def _import(args: argparse.Namespace) -> int:
     if args.out.suffix.lower() not in (".parquet", ".csv"):
-        raise LogError(f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out)
+        raise LogError(
+            f"--out ends in '{args.out.suffix}'; allowed are .parquet and .csv", args.out
+        )
     record = _read(args)
     if args.manoeuvres is not None:
         from sysid.logs import labelled
@@ -121,7 +151,11 @@ def _import(args: argparse.Namespace) -> int:
         "columns": list(record.columns),
         "findings": [f.as_dict() for f in record.metadata.findings],
     }
-    print(json.dumps(finite(report), indent=2) if args.json else _import_text(record, args.out, kept, whole))
+    print(
+        json.dumps(finite(report), indent=2)
+        if args.json
+        else _import_text(record, args.out, kept, whole)
+    )
     return 0
 
 
@@ -160,7 +194,9 @@ class _ProgressLine:
 
 
 def _info_text(info: LogInfo) -> str:
-    flight = "none" if info.flight_s is None else f"{info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
+    flight = (
+        "none" if info.flight_s is None else f"{info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
+    )
     lines = [
         f"{info.source}  ({info.dialect})",
         f"vehicle      {info.vehicle or 'not said'}",
@@ -169,10 +205,16 @@ def _info_text(info: LogInfo) -> str:
         "",
         "channels",
     ]
-    lines += [f"  {n:18} {info.rates_hz.get(n, float('nan')):7.1f} Hz  {label}" for n, label in info.channels.items()]
+    lines += [
+        f"  {n:18} {info.rates_hz.get(n, float('nan')):7.1f} Hz  {label}"
+        for n, label in info.channels.items()
+    ]
     if info.manoeuvres:
         lines += ["", "manoeuvres found in the commands"]
-        lines += [f"  {m.name:18} {m.start_s:9.2f} to {m.end_s:.2f} s, {m.size:+.3g} {m.unit}" for m in info.manoeuvres]
+        lines += [
+            f"  {m.name:18} {m.start_s:9.2f} to {m.end_s:.2f} s, {m.size:+.3g} {m.unit}"
+            for m in info.manoeuvres
+        ]
     if info.loiters:
         lines += ["", "loiters as commanded"]
         lines += [f"  {_loiter_text(loiter)}" for loiter in info.loiters]
@@ -191,7 +233,9 @@ def _loiter_text(loiter: Loiter) -> str:
     )
 
 
-def _import_text(record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]) -> str:
+def _import_text(
+    record: FlightRecord, out: Path, kept: tuple[float, float], whole: tuple[float, float]
+) -> str:
     span = f"{kept[0]:.2f} to {kept[1]:.2f} s of {whole[0]:.2f} to {whole[1]:.2f} s"
     lines = [
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
@@ -212,6 +256,12 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
         more = f" (also: {', '.join(others)})" if others else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")
         if severity == "error":
-            lines += [f"{'':8} {'  '}spoils {text}" for text in dict.fromkeys(f.spoils for f in members) if text]
-            lines += [f"{'':8} {'  '}mend: {'; '.join(f.mend.splitlines())}" for f in members if f.mend]
+            lines += [
+                f"{'':8} {'  '}spoils {text}"
+                for text in dict.fromkeys(f.spoils for f in members)
+                if text
+            ]
+            lines += [
+                f"{'':8} {'  '}mend: {'; '.join(f.mend.splitlines())}" for f in members if f.mend
+            ]
     return lines

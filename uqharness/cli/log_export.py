@@ -31,23 +31,37 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     text = "Write a flight as files that FlightGear plays back: position, attitude, airspeed."
     describe(parser, _run, text, _EXAMPLE)
     parser.add_argument("log", type=Path, metavar="LOG", help=FLIGHT_FILE)
-    parser.add_argument("--aircraft", required=True, metavar="AIRCRAFT", help="name under aircraft/, or a folder")
-    parser.add_argument("--format", choices=FORMATS, default=FORMATS[0], help="program that shows it (default %(default)s)")
+    parser.add_argument(
+        "--aircraft", required=True, metavar="AIRCRAFT", help="name under aircraft/, or a folder"
+    )
+    parser.add_argument(
+        "--format",
+        choices=FORMATS,
+        default=FORMATS[0],
+        help="program that shows it (default %(default)s)",
+    )
     add_out(parser)
     add_map(parser)
     for option, what, most in (("--lat-deg", "latitude", 90.0), ("--lon-deg", "longitude", 180.0)):
         parser.add_argument(
-            option, type=number(option, f"a {what} in degrees", least=-most, most=most), metavar="DEG",
+            option,
+            type=number(option, f"a {what} in degrees", least=-most, most=most),
+            metavar="DEG",
             help=f"{what} of the start point, deg (default: the log's)",
-        )  # fmt: skip
+        )
     parser.add_argument(
-        "--alt-m", type=number("--alt-m", "a height in m"), metavar="H",
+        "--alt-m",
+        type=number("--alt-m", "a height in m"),
+        metavar="H",
         help="height of the start point above sea level, m (default: the log's, or 0)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--rate-hz", type=number("--rate-hz", "a rate in 1/s", above=0.0, most=1000.0), default=30.0, metavar="R",
+        "--rate-hz",
+        type=number("--rate-hz", "a rate in 1/s", above=0.0, most=1000.0),
+        default=30.0,
+        metavar="R",
         help="rows per second (default %(default)g)",
-    )  # fmt: skip
+    )
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -55,25 +69,43 @@ def _run(args: argparse.Namespace) -> int:
     record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map)
     rows = playback_rows(record, _start(args, record.metadata.start), args.rate_hz)
     out = results_folder(args.out)
-    write_text(out / LINES, "".join(",".join(f"{value:.9f}" for value in row) + "\n" for row in rows))
+    write_text(
+        out / LINES, "".join(",".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+    )
     write_text(out / PROTOCOL, protocol_xml())
     files = [str(out / LINES), str(out / PROTOCOL)]
     if args.json:
         columns = [name for name, _, _ in FIELDS]
-        print(json.dumps({"format": args.format, "files": files, "rows": len(rows), "rate_hz": args.rate_hz, "columns": columns}))
+        print(
+            json.dumps(
+                {
+                    "format": args.format,
+                    "files": files,
+                    "rows": len(rows),
+                    "rate_hz": args.rate_hz,
+                    "columns": columns,
+                }
+            )
+        )
     else:
         print(f"{files[0]}: {len(rows)} rows at {args.rate_hz:g} Hz")
         print(f"{files[1]}: copy it to Protocol/ of FlightGear's data folder, then")
-        print(f"  fgfs --fdm=null --generic=file,in,{args.rate_hz:g},{files[0]},{Path(PROTOCOL).stem}")
+        print(
+            f"  fgfs --fdm=null --generic=file,in,{args.rate_hz:g},{files[0]},{Path(PROTOCOL).stem}"
+        )
     return 0
 
 
 def _start(args: argparse.Namespace, known: Mapping[str, float]) -> dict[str, float]:
     """The start point: what was given, then what the log says. Raises BadInputError where neither has a position."""
     given = {"lat_deg": args.lat_deg, "lon_deg": args.lon_deg, "alt_m": args.alt_m}
-    found = {name: known.get(name, math.nan) if value is None else value for name, value in given.items()}
+    found = {
+        name: known.get(name, math.nan) if value is None else value for name, value in given.items()
+    }
     if math.isnan(found["alt_m"]):
         found["alt_m"] = 0.0
     if any(math.isnan(value) for value in found.values()):
-        raise BadInputError(f"{args.log}: the log does not say where it began; give --lat-deg and --lon-deg")
+        raise BadInputError(
+            f"{args.log}: the log does not say where it began; give --lat-deg and --lon-deg"
+        )
     return found

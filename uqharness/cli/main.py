@@ -41,7 +41,10 @@ COMMANDS: Table = {
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
     "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
     "refine": ("refine", "find, name and add missing effects"),
-    "campaign": ("campaign", "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage"),
+    "campaign": (
+        "campaign",
+        "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
+    ),
     "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
     "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
@@ -127,17 +130,27 @@ def _run(argv: Sequence[str] | None) -> int:
         print(f"uqharness: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as ended:
-        print("uqharness:", "terminated" if isinstance(ended, TerminatedError) else "interrupted", file=sys.stderr)
+        print(
+            "uqharness:",
+            "terminated" if isinstance(ended, TerminatedError) else "interrupted",
+            file=sys.stderr,
+        )
         return 130
     except BrokenPipeError:
         # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:
-        print("uqharness: error: out of memory; free some, or give the command less to do", file=sys.stderr)
+        print(
+            "uqharness: error: out of memory; free some, or give the command less to do",
+            file=sys.stderr,
+        )
         return 2
     except OSError as error:
-        print(f"uqharness: error: {error.filename or 'file system'}: {error.strerror or error}", file=sys.stderr)
+        print(
+            f"uqharness: error: {error.filename or 'file system'}: {error.strerror or error}",
+            file=sys.stderr,
+        )
         return 2
 
 

@@ -12,7 +12,14 @@ from uqharness.cli.options import add_aircraft, add_page, command_as_given, desc
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
 from uqharness.files import check_page
-from uqharness.flight import CALM_LOITER, CALM_STRAIGHT, LOOPS, MAX_SCATTER, LoopMargins, measure_loop
+from uqharness.flight import (
+    CALM_LOITER,
+    CALM_STRAIGHT,
+    LOOPS,
+    MAX_SCATTER,
+    LoopMargins,
+    measure_loop,
+)
 from uqharness.report import write_html
 from uqharness.report.pages import margins_page
 from uqharness.simulator import StagedMission, engine, find_aircraft, find_script
@@ -26,17 +33,26 @@ _EXAMPLE = """
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``margins``."""
-    text = (
-        "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each controller's output."
-    )
+    text = "Measure the autopilot's stability margins in flight, loop by loop, by injecting a multisine at each controller's output."
     describe(parser, _run, text, _EXAMPLE)
     add_aircraft(parser)
     parser.add_argument(
-        "--script", default="loiter", metavar="S", help="run script that engages the autopilot (default %(default)s)"
+        "--script",
+        default="loiter",
+        metavar="S",
+        help="run script that engages the autopilot (default %(default)s)",
     )
-    parser.add_argument("--loop", action="append", choices=tuple(LOOPS), help="only this actuator; repeatable (default all)")
     parser.add_argument(
-        "--flight", choices=("loiter", "straight"), default="loiter", help="on the circle or straight (default %(default)s)"
+        "--loop",
+        action="append",
+        choices=tuple(LOOPS),
+        help="only this actuator; repeatable (default all)",
+    )
+    parser.add_argument(
+        "--flight",
+        choices=("loiter", "straight"),
+        default="loiter",
+        help="on the circle or straight (default %(default)s)",
     )
     add_autopilot(parser)
     add_page(parser, "Bode and Nichols charts of every loop, margins marked")
@@ -67,15 +83,23 @@ def _run(args: argparse.Namespace) -> int:
                     progress(len(measured) + share, len(names))
 
                 for name in names:
-                    measured.append(measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=tell))
+                    measured.append(
+                        measure_loop(make_fdm, LOOPS[name], condition=condition, on_progress=tell)
+                    )
         except ValueError as error:
             raise BadInputError(f"margins of {aircraft.name}: {error}") from None
     if args.out is not None:
-        write_html(args.out, margins_page(aircraft.name, args.flight, measured, command_as_given(args)))
+        write_html(
+            args.out, margins_page(aircraft.name, args.flight, measured, command_as_given(args))
+        )
     if args.json:
         print(
             json.dumps(
-                {"flight": args.flight, "loops": {item.loop: _as_json(item) for item in measured}, "autopilot": as_data(gains)}
+                {
+                    "flight": args.flight,
+                    "loops": {item.loop: _as_json(item) for item in measured},
+                    "autopilot": as_data(gains),
+                }
             )
         )
     else:

@@ -11,10 +11,26 @@ from typing import NamedTuple
 from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe, number
 from uqharness.errors import BadInputError
 from uqharness.files import check_page
-from uqharness.flight import CATEGORIES, CLASSES, Assessment, LocusPoint, point_at, root_locus, usual_speeds
+from uqharness.flight import (
+    CATEGORIES,
+    CLASSES,
+    Assessment,
+    LocusPoint,
+    point_at,
+    root_locus,
+    usual_speeds,
+)
 from uqharness.report import write_html
 from uqharness.report.pages import ModesAsked, modes_page
-from uqharness.simulator import Aircraft, Mode, SteadyCondition, Trim, find_aircraft, find_trim, linearise
+from uqharness.simulator import (
+    Aircraft,
+    Mode,
+    SteadyCondition,
+    Trim,
+    find_aircraft,
+    find_trim,
+    linearise,
+)
 
 _EXAMPLE = """
   uqharness modes espaaro --speed-mps 22.2
@@ -28,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     describe(parser, _run, text, _EXAMPLE, no="no trim was found")
     add_aircraft(parser)
     speed = number("--speed-mps", "a true airspeed in m/s", above=0.0)
-    parser.add_argument("--speed-mps", type=speed, required=True, metavar="V", help="true airspeed, m/s")
+    parser.add_argument(
+        "--speed-mps", type=speed, required=True, metavar="V", help="true airspeed, m/s"
+    )
     for option, metavar, default, text, check in (
         ("--altitude-m", "H", 0.0, "altitude above sea level, m", number("--altitude-m")),
         (
@@ -39,16 +57,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             _angle("--climb-deg", 60.0),
         ),
         ("--bank-deg", "B", 0.0, "bank of a coordinated turn, deg", _angle("--bank-deg", 85.0)),
-        ("--wind-mps", "W", 0.0, "steady wind, m/s; moves the path only", number("--wind-mps", least=0.0)),
-        ("--wind-from-deg", "D", 270.0, "true direction the wind blows from, deg", number("--wind-from-deg")),
+        (
+            "--wind-mps",
+            "W",
+            0.0,
+            "steady wind, m/s; moves the path only",
+            number("--wind-mps", least=0.0),
+        ),
+        (
+            "--wind-from-deg",
+            "D",
+            270.0,
+            "true direction the wind blows from, deg",
+            number("--wind-from-deg"),
+        ),
         ("--heading-deg", "P", 0.0, "true heading, deg", number("--heading-deg")),
     ):
-        parser.add_argument(option, type=check, default=default, metavar=metavar, help=f"{text} (default {default:g})")
-    parser.add_argument("--category", choices=CATEGORIES, default="B", help="flight-phase category (default B: cruise, loiter)")
-    parser.add_argument("--class", dest="aircraft_class", choices=CLASSES, default="I", help="aircraft class (default I: light)")
+        parser.add_argument(
+            option,
+            type=check,
+            default=default,
+            metavar=metavar,
+            help=f"{text} (default {default:g})",
+        )
+    parser.add_argument(
+        "--category",
+        choices=CATEGORIES,
+        default="B",
+        help="flight-phase category (default B: cruise, loiter)",
+    )
+    parser.add_argument(
+        "--class",
+        dest="aircraft_class",
+        choices=CLASSES,
+        default="I",
+        help="aircraft class (default I: light)",
+    )
     add_page(parser, "the root locus over airspeed and the Levels")
     parser.add_argument(
-        "--speeds", type=_speeds, metavar="LO:HI", help="speeds of the page's root locus, m/s (default 0.7 to 1.6 times V)"
+        "--speeds",
+        type=_speeds,
+        metavar="LO:HI",
+        help="speeds of the page's root locus, m/s (default 0.7 to 1.6 times V)",
     )
 
 
@@ -70,7 +120,9 @@ def _speeds(text: str) -> Speeds:
     low, colon, high = text.partition(":")
     speed = number("--speeds", "LO:HI, two true airspeeds in m/s,", above=0.0)
     if not colon:
-        raise BadInputError(f"--speeds {text}: LO:HI, two true airspeeds in m/s, is needed, such as 16:30")
+        raise BadInputError(
+            f"--speeds {text}: LO:HI, two true airspeeds in m/s, is needed, such as 16:30"
+        )
     ends = Speeds(speed(low), speed(high))
     if ends.low >= ends.high:
         raise BadInputError(f"--speeds {text}: LO must be below HI")
@@ -95,33 +147,53 @@ def _run(args: argparse.Namespace) -> int:
     )
     trim = find_trim(aircraft, condition)
     if not trim.converged:
-        print(json.dumps({"trim": None, "reason": trim.reason, "modes": []}) if args.json else f"no trim: {trim.reason}")
+        print(
+            json.dumps({"trim": None, "reason": trim.reason, "modes": []})
+            if args.json
+            else f"no trim: {trim.reason}"
+        )
         return 1
     point = point_at(linearise(aircraft, trim), args.category, args.aircraft_class)
     found, levels = list(point.modes), list(point.levels)
     if args.out is not None:
         _write(args, aircraft, trim, condition, point)
-    print(json.dumps(_as_json(aircraft, trim, found, levels)) if args.json else _as_text(aircraft.name, trim, found, levels))
+    print(
+        json.dumps(_as_json(aircraft, trim, found, levels))
+        if args.json
+        else _as_text(aircraft.name, trim, found, levels)
+    )
     return 0
 
 
-def _write(args: argparse.Namespace, aircraft: Aircraft, trim: Trim, condition: SteadyCondition, point: LocusPoint) -> None:
+def _write(
+    args: argparse.Namespace,
+    aircraft: Aircraft,
+    trim: Trim,
+    condition: SteadyCondition,
+    point: LocusPoint,
+) -> None:
     """Trim at the page's other speeds, and write it."""
     speeds = usual_speeds(args.speed_mps, *(args.speeds or ()))
     # Only a page takes time enough for a line that moves, and its library is slow to load.
     from uqharness.cli.progress import counting
 
     with counting("speeds trimmed") as progress:
-        locus = root_locus(aircraft, condition, speeds, args.category, args.aircraft_class, point, progress)
+        locus = root_locus(
+            aircraft, condition, speeds, args.category, args.aircraft_class, point, progress
+        )
     _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"
     facts = [("Altitude", altitude), ("Attitude", said[0]), ("Controls", said[1])]
     facts += [("Velocity" if "ground" in line else "Path", line) for line in said[2:]]
-    asked = ModesAsked(aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args))
+    asked = ModesAsked(
+        aircraft.name, args.category, args.aircraft_class, tuple(facts), command_as_given(args)
+    )
     write_html(args.out, modes_page(asked, point, locus))
 
 
-def _as_json(aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Assessment]) -> dict[str, object]:
+def _as_json(
+    aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Assessment]
+) -> dict[str, object]:
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
 
@@ -142,19 +214,34 @@ def _as_json(aircraft: Aircraft, trim: Trim, found: list[Mode], levels: list[Ass
             "climb_deg": math.degrees(trim.condition.climb_rad),
             "turn_rate_degps": math.degrees(trim.turn_rate_radps),
             **controls,
-            **dict(zip(("v_north_mps", "v_east_mps", "v_down_mps"), trim.velocity_ned_mps, strict=True)),
+            **dict(
+                zip(("v_north_mps", "v_east_mps", "v_down_mps"), trim.velocity_ned_mps, strict=True)
+            ),
             "thrust_N": number(trim.thrust_N),
             "rpm": number(trim.rpm),
         },
         "modes": [
-            {"name": m.name, "real": m.real, "imag": m.imag, "wn_radps": m.wn_radps, "zeta": number(m.zeta)} for m in found
+            {
+                "name": m.name,
+                "real": m.real,
+                "imag": m.imag,
+                "wn_radps": m.wn_radps,
+                "zeta": number(m.zeta),
+            }
+            for m in found
         ],
         "levels": [
-            {"mode": a.mode, "criterion": a.criterion, "value": number(a.value), "unit": a.unit, "level": a.level,
-             "paragraph": a.paragraph}
+            {
+                "mode": a.mode,
+                "criterion": a.criterion,
+                "value": number(a.value),
+                "unit": a.unit,
+                "level": a.level,
+                "paragraph": a.paragraph,
+            }
             for a in levels
         ],
-    }  # fmt: skip
+    }
 
 
 def _measured(found: Assessment) -> str:
@@ -175,12 +262,17 @@ def _trim_lines(name: str, trim: Trim) -> list[str]:
     return [
         f"{name}, {trim.condition.V_mps:g} m/s true airspeed, {trim.condition.altitude_m:g} m above sea level",
         attitude,
-        "  " + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
+        "  "
+        + "   ".join(f"{key} {value:.3f}" for key, value in trim.controls.items())
         + (f"   thrust {trim.thrust_N:.3f} N" if math.isfinite(trim.thrust_N) else "")
         + (f"   {trim.rpm:.0f} rpm" if math.isfinite(trim.rpm) else ""),
-        *([f"  flight-path angle {math.degrees(trim.condition.climb_rad):.3f} deg"] if trim.condition.climb_rad else []),
+        *(
+            [f"  flight-path angle {math.degrees(trim.condition.climb_rad):.3f} deg"]
+            if trim.condition.climb_rad
+            else []
+        ),
         f"  ground velocity: north {north:.3f}, east {east:.3f}, down {down:.3f} m/s",
-    ]  # fmt: skip
+    ]
 
 
 def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment]) -> str:

@@ -69,41 +69,67 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     no = "no flight of that length narrows the interval by 5 % in the mission's flight states; the text says what would"
     describe(parser, _run, text, _EXAMPLE, no=no)
-    parser.add_argument("folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign")
+    parser.add_argument(
+        "folder", type=Path, metavar="CAMPAIGN", help="folder of a finished corner campaign"
+    )
     parser.add_argument(
         "--bounds",
         type=Path,
         metavar="MODEL-FORM.json",
         help="model-form.json of `uqharness bounds` (default: the bounds that the campaign flew)",
     )
-    parser.add_argument("--metric", metavar="NAME", help="metric, a column of the campaign's table (default cross_track_median_m)")
     parser.add_argument(
-        "--coefficient", choices=COEFFICIENTS, help="coefficient (default: the one to which the metric is most sensitive)"
+        "--metric",
+        metavar="NAME",
+        help="metric, a column of the campaign's table (default cross_track_median_m)",
     )
     parser.add_argument(
-        "--minutes", type=number("--minutes", "a time in minutes", above=0.0, most=120.0), default=5.0, metavar="N",
+        "--coefficient",
+        choices=COEFFICIENTS,
+        help="coefficient (default: the one to which the metric is most sensitive)",
+    )
+    parser.add_argument(
+        "--minutes",
+        type=number("--minutes", "a time in minutes", above=0.0, most=120.0),
+        default=5.0,
+        metavar="N",
         help="length of the flight at most, min (default 5)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--speeds", type=_speeds, default=(), metavar="V,V",
+        "--speeds",
+        type=_speeds,
+        default=(),
+        metavar="V,V",
         help="true airspeeds of the test points, m/s (default: those of the mission)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--turbulence", choices=tuple(TURBULENCE_W20_KT), default="none",
+        "--turbulence",
+        choices=tuple(TURBULENCE_W20_KT),
+        default="none",
         help="turbulence of the simulated test flight (default %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--cases", type=whole("--cases", 1), default=6, metavar="N",
+        "--cases",
+        type=whole("--cases", 1),
+        default=6,
+        metavar="N",
         help="campaign flights that are repeated to record the mission's flight states (default %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--occupancy", type=Path, nargs="+", metavar="FILE",
+        "--occupancy",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
         help="flight records or logs of the mission, in place of campaign flights",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--flight", type=Path, nargs="+", default=[], metavar="FILE",
+        "--flight",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
         help="flights from which the bounds were made; searched for terms that the polynomial lacks",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--redone",
         type=Path,
@@ -156,11 +182,24 @@ def _answer(args: argparse.Namespace, stage: Stage) -> tuple[str, int]:
 
 
 def _plan(
-    args: argparse.Namespace, form: ModelForm, path: Path, aircraft: Aircraft, campaign: CampaignMission, mission: Occupancy,
-    winner: Winner, stage: Stage,
-) -> tuple[str, int]:  # fmt: skip
+    args: argparse.Namespace,
+    form: ModelForm,
+    path: Path,
+    aircraft: Aircraft,
+    campaign: CampaignMission,
+    mission: Occupancy,
+    winner: Winner,
+    stage: Stage,
+) -> tuple[str, int]:
     flight = flight_of(campaign, aircraft, form, args.turbulence)
-    found = plan_flight(form, winner.coefficient, mission, flight, Options(args.minutes, args.speeds, args.seed), stage)
+    found = plan_flight(
+        form,
+        winner.coefficient,
+        mission,
+        flight,
+        Options(args.minutes, args.speeds, args.seed),
+        stage,
+    )
     missing = None
     if args.flight:
         stage("missing terms")
@@ -169,17 +208,32 @@ def _plan(
     units = {c: card.unit for c, card in aircraft.card.inputs.items()}
     air = {
         "aircraft": {"name": aircraft.name, "sha256": form.aircraft.sha256},
-        "campaign": str(args.folder), "bounds": str(path),
-        "simulated": {"turbulence": flight.turbulence, "sensor_noise": flight.noise, "autopilot": flight.has_autopilot},
-    }  # fmt: skip
-    warnings = warnings_of(form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy)
+        "campaign": str(args.folder),
+        "bounds": str(path),
+        "simulated": {
+            "turbulence": flight.turbulence,
+            "sensor_noise": flight.noise,
+            "autopilot": flight.has_autopilot,
+        },
+    }
+    warnings = warnings_of(
+        form, campaign, flight, args.bounds, args.flight, flown=not args.occupancy
+    )
     doc = document(found, winner, mission, missing, air, units, warnings)
     out = results_folder(args.out)
     points = [p.point for p in found.plan]
     purpose = f"Flight for {found.coefficient}"
     write_bytes(
         out / SCRIPT,
-        script_text(flight.mission, aircraft, points, flight.begin_s, flight.has_autopilot, "next-flight", purpose),
+        script_text(
+            flight.mission,
+            aircraft,
+            points,
+            flight.begin_s,
+            flight.has_autopilot,
+            "next-flight",
+            purpose,
+        ),
     )
     write_bytes(out / TABLE, points_csv(found, units))
     write_json(out / DOCUMENT, doc)
@@ -187,15 +241,25 @@ def _plan(
     if not args.no_figures:
         bounds = form.coefficients[found.coefficient]
         flown = mission.of(bounds.states)
-        figures = uncertainty_figures(bounds, found.bounds_then, flown, found.states, form.outside, found.coefficient)
+        figures = uncertainty_figures(
+            bounds, found.bounds_then, flown, found.states, form.outside, found.coefficient
+        )
     page = next_flight_page(found, doc, figures, command_as_given(args))
     report = write_page(out, page, page if figures else None)
     say_warnings(warnings)
     return json.dumps(doc) if args.json else report.text, 0 if found.worth_flying else 1
 
 
-def _redone(args: argparse.Namespace, before: ModelForm, after: ModelForm, mission: Occupancy, coefficient: str) -> tuple[str, int]:
+def _redone(
+    args: argparse.Namespace,
+    before: ModelForm,
+    after: ModelForm,
+    mission: Occupancy,
+    coefficient: str,
+) -> tuple[str, int]:
     rows = achieved(before, after, mission, args.out / DOCUMENT)
-    text = json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)
+    text = (
+        json.dumps({"coefficient": coefficient, "achieved": rows}) if args.json else as_text(rows)
+    )
     narrowing = rows[coefficient]["narrowing"]
     return text, 0 if narrowing is not None and narrowing >= WORTH else 1

@@ -24,7 +24,13 @@ FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
 
 
 def describe(
-    parser: argparse.ArgumentParser, handler: Handler, text: str, examples: str, *, done: str = "done", no: str = ""
+    parser: argparse.ArgumentParser,
+    handler: Handler,
+    text: str,
+    examples: str,
+    *,
+    done: str = "done",
+    no: str = "",
 ) -> None:
     """Give a command its handler, ``--json`` and its help page.
 
@@ -48,7 +54,11 @@ def describe(
 
 def add_aircraft(parser: argparse.ArgumentParser) -> None:
     """The aircraft, first of a command's words."""
-    parser.add_argument("aircraft", metavar="AIRCRAFT", help="name under aircraft/ or in JSBSim's collection, or a folder")
+    parser.add_argument(
+        "aircraft",
+        metavar="AIRCRAFT",
+        help="name under aircraft/ or in JSBSim's collection, or a folder",
+    )
 
 
 def aircraft_with_card(name_or_folder: str) -> Aircraft:
@@ -72,7 +82,9 @@ def aircraft_with_card(name_or_folder: str) -> Aircraft:
 
 def add_out(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """``--out``, a folder of results."""
-    text = "folder for the results, made if need be" + ("" if required else " (default: nothing is written)")
+    text = "folder for the results, made if need be" + (
+        "" if required else " (default: nothing is written)"
+    )
     parser.add_argument("--out", type=Path, required=required, metavar="DIR", help=text)
 
 
@@ -84,14 +96,20 @@ def add_page(parser: argparse.ArgumentParser, what: str, option: str = "--out") 
 
 def add_workers(parser: argparse.ArgumentParser, default: str = "one a core") -> None:
     """``--workers``; None where it is not given."""
-    parser.add_argument("--workers", type=whole("--workers", 1), metavar="N", help=f"processes (default: {default})")
+    parser.add_argument(
+        "--workers", type=whole("--workers", 1), metavar="N", help=f"processes (default: {default})"
+    )
 
 
 def add_seed(parser: argparse.ArgumentParser, of: str, default: int = 0) -> None:
     """``--seed`` of what is drawn."""
     parser.add_argument(
-        "--seed", type=whole("--seed", 0), default=default, metavar="N", help=f"seed of {of} (default %(default)s)"
-    )  # fmt: skip
+        "--seed",
+        type=whole("--seed", 0),
+        default=default,
+        metavar="N",
+        help=f"seed of {of} (default %(default)s)",
+    )
 
 
 def add_no_figures(parser: argparse.ArgumentParser) -> None:
@@ -99,10 +117,18 @@ def add_no_figures(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-figures", action="store_true", help="leave out the figures")
 
 
-def add_flights(parser: argparse.ArgumentParser, option: str = "--flight", text: str = "flight") -> None:
+def add_flights(
+    parser: argparse.ArgumentParser, option: str = "--flight", text: str = "flight"
+) -> None:
     """Files of flights, at least one."""
     parser.add_argument(
-        option, type=Path, nargs="+", action="extend", required=True, metavar="FILE", help=f"{text}: {FLIGHT_FILE}; repeatable"
+        option,
+        type=Path,
+        nargs="+",
+        action="extend",
+        required=True,
+        metavar="FILE",
+        help=f"{text}: {FLIGHT_FILE}; repeatable",
     )
 
 
@@ -111,15 +137,20 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     add_map(parser)
     add_manoeuvres(parser)
     parser.add_argument(
-        "--servos", choices=("card", "ideal"), default="card",
+        "--servos",
+        choices=("card", "ideal"),
+        default="card",
         help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def add_map(parser: argparse.ArgumentParser) -> None:
     """``--map``."""
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.toml", help="signal map of your own; its lines replace those of the log's format"
+        "--map",
+        type=Path,
+        metavar="MAP.toml",
+        help="signal map of your own; its lines replace those of the log's format",
     )
 
 
@@ -134,11 +165,16 @@ def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
 
 def add_replay_options(parser: argparse.ArgumentParser) -> None:
     """What is estimated beside the parameters when a flight is replayed: ``--biases``, ``--delays``."""
-    parser.add_argument("--biases", metavar="C,C", help="channels whose constant bias is estimated, or none (default p,q,r)")
     parser.add_argument(
-        "--delays", metavar="C,C",
+        "--biases",
+        metavar="C,C",
+        help="channels whose constant bias is estimated, or none (default p,q,r)",
+    )
+    parser.add_argument(
+        "--delays",
+        metavar="C,C",
         help="signals whose delay is estimated: channels, controls, or none (default: controls; of a log, all)",
-    )  # fmt: skip
+    )
 
 
 def add_no_check(parser: argparse.ArgumentParser, text: str) -> None:
@@ -155,14 +191,21 @@ def whole(option: str, least: int, most: int | None = None) -> Callable[[str], i
         except ValueError:
             value = least - 1
         if value < least or (most is not None and value > most):
-            raise BadInputError(f"{option} {text}: a whole number of {_limits(f'at least {least}', most)} is needed")
+            raise BadInputError(
+                f"{option} {text}: a whole number of {_limits(f'at least {least}', most)} is needed"
+            )
         return value
 
     return read
 
 
 def number(
-    option: str, what: str = "a number", *, above: float | None = None, least: float | None = None, most: float | None = None
+    option: str,
+    what: str = "a number",
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
 ) -> Callable[[str], float]:
     """Reader of a finite number ``above`` or at ``least`` one limit and up to ``most``. It raises BadInputError.
 
@@ -175,10 +218,20 @@ def number(
         except ValueError:
             value = math.nan
         low = -math.inf if least is None else least
-        fits = low <= value <= (math.inf if most is None else most) and (above is None or value > above)
+        fits = low <= value <= (math.inf if most is None else most) and (
+            above is None or value > above
+        )
         if not (math.isfinite(value) and fits):
-            lower = f"above {above:g}" if above is not None else f"of at least {least:g}" if least is not None else ""
-            raise BadInputError(f"{option} {text}: {what} {_limits(lower, most)}".rstrip() + " is needed")
+            lower = (
+                f"above {above:g}"
+                if above is not None
+                else f"of at least {least:g}"
+                if least is not None
+                else ""
+            )
+            raise BadInputError(
+                f"{option} {text}: {what} {_limits(lower, most)}".rstrip() + " is needed"
+            )
         return value
 
     return read
@@ -205,7 +258,10 @@ def command_words(args: argparse.Namespace) -> list[str]:
         value = getattr(args, action.dest, None)
         if action.dest in ("out", "page", "json") or value is None or value == action.default:
             continue
-        flag, values = action.option_strings[:1], value if isinstance(value, list) else [] if value is True else [value]
+        flag, values = (
+            action.option_strings[:1],
+            value if isinstance(value, list) else [] if value is True else [value],
+        )
         texts = [v.name if isinstance(v, Path) else str(v) for v in values]
         each = isinstance(value, list) and action.nargs is None
         words += [word for text in texts for word in (*flag, text)] if each else [*flag, *texts]

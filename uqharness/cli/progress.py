@@ -12,7 +12,16 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.progress import Progress as Bar
 from rich.text import Text
 
@@ -69,7 +78,9 @@ def working(
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
     # Other output is not drawn through the bar: it may hold a log's own words, and those pass the terminal's filter alone.
-    with Bar(*columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
+    with Bar(
+        *columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False
+    ) as bar:
         task = bar.add_task(command, total=None)
         current, begun = "", time.monotonic()
 
@@ -81,7 +92,9 @@ def working(
                     bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
                 begun = time.monotonic()
             current = text
-            bar.update(task, description=f"{command}: {visible(text)}" if text else command, refresh=True)
+            bar.update(
+                task, description=f"{command}: {visible(text)}" if text else command, refresh=True
+            )
 
         yield stage
         stage("")
@@ -130,7 +143,9 @@ def counting(what: str) -> Iterator[Callable[[float, int], None]]:
     def update(done: float, total: int) -> None:
         if terminal:
             left = time_left(time.monotonic() - begun, done, total)
-            text = f"\r\x1b[K{visible(what)}: {math.floor(done)} of {total}" + (f", {left}" if left else "")
+            text = f"\r\x1b[K{visible(what)}: {math.floor(done)} of {total}" + (
+                f", {left}" if left else ""
+            )
             print(text, end="", file=drawing(sys.stderr), flush=True)
 
     yield update
@@ -168,9 +183,16 @@ class ProgressView:
     def update(self, progress: Progress) -> None:
         """Show a state; counts only what is on the disk."""
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, total=progress.cases, completed=progress.done, note=describe(progress))
+            self._bar.update(
+                self._task, total=progress.cases, completed=progress.done, note=describe(progress)
+            )
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._bar is not None:
             self._bar.stop()
 

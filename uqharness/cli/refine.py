@@ -54,11 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flights(parser, "--test", "hold-out flights, used for testing alone")
     add_out(parser)
     add_log_options(parser)
-    parser.add_argument("--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue")
     parser.add_argument(
-        "--campaign", type=Path, metavar="FILE.toml",
+        "--effects", type=Path, metavar="FILE.toml", help="effects of your own beside the catalogue"
+    )
+    parser.add_argument(
+        "--campaign",
+        type=Path,
+        metavar="FILE.toml",
         help="campaign flown with both models (default: the aircraft's loiter, if it has one)",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-pbox", action="store_true", help="do not fly the mission, no p-boxes")
     add_workers(parser, MOST_WORKERS)
     add_no_figures(parser)
@@ -67,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     aircraft = aircraft_with_card(args.aircraft)
     if args.campaign is not None and args.no_pbox:
-        raise BadInputError("--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them")
+        raise BadInputError(
+            "--campaign and --no-pbox: a campaign is flown for its p-box; leave out one of them"
+        )
     check_folder(args.out)
     extra = tuple(read_effects(args.effects)) if args.effects else ()
     out = args.out

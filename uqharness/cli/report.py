@@ -22,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
     text = "Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md)."
     describe(parser, _run, text, _EXAMPLE)
-    parser.add_argument("folder", type=Path, metavar="DIR", help="folder that another command wrote")
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="folder that another command wrote"
+    )
 
 
 def _run(args: argparse.Namespace) -> int:

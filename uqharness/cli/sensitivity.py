@@ -39,21 +39,40 @@ _SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``sensitivity``."""
-    text, no = "Rank uncertain coefficients by the width they give to the p-box.", "nothing could be compared"
-    describe(parser, _run, text, _EXAMPLE, no=f"{no} (too many flights failed, or no metric differs)")
-    parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="folder of a finished corner campaign")
-    parser.add_argument("--interior", type=Path, metavar="DIR2", help="check: a campaign of levels between the bounds")
-    parser.add_argument("--modal", choices=READINGS, help="the dissertation's modal example, in one of two readings")
+    text, no = (
+        "Rank uncertain coefficients by the width they give to the p-box.",
+        "nothing could be compared",
+    )
+    describe(
+        parser, _run, text, _EXAMPLE, no=f"{no} (too many flights failed, or no metric differs)"
+    )
     parser.add_argument(
-        "--repeats", type=whole("--repeats", 2, 1000), default=10, metavar="R",
+        "folder", type=Path, nargs="?", metavar="DIR", help="folder of a finished corner campaign"
+    )
+    parser.add_argument(
+        "--interior",
+        type=Path,
+        metavar="DIR2",
+        help="check: a campaign of levels between the bounds",
+    )
+    parser.add_argument(
+        "--modal", choices=READINGS, help="the dissertation's modal example, in one of two readings"
+    )
+    parser.add_argument(
+        "--repeats",
+        type=whole("--repeats", 2, 1000),
+        default=10,
+        metavar="R",
         help="with --modal: independent repeats, whose spread is shown (default %(default)s)",
-    )  # fmt: skip
+    )
     add_seed(parser, "the repeats or of the resampling")
 
 
 def _run(args: argparse.Namespace) -> int:
     if (args.folder is None) == (args.modal is None):
-        raise BadInputError("sensitivity takes either a campaign folder DIR or --modal as_corrected|as_published")
+        raise BadInputError(
+            "sensitivity takes either a campaign folder DIR or --modal as_corrected|as_published"
+        )
     return _modal(args) if args.modal else _campaign(args)
 
 
@@ -63,9 +82,13 @@ def _modal(args: argparse.Namespace) -> int:
     with counting("repeats") as update:
         found = modal_sensitivity(args.modal, args.repeats, args.seed, on_progress=update)
     if args.json:
-        print(json.dumps({output: _modal_json(methods) for output, methods in found.results.items()}))
+        print(
+            json.dumps({output: _modal_json(methods) for output, methods in found.results.items()})
+        )
     else:
-        print(f"{args.modal}: mean of {args.repeats} repeats, E = 1024, A = 100; 95 % interval of the mean")
+        print(
+            f"{args.modal}: mean of {args.repeats} repeats, E = 1024, A = 100; 95 % interval of the mean"
+        )
         print(found.text())
     return 0
 
@@ -78,7 +101,9 @@ def _modal_json(methods: Any) -> dict[str, dict[str, Any]]:
             row, as_dict = found.setdefault(name, {}), index.as_dict()
             row[method] = as_dict["value"]
             row.setdefault("interval", {})[method] = as_dict["interval"]
-            row.setdefault("std_of_one_run", {})[method] = number(float(result.details["std_of_one_run"][k]))
+            row.setdefault("std_of_one_run", {})[method] = number(
+                float(result.details["std_of_one_run"][k])
+            )
             if index.reason:
                 row.setdefault("reason", {})[method] = index.reason
     return found
@@ -93,23 +118,42 @@ def _campaign(args: argparse.Namespace) -> int:
     record_table(args.folder, SENSITIVITY, content)
     figures = write_figures(args.folder, condition_sections(content), "Sensitivity")
     if args.json:
-        written = {"csv": str(args.folder / SENSITIVITY), "figures": [str(path) for path in figures]}
+        written = {
+            "csv": str(args.folder / SENSITIVITY),
+            "figures": [str(path) for path in figures],
+        }
         print(json.dumps({"sensitivity": as_json(found), **written}))
     else:
         print(_campaign_text(args.folder, found, figures))
     return 0 if any(item.ranking.first for item in found) else 1
 
 
-def _campaign_text(folder: Path, found: Sequence[MetricSensitivity], figures: Sequence[Path]) -> str:
+def _campaign_text(
+    folder: Path, found: Sequence[MetricSensitivity], figures: Sequence[Path]
+) -> str:
     lines = []
     for condition in dict.fromkeys(item.condition for item in found):
-        shown = [item for metric in _SHOWN for item in found if item.condition == condition and item.metric == metric]
-        lines.append(f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 % interval of both]")
+        shown = [
+            item
+            for metric in _SHOWN
+            for item in found
+            if item.condition == condition and item.metric == metric
+        ]
+        lines.append(
+            f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 % interval of both]"
+        )
         lines.append(f"  {'':<4}" + "".join(f"{item.metric:>32}" for item in shown))
         for name in shown[0].result.indices if shown else ():
-            lines.append(f"  {name:<4}" + "".join(f"{cell(item.result.indices[name]):>32}" for item in shown))
+            lines.append(
+                f"  {name:<4}" + "".join(f"{cell(item.result.indices[name]):>32}" for item in shown)
+            )
         lines += [f"  {item.words}" for item in shown]
-        lines += [f"  {statement}" for statement in dict.fromkeys(item.result.statement for item in shown if item.ranking.first)]
+        lines += [
+            f"  {statement}"
+            for statement in dict.fromkeys(
+                item.result.statement for item in shown if item.ranking.first
+            )
+        ]
         lines.append("")
     written = ", ".join(str(path) for path in (folder / SENSITIVITY, *figures))
     return "\n".join([*lines, f"written: {written}"])

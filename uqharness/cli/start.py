@@ -75,8 +75,14 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
         return _no_memory(limit) if limit is not None and not ends.terminated else ends.said()
     except (MemoryError, ImportError, OSError, RuntimeError, SystemError) as error:
         if ends.received:
-            return ends.said()  # some modules turn an interruption while they load into an error of their own
-        if limit is not None or isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
+            return (
+                ends.said()
+            )  # some modules turn an interruption while they load into an error of their own
+        if (
+            limit is not None
+            or isinstance(error, MemoryError)
+            or getattr(error, "errno", 0) == errno.ENOMEM
+        ):
             return _no_memory(limit)
         raise
     try:
@@ -130,7 +136,11 @@ def _address_limit() -> int | None:
 
 
 def _no_memory(limit: int | None) -> int:
-    allowed = "" if limit is None else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
+    allowed = (
+        ""
+        if limit is None
+        else f": {limit / 1e6:.0f} MB of address space are allowed (ulimit -v), about 1000 MB are needed"
+    )
     _say(f"error: not enough memory to start{allowed}")
     return 2
 

@@ -27,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``study``."""
     text = "Run a study file stage by stage, or resume it."
     describe(parser, _run, text, _EXAMPLE, no="done, and a stage that is named answered no")
-    parser.add_argument("study", type=Path, metavar="STUDY.toml", help="the study file: flights and stages")
+    parser.add_argument(
+        "study", type=Path, metavar="STUDY.toml", help="the study file: flights and stages"
+    )
     add_out(parser)
     add_workers(parser)
 
@@ -38,7 +40,10 @@ def _run(args: argparse.Namespace) -> int:
     try:
         document = run_chain(args.run_words, spec, args.out, args.workers, command, say_line)
     except KeyboardInterrupt:
-        print(f"{args.out}: stopped; finished stages are kept, the same command resumes", file=sys.stderr)
+        print(
+            f"{args.out}: stopped; finished stages are kept, the same command resumes",
+            file=sys.stderr,
+        )
         raise
     report = write_report(args.out).path
     no = [row["name"] for row in document["stages"] if row["exit"] == 1]

@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     no = "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
     describe(parser, _run, text, _EXAMPLE, done="the bounds hold", no=no)
     add_aircraft(parser)
-    parser.add_argument("form", type=Path, metavar="MODEL-FORM.json", help="model-form.json of `uqharness bounds`")
+    parser.add_argument(
+        "form", type=Path, metavar="MODEL-FORM.json", help="model-form.json of `uqharness bounds`"
+    )
     add_flights(parser)
     add_out(parser, required=False)
     add_log_options(parser)

@@ -49,9 +49,17 @@ def fly_elsewhere(
     """
     with scratch_folder("elsewhere") as scratch:
         job, out = scratch.path / "job.json", scratch.path / "out.npz"
-        places = {"aircraft": aircraft.folder, "engine": aircraft.engine_path, "systems": aircraft.systems_path, "script": script}
+        places = {
+            "aircraft": aircraft.folder,
+            "engine": aircraft.engine_path,
+            "systems": aircraft.systems_path,
+            "script": script,
+        }
         # A stock aircraft's engines are those of its own JSBSim: both sides fly the same files.
-        document = {k: str(v) for k, v in places.items()} | {"channels": [asdict(c) for c in channels], "how": asdict(how)}
+        document = {k: str(v) for k, v in places.items()} | {
+            "channels": [asdict(c) for c in channels],
+            "how": asdict(how),
+        }
         write_json(job, document)
         ended = run_module(__name__, job, out, timeout_s=LONGEST_S, python=python)
         if ended.answer.get("error"):
@@ -73,8 +81,10 @@ def _child(job: Path, out: Path) -> None:
     channels = [Channel(**{**row, "source": Source(**row["source"])}) for row in asked["channels"]]
     try:
         aircraft = replace(
-            find_aircraft(asked["aircraft"]), engine_path=Path(asked["engine"]), systems_path=Path(asked["systems"])
-        )  # fmt: skip
+            find_aircraft(asked["aircraft"]),
+            engine_path=Path(asked["engine"]),
+            systems_path=Path(asked["systems"]),
+        )
         signals = flown(aircraft, Path(asked["script"]), channels, How(**asked["how"]))
     except BadInputError as error:
         give_answer({"error": str(error)})

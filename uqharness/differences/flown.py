@@ -31,17 +31,30 @@ class How:
     properties: Mapping[str, float] = field(default_factory=dict)
 
 
-def flown(aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How) -> dict[str, Array]:
+def flown(
+    aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
+) -> dict[str, Array]:
     """time_s and channels of a flight, a row a frame."""
     script = read_script(path)
     if how.dt_s != aircraft.dt_s:
         section = aircraft.card.aircraft.model_copy(update={"dt_s": how.dt_s})
         aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
     spec = FlightSpec(
-        aircraft=aircraft.folder, script=path, duration_s=min(script.end_s, how.most_s), turbulence=how.turbulence,
-        record_rate_hz=1.0 / aircraft.dt_s, properties=dict(how.properties),
-    )  # fmt: skip
+        aircraft=aircraft.folder,
+        script=path,
+        duration_s=min(script.end_s, how.most_s),
+        turbulence=how.turbulence,
+        record_rate_hz=1.0 / aircraft.dt_s,
+        properties=dict(how.properties),
+    )
     with StagedMission(aircraft, path) as mission:
         optional = {c.name: c.source for c in channels}
-        recorded = record_mission(mission, as_asked(spec, how.seed), {}, optional, keep_burn_in=True, one_ulp_off=how.one_ulp_off)
+        recorded = record_mission(
+            mission,
+            as_asked(spec, how.seed),
+            {},
+            optional,
+            keep_burn_in=True,
+            one_ulp_off=how.one_ulp_off,
+        )
     return recorded.signals

@@ -106,7 +106,18 @@ def fly_matched(
                 for made in one.folder.iterdir():
                     if made.name not in before or made == path or made.name == "steady-start.xml":
                         write_bytes(two.folder / made.name, made.read_bytes())
-                flown_in_both(_both(one, two, path, two.folder / path.name, f"{kind} at {speed:g} m/s", channels, asked, 1e9))
+                flown_in_both(
+                    _both(
+                        one,
+                        two,
+                        path,
+                        two.folder / path.name,
+                        f"{kind} at {speed:g} m/s",
+                        channels,
+                        asked,
+                        1e9,
+                    )
+                )
         for script in asked.scripts:
             initial = read_script(script).initialize
             for source in (one.folder / initial, one.folder / f"{initial}.xml"):
@@ -124,24 +135,48 @@ def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
 
 
 def _both(
-    one: Aircraft, two: Aircraft, path: Path, other: Path, name: str, channels: Sequence[Channel], asked: Asked, most_s: float
+    one: Aircraft,
+    two: Aircraft,
+    path: Path,
+    other: Path,
+    name: str,
+    channels: Sequence[Channel],
+    asked: Asked,
+    most_s: float,
 ) -> Matched:
     how = How(most_s, one.dt_s, asked.turbulence, asked.seed)
-    first, near = (flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True))
+    first, near = (
+        flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True)
+    )
     try:
         second, version = _of_b(two, other, channels, how, asked.python_b)
     except RefusedError as error:
         return Matched(name, first["time_s"], first, {}, near, reason=str(error))
     others = varied(one, path, channels, how, asked.repeats, asked.bounds)
     rows = min(len(x["time_s"]) for x in (first, near, second))
-    a, b, nudged = ({k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near))
+    a, b, nudged = (
+        {k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near)
+    )
     only_a, only_b = tuple(sorted(a.keys() - b.keys())), tuple(sorted(b.keys() - a.keys()))
     lengths = len(first["time_s"]), len(second["time_s"])
     reason = "" if lengths[0] == lengths[1] else f"A flew {lengths[0]} frames and B {lengths[1]}"
-    return Matched(name, first["time_s"][:rows], a, b, nudged, only_a, only_b, reason, version, spread(a, others) if others else {})
+    return Matched(
+        name,
+        first["time_s"][:rows],
+        a,
+        b,
+        nudged,
+        only_a,
+        only_b,
+        reason,
+        version,
+        spread(a, others) if others else {},
+    )
 
 
-def _of_b(two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None) -> tuple[dict[str, Array], str]:
+def _of_b(
+    two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None
+) -> tuple[dict[str, Array], str]:
     """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
     if python is not None:
         return fly_elsewhere(python, two, script, channels, how)

@@ -44,7 +44,10 @@ class Difference:
 
 
 def differences(
-    channels: Sequence[Channel], flights: Iterable[Matched], terms: Sequence[Term], tolerance: float = ROUNDING
+    channels: Sequence[Channel],
+    flights: Iterable[Matched],
+    terms: Sequence[Term],
+    tolerance: float = ROUNDING,
 ) -> list[Difference]:
     """Everything beyond benign, ranked: first the flight and frame in which it shows first, then cause before effect.
 
@@ -77,33 +80,59 @@ def scale_of(channel: Channel, values: Array) -> float:
     return max(reach if reach > 1e-3 * magnitude else magnitude, channel.floor)
 
 
-def _difference(channel: Channel, flight: Matched, terms: Sequence[Term], tolerance: float) -> tuple[float, Difference] | None:
+def _difference(
+    channel: Channel, flight: Matched, terms: Sequence[Term], tolerance: float
+) -> tuple[float, Difference] | None:
     a, b = flight.a[channel.name], flight.b[channel.name]
     scale = scale_of(channel, a)
     # A start that is one unit off moves everything after it: what it has moved so far is what rounding may have.
-    benign = np.maximum(NUDGES * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)), tolerance * scale)
+    benign = np.maximum(
+        NUDGES * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)), tolerance * scale
+    )
     benign = np.maximum(benign, flight.varied.get(channel.name, 0.0))
     apart = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
     beyond = ~(apart <= benign)
     if not beyond.any():
         return None
-    start, worst = int(np.argmax(beyond)), int(np.nanargmax(np.where(np.isnan(apart), np.inf, apart)))
+    start, worst = (
+        int(np.argmax(beyond)),
+        int(np.nanargmax(np.where(np.isnan(apart), np.inf, apart))),
+    )
     size = float(apart[worst])
     difference = Difference(
-        channel.name, channel.unit, channel.group, flight.name, float(flight.time_s[start]), size, float(flight.time_s[worst]),
-        size / scale, size / float(benign[worst]), float(a[worst]), float(b[worst]), likeliest(channel, terms),
-    )  # fmt: skip
+        channel.name,
+        channel.unit,
+        channel.group,
+        flight.name,
+        float(flight.time_s[start]),
+        size,
+        float(flight.time_s[worst]),
+        size / scale,
+        size / float(benign[worst]),
+        float(a[worst]),
+        float(b[worst]),
+        likeliest(channel, terms),
+    )
     return float(apart[start] / scale), difference
 
 
-_NAMES = {"CX": ("CX", "CD"), "CY": ("CY",), "CZ": ("CZ", "CL"), "Cl": ("Cl",), "Cm": ("Cm",), "Cn": ("Cn",)}
+_NAMES = {
+    "CX": ("CX", "CD"),
+    "CY": ("CY",),
+    "CZ": ("CZ", "CL"),
+    "Cl": ("Cl",),
+    "Cm": ("Cm",),
+    "Cn": ("Cn",),
+}
 """How authors begin the names of a coefficient's terms."""
 
 
 def _named(term: Term, channel: Channel) -> bool:
     """Whether some part of a term's path has a name that begins as the coefficient's do."""
     words = (word for part in term.path.split(" / ") for word in part.split(" ")[1:])
-    return any(word.rpartition("/")[2].startswith(_NAMES.get(channel.name, ("?",))) for word in words)
+    return any(
+        word.rpartition("/")[2].startswith(_NAMES.get(channel.name, ("?",))) for word in words
+    )
 
 
 def likeliest(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:

@@ -27,7 +27,9 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
     revision, path = found
     wanted = Path(path)
     top = _git(["rev-parse", "--show-toplevel"], Path.cwd(), text).decode().strip()
-    inside = wanted.resolve().relative_to(top) if wanted.is_absolute() else Path(_prefix(text)) / wanted
+    inside = (
+        wanted.resolve().relative_to(top) if wanted.is_absolute() else Path(_prefix(text)) / wanted
+    )
     content = _git(["archive", "--format=tar", revision, inside.as_posix()], Path(top), text)
     with tarfile.open(fileobj=io.BytesIO(content)) as archive:
         archive.extractall(scratch, filter="data")

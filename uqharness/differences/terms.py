@@ -12,14 +12,33 @@ from uqharness.errors import BadInputError
 from uqharness.xml import Node, folder_documents
 
 _AXIS = {
-    "DRAG": "CX", "LIFT": "CZ", "SIDE": "CY", "X": "CX", "Y": "CY", "Z": "CZ", "AXIAL": "CX", "NORMAL": "CZ", "ROLL": "Cl",
-    "PITCH": "Cm", "YAW": "Cn", "FORWARD": "CX", "RIGHT": "CY", "DOWN": "CZ",
-}  # fmt: skip
+    "DRAG": "CX",
+    "LIFT": "CZ",
+    "SIDE": "CY",
+    "X": "CX",
+    "Y": "CY",
+    "Z": "CZ",
+    "AXIAL": "CX",
+    "NORMAL": "CZ",
+    "ROLL": "Cl",
+    "PITCH": "Cm",
+    "YAW": "Cn",
+    "FORWARD": "CX",
+    "RIGHT": "CY",
+    "DOWN": "CZ",
+}
 _GROUP = {
-    "mass_balance": "mass and CG", "propulsion": "propulsion", "flight_control": "surfaces", "system": "surfaces",
-    "autopilot": "surfaces", "external_reactions": "external forces", "engine": "propulsion", "propeller": "propulsion",
-    "aerodynamics": "force coefficients", "metrics": "force coefficients",
-}  # fmt: skip
+    "mass_balance": "mass and CG",
+    "propulsion": "propulsion",
+    "flight_control": "surfaces",
+    "system": "surfaces",
+    "autopilot": "surfaces",
+    "external_reactions": "external forces",
+    "engine": "propulsion",
+    "propeller": "propulsion",
+    "aerodynamics": "force coefficients",
+    "metrics": "force coefficients",
+}
 
 
 @dataclass(frozen=True)
@@ -67,7 +86,11 @@ def _without_moved(terms: list[Term]) -> list[Term]:
     gone = [(t.path, t.a) for t in terms if not t.b_where]
     added = [(t.path, t.b) for t in terms if not t.a_where]
     moved = [key for key in gone if key in added]
-    return [t for t in terms if (t.path, t.a if not t.b_where else t.b) not in moved or (t.a_where and t.b_where)]
+    return [
+        t
+        for t in terms
+        if (t.path, t.a if not t.b_where else t.b) not in moved or (t.a_where and t.b_where)
+    ]
 
 
 def _without_inner(terms: list[Term]) -> list[Term]:
@@ -91,7 +114,17 @@ def _paired(one: list[_Line], two: list[_Line]) -> list[Term]:
         y = next((y for y in rest if y.path == x.path), None)
         if y is not None:
             rest.remove(y)
-        out.append(Term(x.path, x.said, y.said if y else "", x.where, y.where if y else "", x.group, x.channel))
+        out.append(
+            Term(
+                x.path,
+                x.said,
+                y.said if y else "",
+                x.where,
+                y.where if y else "",
+                x.group,
+                x.channel,
+            )
+        )
     out += [Term(y.path, "", y.said, "", y.where, y.group, y.channel) for y in rest]
     return out
 
@@ -104,7 +137,9 @@ def _lines(folder: Path) -> dict[str, list[_Line]]:
         name = "aircraft" if document.path.stem == folder.name else relative
         found = out.setdefault(name, [])
         for node in document.root.walk():
-            if node.tag in ("fileheader",) or any(above.tag == "fileheader" for above in _above(node)):
+            if node.tag in ("fileheader",) or any(
+                above.tag == "fileheader" for above in _above(node)
+            ):
                 continue
             if node is document.root:
                 continue

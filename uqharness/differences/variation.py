@@ -19,14 +19,21 @@ Array = NDArray[np.float64]
 
 
 def varied(
-    aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How, repeats: int, bounds: bool
+    aircraft: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    how: How,
+    repeats: int,
+    bounds: bool,
 ) -> list[dict[str, Array]]:
     """Flights of a model as `flown` gives them: with ``repeats`` other seeds of the air, and at either end of each bound.
 
     Raises BadInputError where there is no air to repeat or no bound.
     """
     if repeats and how.turbulence == "none":
-        raise BadInputError("--repeats: still air has no other seed; give --turbulence light, moderate or severe")
+        raise BadInputError(
+            "--repeats: still air has no other seed; give --turbulence light, moderate or severe"
+        )
     others = [replace(how, seed=how.seed + k) for k in range(1, repeats + 1)]
     others += [replace(how, properties=corner) for corner in (_ends(aircraft) if bounds else ())]
     return [flown(aircraft, script, channels, other) for other in others]
@@ -38,7 +45,9 @@ def spread(flight: Mapping[str, Array], others: Iterable[Mapping[str, Array]]) -
     for other in others:
         for name, values in flight.items():
             n = min(len(values), len(other[name]))
-            out[name] = max(out[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0)))
+            out[name] = max(
+                out[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
+            )
     return out
 
 
@@ -52,7 +61,11 @@ def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
             "model-form.json"
         )
     return [
-        {"uq/active": 1.0, **{f"uq/{other}/active": 0.0 for other in bounded if other != c}, f"uq/{c}/level": level}
+        {
+            "uq/active": 1.0,
+            **{f"uq/{other}/active": 0.0 for other in bounded if other != c},
+            f"uq/{c}/level": level,
+        }
         for c in bounded
         for level in (0.0, 1.0)
     ]

@@ -80,9 +80,15 @@ _SMALL = (0.5 * DEG_RAD, 2.0 * DEG_RAD)
 
 def _small(entry: str, axis: str, control: str, channel: str) -> Test:
     return Test(
-        entry, f"Small control inputs, {axis}", f"±0.15°/s body {axis} rate or ±20 % of its peak, throughout", control,
-        (Band(channel, 0.15 * DEG_RAD, 0.20, of_peak=True),), before_s=5.0, after_s=5.0, peak_radps=_SMALL,
-    )  # fmt: skip
+        entry,
+        f"Small control inputs, {axis}",
+        f"±0.15°/s body {axis} rate or ±20 % of its peak, throughout",
+        control,
+        (Band(channel, 0.15 * DEG_RAD, 0.20, of_peak=True),),
+        before_s=5.0,
+        after_s=5.0,
+        peak_radps=_SMALL,
+    )
 
 
 TESTS = (
@@ -90,30 +96,64 @@ TESTS = (
     _small("2.b.5", "roll", "aileron", "p_radps"),
     _small("2.b.6", "yaw", "rudder", "r_radps"),
     Test(
-        "2.c.1", "Power change dynamics", "±3 kt airspeed, ±100 ft altitude, ±20 % or ±1.5° pitch angle", "throttle",
-        (Band("V_mps", 3.0 * KT_MPS), Band("h_m", 100.0 * FT_M), Band("theta_rad", 1.5 * DEG_RAD, 0.20)),
-        before_s=5.0, after_s=15.0,
+        "2.c.1",
+        "Power change dynamics",
+        "±3 kt airspeed, ±100 ft altitude, ±20 % or ±1.5° pitch angle",
+        "throttle",
+        (
+            Band("V_mps", 3.0 * KT_MPS),
+            Band("h_m", 100.0 * FT_M),
+            Band("theta_rad", 1.5 * DEG_RAD, 0.20),
+        ),
+        before_s=5.0,
+        after_s=15.0,
     ),
     Test(
-        "2.c.9", "Phugoid dynamics", "±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio", "",
+        "2.c.9",
+        "Phugoid dynamics",
+        "±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio",
+        "",
         oscillation=Oscillation("V_mps", 0.0, 0.10, 0.10, 0.02, 3.0, 5.0, 120.0),
     ),
     Test(
-        "2.c.10", "Short period dynamics", "±1.5° pitch angle or ±2°/s pitch rate; ±0.10 g acceleration", "elevator",
+        "2.c.10",
+        "Short period dynamics",
+        "±1.5° pitch angle or ±2°/s pitch rate; ±0.10 g acceleration",
+        "elevator",
         (
-            Band("theta_rad", 1.5 * DEG_RAD, one_of="pitch"), Band("q_radps", 2.0 * DEG_RAD, one_of="pitch"),
+            Band("theta_rad", 1.5 * DEG_RAD, one_of="pitch"),
+            Band("q_radps", 2.0 * DEG_RAD, one_of="pitch"),
             Band("az_mps2", 0.10 * G0_MPS2),
         ),
     ),
-    Test("2.d.2", "Roll response (rate)", "±10 % or ±2°/s roll rate", "aileron", (Band("p_radps", 2.0 * DEG_RAD, 0.10),)),
     Test(
-        "2.d.4", "Spiral stability", "correct trend and ±2° or ±10 % bank angle in 20 s", "",
-        (Band("phi_rad", 2.0 * DEG_RAD, 0.10),), after_s=20.0,
+        "2.d.2",
+        "Roll response (rate)",
+        "±10 % or ±2°/s roll rate",
+        "aileron",
+        (Band("p_radps", 2.0 * DEG_RAD, 0.10),),
     ),
-    Test("2.d.6", "Rudder response", "±2°/s or ±10 % yaw rate", "rudder", (Band("r_radps", 2.0 * DEG_RAD, 0.10),)),
     Test(
-        "2.d.7", "Dutch roll", "±0.5 s or ±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio", "rudder",
+        "2.d.4",
+        "Spiral stability",
+        "correct trend and ±2° or ±10 % bank angle in 20 s",
+        "",
+        (Band("phi_rad", 2.0 * DEG_RAD, 0.10),),
+        after_s=20.0,
+    ),
+    Test(
+        "2.d.6",
+        "Rudder response",
+        "±2°/s or ±10 % yaw rate",
+        "rudder",
+        (Band("r_radps", 2.0 * DEG_RAD, 0.10),),
+    ),
+    Test(
+        "2.d.7",
+        "Dutch roll",
+        "±0.5 s or ±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio",
+        "rudder",
         oscillation=Oscillation("r_radps", 0.5, 0.10, 0.10, 0.02, 6.0, 0.3, 20.0),
     ),
-)  # fmt: skip
+)
 """In the table's order. Of 2.d.7 the time between the peaks of bank and sideslip is not judged."""

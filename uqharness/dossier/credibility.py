@@ -30,14 +30,22 @@ def factors(found: Evidence, match: Match) -> tuple[Factor, ...]:
 
 def flown_by_simulation(found: Evidence) -> list[str]:
     """Aircraft that flew a study's flights in place of a real one."""
-    stages = [s for study in found.of(STUDY) for s in _document(study)["stages"] if s["kind"] == "fly"]
-    return list(dict.fromkeys(words[2] for s in stages if len(words := (s.get("command") or "").split()) > 2))
+    stages = [
+        s for study in found.of(STUDY) for s in _document(study)["stages"] if s["kind"] == "fly"
+    ]
+    return list(
+        dict.fromkeys(
+            words[2] for s in stages if len(words := (s.get("command") or "").split()) > 2
+        )
+    )
 
 
 def _data(found: Evidence, _: Match) -> list[str]:
     said = []
     for aircraft in flown_by_simulation(found):
-        said.append(f"the flights are simulated, by the model {aircraft}: none is of a real aircraft")
+        said.append(
+            f"the flights are simulated, by the model {aircraft}: none is of a real aircraft"
+        )
     for step in found.of("identify"):
         digests = _document(step).get("flights_sha256") or []
         names = ", ".join(_document(step)["flights"])
@@ -47,7 +55,9 @@ def _data(found: Evidence, _: Match) -> list[str]:
         known = sum(value is not None for value in noise.values())
         said.append(f"{_at(step)}: sensor noise estimated for {known} of {len(noise)} channels")
     for step in found.of("refine"):
-        train, test = (", ".join(_document(step).get(k, ())) or "not recorded" for k in ("train", "test"))
+        train, test = (
+            ", ".join(_document(step).get(k, ())) or "not recorded" for k in ("train", "test")
+        )
         said.append(f"{_at(step)}: effects chosen on {train}, shown on the hold-out flights {test}")
     return said
 
@@ -77,7 +87,9 @@ def _verification(found: Evidence, _: Match) -> list[str]:
 
 def _validation(found: Evidence, match: Match) -> list[str]:
     said = []
-    counts = {answer: sum(j.answer == answer for j in match.judged) for answer in (PASS, FAIL, UNSURE)}
+    counts = {
+        answer: sum(j.answer == answer for j in match.judged) for answer in (PASS, FAIL, UNSURE)
+    }
     if match.judged:
         said.append(
             f"proof of match: {len(match.judged)} segments judged by objective tests, {counts[PASS]} pass, {counts[FAIL]} fail, "
@@ -88,14 +100,22 @@ def _validation(found: Evidence, match: Match) -> list[str]:
         # In turbulence replays hold what the gusts did, and predictions judge.
         predicted = test.get("predictions") or {}
         rows = predicted or test["channels"]
-        ratios = {c: r["rms_after"] / r["noise_rms"] for c, r in rows.items() if r.get("rms_after") and r.get("noise_rms")}
+        ratios = {
+            c: r["rms_after"] / r["noise_rms"]
+            for c, r in rows.items()
+            if r.get("rms_after") and r.get("noise_rms")
+        }
         if ratios:
             worst = max(ratios, key=lambda c: ratios[c])
             whose = "rms of one-step predictions" if predicted else "rms"
-            said.append(f"{_at(step)}: on the hold-out flights {whose} over noise is at most {ratios[worst]:.2f} ({worst})")
+            said.append(
+                f"{_at(step)}: on the hold-out flights {whose} over noise is at most {ratios[worst]:.2f} ({worst})"
+            )
     for step in found.of("compare"):
         reached = "reaches" if _document(step)["reached_noise_floor"] else "does not reach"
-        said.append(f"{_at(step)}: the model {reached} the noise floor on {_document(step)['flight']}")
+        said.append(
+            f"{_at(step)}: the model {reached} the noise floor on {_document(step)['flight']}"
+        )
     return said
 
 
@@ -128,10 +148,14 @@ def _uncertainty(found: Evidence, _: Match) -> list[str]:
     for step in found.of("validate-bounds"):
         shares = {c: row["0.95"] for c, row in _document(step)["coverage"].items()}
         low, high = min(shares.values()), max(shares.values())
-        said.append(f"{_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's samples lie inside the 95 % intervals")
+        said.append(
+            f"{_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's samples lie inside the 95 % intervals"
+        )
     for step in found.of("campaign"):
         cases = _document(step).get("cases", "?")
-        said.append(f"{_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory uncertainty by {cases} flights")
+        said.append(
+            f"{_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory uncertainty by {cases} flights"
+        )
     return said
 
 
@@ -139,7 +163,9 @@ def _robustness(found: Evidence, _: Match) -> list[str]:
     said = []
     for step in found.of("campaign"):
         if (step.folder / "sensitivity.csv").is_file():
-            said.append(f"{_at(step)}: share of each coefficient in the width of every p-box (sensitivity.csv)")
+            said.append(
+                f"{_at(step)}: share of each coefficient in the width of every p-box (sensitivity.csv)"
+            )
         epistemic = _document(step)["campaign"]["epistemic"]
         inner = epistemic.get("interior")
         beside = f", {inner} samples between them" if inner else ""

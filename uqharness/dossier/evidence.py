@@ -17,24 +17,36 @@ from uqharness.result_documents import Bounds, Compare, Coverage, Fit, Part, Stu
 
 STUDY = "study"
 _MARKS: tuple[tuple[str, str, type[Part] | None], ...] = (
-    ("study.json", STUDY, Study), ("fit.json", "identify", Fit), ("compare.json", "compare", Compare),
-    ("refinement.json", "refine", Refinement), ("model-form.json", "bounds", None), ("coverage.json", "validate-bounds", Coverage),
+    ("study.json", STUDY, Study),
+    ("fit.json", "identify", Fit),
+    ("compare.json", "compare", Compare),
+    ("refinement.json", "refine", Refinement),
+    ("model-form.json", "bounds", None),
+    ("coverage.json", "validate-bounds", Coverage),
     ("manifest.json", "campaign", None),
-)  # fmt: skip
+)
 """File that marks a folder's results, the command that writes it, and what it has to look like."""
 _LEFTOVERS = (
-    ("model.diff", "refine", "refinement.json"), ("journal.sqlite", "campaign", "manifest.json"),
-    ("cases.parquet", "campaign", "manifest.json"), ("parameters.csv", "identify", "fit.json"),
-    ("channels.csv", "compare", "compare.json"), ("model-form.xml", "bounds", "model-form.json"),
+    ("model.diff", "refine", "refinement.json"),
+    ("journal.sqlite", "campaign", "manifest.json"),
+    ("cases.parquet", "campaign", "manifest.json"),
+    ("parameters.csv", "identify", "fit.json"),
+    ("channels.csv", "compare", "compare.json"),
+    ("model-form.xml", "bounds", "model-form.json"),
     ("campaign-before.toml", STUDY, "study.json"),
-)  # fmt: skip
+)
 """File that a command leaves beside its mark, from which a folder that has lost its mark is known."""
 _COMPANIONS: Mapping[str, tuple[str, ...]] = {
-    "identify": (HISTORIES, "aircraft"), "refine": (HISTORIES, "model.diff", "aircraft"), "compare": (HISTORIES,),
-    "bounds": ("bounds.json",), "campaign": ("cases.parquet", "statements.csv", "pbox.parquet"),
-}  # fmt: skip
+    "identify": (HISTORIES, "aircraft"),
+    "refine": (HISTORIES, "model.diff", "aircraft"),
+    "compare": (HISTORIES,),
+    "bounds": ("bounds.json",),
+    "campaign": ("cases.parquet", "statements.csv", "pbox.parquet"),
+}
 _NOT_LISTED = frozenset({"report.html", "dossier.html", "run.lock"})
-_NOT_ENTERED = frozenset({"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"})
+_NOT_ENTERED = frozenset(
+    {"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"}
+)
 _ORDER = ("identify", "compare", "bounds", "validate-bounds", "campaign", "refine", STUDY)
 _DEEPEST = 3
 
@@ -112,13 +124,17 @@ def read_evidence(folder: Path) -> Evidence:
     no command of this program wrote.
     """
     if not folder.is_dir():
-        raise BadInputError(f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or identify")
+        raise BadInputError(
+            f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or identify"
+        )
     found = Evidence(folder)
     for place in _folders(folder):
         _read_place(found, place)
     if not found.steps:
         looked = ", ".join(name for name, _, _ in _MARKS)
-        raise BadInputError(f"{folder}: no results of this program; looked for {looked}, also in the folders below")
+        raise BadInputError(
+            f"{folder}: no results of this program; looked for {looked}, also in the folders below"
+        )
     _read_study(found)
     found.steps = sorted(found.steps, key=lambda s: _place_in_order(found, s))
     for step in found.steps:
@@ -131,7 +147,11 @@ def _folders(folder: Path) -> Iterator[Path]:
     yield folder
 
     def below(at: Path, depth: int) -> Iterator[Path]:
-        for path in sorted(p for p in at.iterdir() if p.is_dir() and not p.is_symlink() and p.name not in _NOT_ENTERED):
+        for path in sorted(
+            p
+            for p in at.iterdir()
+            if p.is_dir() and not p.is_symlink() and p.name not in _NOT_ENTERED
+        ):
             yield path
             if depth < _DEEPEST:
                 yield from below(path, depth + 1)
@@ -153,7 +173,9 @@ def _read_place(found: Evidence, place: Path) -> None:
     for leftover, kind, mark in _LEFTOVERS:
         if kind not in known and (place / leftover).is_file():
             known.add(kind)
-            found.say(f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be told")
+            found.say(
+                f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be told"
+            )
             found.steps.append(Step(kind, here, place, None))
 
 
@@ -165,7 +187,11 @@ def _document(place: Path, name: str, kind: str, shape: type[Part] | None) -> Ma
         beside = place / "bounds.json"
         made_for = form.get("aircraft")
         digest = made_for.get("sha256", "") if isinstance(made_for, dict) else ""
-        return form | (read_document(beside, Bounds) if beside.is_file() else {}) | {"aircraft_sha256": str(digest)}
+        return (
+            form
+            | (read_document(beside, Bounds) if beside.is_file() else {})
+            | {"aircraft_sha256": str(digest)}
+        )
     assert shape is not None
     return read_document(place / name, shape)
 
@@ -177,17 +203,26 @@ def _read_study(found: Evidence) -> None:
         for stage in study.document["stages"]:
             name = stage["name"]
             if stage["state"] != "done":
-                found.say(f"stage {name} is {stage['state']}" + (f": {stage['error']}" if stage.get("error") else ""))
+                found.say(
+                    f"stage {name} is {stage['state']}"
+                    + (f": {stage['error']}" if stage.get("error") else "")
+                )
                 continue
             if stage.get("folder") and not (study.folder / stage["folder"]).is_dir():
-                found.say(f"stage {name}: its folder {_at(study.place, stage['folder'])} is not there")
+                found.say(
+                    f"stage {name}: its folder {_at(study.place, stage['folder'])} is not there"
+                )
             for file, digest in (stage.get("outputs") or {}).items():
                 _check(found, study.folder / file, str(digest), f"stage {name}")
 
 
 def _check(found: Evidence, path: Path, digest: str, who: str) -> None:
     """Say it where a file is gone or has another content than its recorded digest."""
-    name = path.relative_to(found.folder).as_posix() if path.is_relative_to(found.folder) else path.name
+    name = (
+        path.relative_to(found.folder).as_posix()
+        if path.is_relative_to(found.folder)
+        else path.name
+    )
     if not re.fullmatch(r"[0-9a-f]{64}", digest) or path.is_dir():
         return
     if not path.is_file():
@@ -222,7 +257,12 @@ def _generation(found: Evidence, step: Step, seen: frozenset[str]) -> int:
     words = step.command.split()
     for other in found.steps:
         name = Path(other.place).name
-        if other is not step and other.place not in seen and name and any(name in Path(w).parts for w in words[2:3]):
+        if (
+            other is not step
+            and other.place not in seen
+            and name
+            and any(name in Path(w).parts for w in words[2:3])
+        ):
             return 1 + _generation(found, other, seen | {step.place})
     return 0
 
@@ -239,13 +279,23 @@ def _list_sources(found: Evidence) -> None:
 
 
 def _files(folder: Path) -> Sequence[Path]:
-    own = [p for p in folder.iterdir() if p.is_file() and not p.is_symlink() and p.name not in _NOT_LISTED]
+    own = [
+        p
+        for p in folder.iterdir()
+        if p.is_file() and not p.is_symlink() and p.name not in _NOT_LISTED
+    ]
     beside = [
-        p for name in ("aircraft", "before", "flights") for p in (folder / name).rglob("*")
+        p
+        for name in ("aircraft", "before", "flights")
+        for p in (folder / name).rglob("*")
         if p.is_file() and not p.is_symlink() and p.suffix in (".xml", ".toml", ".bin", ".parquet")
-    ]  # fmt: skip
+    ]
     # A database that is opened for reading may be tidied up: its bytes are no evidence.
-    return sorted(p for p in (*own, *beside) if p.suffix not in (".sqlite", ".lock") and not p.name.endswith(("-wal", "-shm")))
+    return sorted(
+        p
+        for p in (*own, *beside)
+        if p.suffix not in (".sqlite", ".lock") and not p.name.endswith(("-wal", "-shm"))
+    )
 
 
 def _at(place: str, name: str) -> str:

@@ -19,7 +19,9 @@ PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"
 _MOVED = 0.3
 """Of a control's largest travel in a segment, from which it counts as moved; the test's own control must move and no other."""
 _AT_REST = 0.05  # of its travel within the segment
-_NOISE_ROOM = 4.0  # a record of some hundred samples reaches this many standard deviations by noise alone
+_NOISE_ROOM = (
+    4.0  # a record of some hundred samples reaches this many standard deviations by noise alone
+)
 _LEAST_CYCLES = 1.5
 _OTHER = "no segment in which"
 _SEEN = 3.0  # amplitude over what an oscillation leaves unexplained
@@ -84,7 +86,10 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
     noise
         Channel -> standard deviation of its sensor's noise, in the channel's unit; None or absent where it is not known.
     """
-    travel = {c: max((_travel(s.columns[c]) for s in segments if c in s.columns), default=0.0) for c in CONTROLS}
+    travel = {
+        c: max((_travel(s.columns[c]) for s in segments if c in s.columns), default=0.0)
+        for c in CONTROLS
+    }
     judged: list[Judged] = []
     missing: dict[str, str] = {}
     for test in TESTS:
@@ -113,23 +118,39 @@ def _commonest(reasons: Sequence[str]) -> str:
 
 
 def _judge(
-    test: Test, segment: History, suffix: str, noise: Mapping[str, float | None], travel: Mapping[str, float]
+    test: Test,
+    segment: History,
+    suffix: str,
+    noise: Mapping[str, float | None],
+    travel: Mapping[str, float],
 ) -> Judged | str:
     """The test in a segment, or why the segment does not contain it."""
-    moved = [c for c in CONTROLS if travel[c] > 0.0 and _travel(segment.columns.get(c)) >= _MOVED * travel[c]]
+    moved = [
+        c
+        for c in CONTROLS
+        if travel[c] > 0.0 and _travel(segment.columns.get(c)) >= _MOVED * travel[c]
+    ]
     if test.control and test.control not in moved:
         return f"{_OTHER} the {test.control} is moved"
     if test.control and moved != [test.control]:
-        return f"{' and '.join(c for c in moved if c != test.control)} moved with the {test.control}"
+        return (
+            f"{' and '.join(c for c in moved if c != test.control)} moved with the {test.control}"
+        )
     start, end = _input(segment, moved)
     before, after = start - float(segment.time_s[0]), float(segment.time_s[-1]) - end
     if before < test.before_s or after < test.after_s:
-        needs = " and ".join(f"{x:g} s {w}" for x, w in ((test.before_s, "before"), (test.after_s, "after")) if x)
+        needs = " and ".join(
+            f"{x:g} s {w}" for x, w in ((test.before_s, "before"), (test.after_s, "after")) if x
+        )
         what = f"the {test.control} input" if test.control else "the last input"
         return f"{needs} {what} are needed; the records have {max(before, 0.0):.1f} s before and {max(after, 0.0):.1f} s after"
     if test.oscillation is not None:
         return _mode_of(test, test.oscillation, segment, suffix, end)
-    lacking = [b.channel for b in test.bands if b.channel not in segment.columns or f"{b.channel}{suffix}" not in segment.columns]
+    lacking = [
+        b.channel
+        for b in test.bands
+        if b.channel not in segment.columns or f"{b.channel}{suffix}" not in segment.columns
+    ]
     if lacking:
         return f"the results have no {lacking[0]} of log and model"
     if test.peak_radps is not None:
@@ -148,7 +169,11 @@ def _judge(
 def _from(segment: History, start_s: float) -> History:
     """What follows after a time."""
     rest = segment.time_s >= start_s
-    return replace(segment, time_s=segment.time_s[rest], columns={c: v[rest] for c, v in segment.columns.items()})
+    return replace(
+        segment,
+        time_s=segment.time_s[rest],
+        columns={c: v[rest] for c, v in segment.columns.items()},
+    )
 
 
 def _row(band: Band, segment: History, suffix: str, noise: float | None) -> Row | None:
@@ -160,9 +185,22 @@ def _row(band: Band, segment: History, suffix: str, noise: float | None) -> Row 
     worst = int(np.argmax(np.abs(gap) / half))
     inside = float(np.mean(np.abs(gap) <= half))
     answer, why = (PASS, "") if inside == 1.0 else (FAIL, "")
-    if answer == FAIL and noise and band.absolute < _NOISE_ROOM * noise and float(half.min()) < _NOISE_ROOM * noise:
+    if (
+        answer == FAIL
+        and noise
+        and band.absolute < _NOISE_ROOM * noise
+        and float(half.min()) < _NOISE_ROOM * noise
+    ):
         answer, why = UNSURE, "the sensor's noise is too large for this tolerance"
-    return Row(band.channel, float(gap[worst]), float(half[worst]), float(segment.time_s[known][worst]), inside, answer, why)
+    return Row(
+        band.channel,
+        float(gap[worst]),
+        float(half[worst]),
+        float(segment.time_s[known][worst]),
+        inside,
+        answer,
+        why,
+    )
 
 
 def _together(test: Test, rows: Sequence[Row | None]) -> tuple[str, str]:
@@ -186,7 +224,9 @@ def _best(group: Sequence[Row | None]) -> tuple[str, str]:
     return best.answer, best.why
 
 
-def _mode_of(test: Test, asked: Oscillation, segment: History, suffix: str, from_s: float) -> Judged | str:
+def _mode_of(
+    test: Test, asked: Oscillation, segment: History, suffix: str, from_s: float
+) -> Judged | str:
     """The free oscillation after the last input, of log and model."""
     name = asked.channel
     if name not in segment.columns or f"{name}{suffix}" not in segment.columns:
@@ -195,9 +235,17 @@ def _mode_of(test: Test, asked: Oscillation, segment: History, suffix: str, from
     t = segment.time_s[free]
     if t.size < 12:
         return "the records end with the last input"
-    log, model = (fit_mode(t, segment.columns[c][free], asked.shortest_s, asked.longest_s) for c in (name, f"{name}{suffix}"))
+    log, model = (
+        fit_mode(t, segment.columns[c][free], asked.shortest_s, asked.longest_s)
+        for c in (name, f"{name}{suffix}")
+    )
     response = _travel(segment.columns[name])
-    if not response or log is None or log.cycles < _LEAST_CYCLES or log.amplitude <= max(_SEEN * log.left, _SHARE_SEEN * response):
+    if (
+        not response
+        or log is None
+        or log.cycles < _LEAST_CYCLES
+        or log.amplitude <= max(_SEEN * log.left, _SHARE_SEEN * response)
+    ):
         return f"no oscillation of {_LEAST_CYCLES:g} cycles or more is seen after the input; the records have {t[-1] - t[0]:.1f} s"
     if model is None:
         return Judged(test, segment, (), FAIL, "the model does not oscillate there")
@@ -209,14 +257,32 @@ def _mode_of(test: Test, asked: Oscillation, segment: History, suffix: str, from
     damping = min(rows[1:], key=lambda r: (PASS, UNSURE, FAIL).index(r.answer))
     answers = [rows[0].answer, damping.answer]
     answer = next((a for a in (FAIL, UNSURE) if a in answers), PASS)
-    return Judged(test, segment, rows, answer, "the record is too short or too noisy to tell" if answer == UNSURE else "")
+    return Judged(
+        test,
+        segment,
+        rows,
+        answer,
+        "the record is too short or too noisy to tell" if answer == UNSURE else "",
+    )
 
 
 def _mode_rows(asked: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple[Row, ...]:
     half_std = log.half_s * log.damping_std / abs(log.damping) if log.damping else math.inf
     found = (
-        ("period_s", log.period_s, model.period_s, max(asked.period_s, asked.period_share * log.period_s), log.period_std_s),
-        ("time to half or double amplitude_s", log.half_s, model.half_s, asked.half_share * log.half_s, half_std),
+        (
+            "period_s",
+            log.period_s,
+            model.period_s,
+            max(asked.period_s, asked.period_share * log.period_s),
+            log.period_std_s,
+        ),
+        (
+            "time to half or double amplitude_s",
+            log.half_s,
+            model.half_s,
+            asked.half_share * log.half_s,
+            half_std,
+        ),
         ("damping ratio", log.damping, model.damping, asked.damping, log.damping_std),
     )
     rows = []
@@ -225,7 +291,19 @@ def _mode_rows(asked: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple
         answer = PASS if abs(gap) <= band else FAIL
         # A measurement less sure than the tolerance can neither hold nor break it.
         unsure = not (math.isfinite(gap) and 2.0 * std <= band)
-        rows.append(Row(quantity, gap, band, at_s, math.nan, UNSURE if unsure else answer, "", measured, flown))
+        rows.append(
+            Row(
+                quantity,
+                gap,
+                band,
+                at_s,
+                math.nan,
+                UNSURE if unsure else answer,
+                "",
+                measured,
+                flown,
+            )
+        )
     return tuple(rows)
 
 

@@ -69,7 +69,9 @@ def fit_mode(time_s: Array, y: Array, shortest_s: float, longest_s: float) -> Mo
     ]
     first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
     low, high = 2.0 * math.pi / longest, 2.0 * math.pi / shortest
-    fit = least_squares(residual, first, bounds=([0.9 * low, -high], [1.1 * high, high]), x_scale=np.abs(first))
+    fit = least_squares(
+        residual, first, bounds=([0.9 * low, -high], [1.1 * high, high]), x_scale=np.abs(first)
+    )
     omega, decay = (float(v) for v in fit.x)
     if not low <= omega <= high:
         return None
@@ -81,12 +83,20 @@ def fit_mode(time_s: Array, y: Array, shortest_s: float, longest_s: float) -> Mo
     weights = np.linalg.lstsq(_base(t, fit.x), z, rcond=None)[0]
     period = 2.0 * math.pi / omega
     return Mode(
-        period, period * math.sqrt(covariance[0, 0]) / omega, decay / natural, float(np.sqrt(slope @ covariance @ slope)),
-        math.log(2.0) / abs(decay) if decay else math.inf, span / period, float(math.hypot(weights[0], weights[1])), left,
-    )  # fmt: skip
+        period,
+        period * math.sqrt(covariance[0, 0]) / omega,
+        decay / natural,
+        float(np.sqrt(slope @ covariance @ slope)),
+        math.log(2.0) / abs(decay) if decay else math.inf,
+        span / period,
+        float(math.hypot(weights[0], weights[1])),
+        left,
+    )
 
 
 def _base(t: Array, x: Array) -> Array:
     omega, decay = x
     envelope = np.exp(np.clip(-decay * t, -50.0, 50.0))
-    return np.column_stack([envelope * np.cos(omega * t), envelope * np.sin(omega * t), np.ones_like(t), t])
+    return np.column_stack(
+        [envelope * np.cos(omega * t), envelope * np.sin(omega * t), np.ones_like(t), t]
+    )

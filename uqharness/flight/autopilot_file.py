@@ -32,9 +32,13 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise BadInputError(f"{path}: {error.strerror or error}; give an ArduPilot parameter file (.parm or .param)") from None
+        raise BadInputError(
+            f"{path}: {error.strerror or error}; give an ArduPilot parameter file (.parm or .param)"
+        ) from None
     if len(content) > _MOST_BYTES or b"\0" in content:
-        raise BadInputError(f"{path}: is no parameter file: a text with a name and a value a line (.parm or .param)")
+        raise BadInputError(
+            f"{path}: is no parameter file: a text with a name and a value a line (.parm or .param)"
+        )
     text = content.decode("utf-8-sig", errors="replace")
     try:
         return autopilot_gains(parse_parameters(text), properties)
@@ -45,5 +49,9 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
 def _line_of(text: str, message: str) -> str:
     """'line 3: ' of the parameter whose name begins the message; the last line counts, as it does in reading."""
     name = message.split()[0]
-    found = [n for n, line in enumerate(text.splitlines(), 1) if name in line.split("#")[0].replace(",", " ").split()]
+    found = [
+        n
+        for n, line in enumerate(text.splitlines(), 1)
+        if name in line.split("#")[0].replace(",", " ").split()
+    ]
     return f"line {found[-1]}: " if found else ""

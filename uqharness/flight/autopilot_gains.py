@@ -31,11 +31,40 @@ _OFF = ("RLL2SRV_RMAX", "PTCH2SRV_RMAX_UP", "PTCH2SRV_RMAX_DN", "RLL_RATE_FLTT",
 _INSTEAD = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
 """Limits of TECS that, where they are 0, are those of the aircraft's pitch."""
 _POSITIVE = (
-    "NAVL1_PERIOD", "NAVL1_DAMPING", "ROLL_LIMIT_DEG", "RLL2SRV_TCONST", "PTCH2SRV_TCONST", "SCALING_SPEED", "AIRSPEED_MIN",
-    "AIRSPEED_MAX", "TECS_TIME_CONST", "TECS_CLMB_MAX", "TECS_SINK_MIN", "TECS_SINK_MAX", "TECS_VERT_ACC", "TECS_SPD_OMEGA",
-)  # fmt: skip
-_LOOPS = ("NAVL1_", "ROLL_LIMIT", "RLL2SRV_", "RLL_RATE_", "PTCH2SRV_", "PTCH_", "YAW2SRV_", "YAW_RATE_", "SCALING_SPEED",
-          "AIRSPEED_", "ARSPD_FBW_", "KFF_", "TECS_", "THR_M", "THR_SLEW", "TRIM_THROTTLE", "WP_LOITER_RAD")  # fmt: skip
+    "NAVL1_PERIOD",
+    "NAVL1_DAMPING",
+    "ROLL_LIMIT_DEG",
+    "RLL2SRV_TCONST",
+    "PTCH2SRV_TCONST",
+    "SCALING_SPEED",
+    "AIRSPEED_MIN",
+    "AIRSPEED_MAX",
+    "TECS_TIME_CONST",
+    "TECS_CLMB_MAX",
+    "TECS_SINK_MIN",
+    "TECS_SINK_MAX",
+    "TECS_VERT_ACC",
+    "TECS_SPD_OMEGA",
+)
+_LOOPS = (
+    "NAVL1_",
+    "ROLL_LIMIT",
+    "RLL2SRV_",
+    "RLL_RATE_",
+    "PTCH2SRV_",
+    "PTCH_",
+    "YAW2SRV_",
+    "YAW_RATE_",
+    "SCALING_SPEED",
+    "AIRSPEED_",
+    "ARSPD_FBW_",
+    "KFF_",
+    "TECS_",
+    "THR_M",
+    "THR_SLEW",
+    "TRIM_THROTTLE",
+    "WP_LOITER_RAD",
+)
 _WHY = {
     "NAVL1_XTRACK_I": "acts on straight legs alone; the autopilot loiters",
     "WP_LOITER_RAD": "belongs to the mission: the run script sets the circle",
@@ -44,7 +73,16 @@ _WHY = {
     "PTCH_LIM_MAX_DEG": "used where TECS_PITCH_MAX is 0",
     "PTCH_LIM_MIN_DEG": "used where TECS_PITCH_MIN is 0",
 }
-_PX4 = ("FW_R_TC", "FW_RR_P", "FW_P_TC", "FW_PR_P", "FW_L1_PERIOD", "NPFG_PERIOD", "FW_T_TIME_CONST", "FW_T_CLMB_MAX")
+_PX4 = (
+    "FW_R_TC",
+    "FW_RR_P",
+    "FW_P_TC",
+    "FW_PR_P",
+    "FW_L1_PERIOD",
+    "NPFG_PERIOD",
+    "FW_T_TIME_CONST",
+    "FW_T_CLMB_MAX",
+)
 
 
 @dataclass(frozen=True)
@@ -96,7 +134,9 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
     parameters and for an aircraft or a file without any such gain.
     """
     if not any(name.startswith(PREFIX) for name in properties):
-        raise ValueError("the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and so on)")
+        raise ValueError(
+            "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and so on)"
+        )
     if any(name in parameters for name in _PX4):
         raise ValueError(
             "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have another meaning "
@@ -114,15 +154,25 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
             taken.append(Gain(name, prop, _as_flown(now, value * factor, today)))
         elif now in ("RLL_RATE_FLTD", "PTCH_RATE_FLTD") and f"{PREFIX}RATE_FLTD" in properties:
             if today.get("RLL_RATE_FLTD", value) == today.get("PTCH_RATE_FLTD", value):
-                taken.append(Gain(name, f"{PREFIX}RATE_FLTD", _checked(name, value, lambda x: x > 0.0, "above 0")))
+                taken.append(
+                    Gain(
+                        name,
+                        f"{PREFIX}RATE_FLTD",
+                        _checked(name, value, lambda x: x > 0.0, "above 0"),
+                    )
+                )
             else:
                 ignored[name] = "the autopilot has one filter for both rates, and the two differ"
         elif now.startswith(_LOOPS):
-            ignored[name] = _WHY.get(now) or ("0: off, as in the autopilot" if value == 0.0 else "the autopilot has no such term")
+            ignored[name] = _WHY.get(now) or (
+                "0: off, as in the autopilot" if value == 0.0 else "the autopilot has no such term"
+            )
         else:
             others += 1
     if not taken:
-        raise ValueError(f"none of the {len(parameters)} parameters is a gain of this autopilot, such as RLL_RATE_P")
+        raise ValueError(
+            f"none of the {len(parameters)} parameters is a gain of this autopilot, such as RLL_RATE_P"
+        )
     _in_order(today)
     return AutopilotGains(tuple(taken), ignored, others)
 
@@ -154,4 +204,6 @@ def _checked(name: str, value: float, allowed: Callable[[float], bool], words: s
 def _in_order(today: Mapping[str, float]) -> None:
     for low, high in (("AIRSPEED_MIN", "AIRSPEED_MAX"), ("THR_MIN", "THR_MAX")):
         if today.get(low, -math.inf) >= today.get(high, math.inf):
-            raise ValueError(f"{low} {today[low]:g}: allowed is a number below {high} {today[high]:g}")
+            raise ValueError(
+                f"{low} {today[low]:g}: allowed is a number below {high} {today[high]:g}"
+            )

@@ -55,8 +55,16 @@ class Spliced:
     done: steps that ``before`` has given already.
     """
 
-    def __init__(self, before: Source, behind: Source, step: int, per_step: int = 1, done: int = 0) -> None:
-        self._before, self._behind, self._step, self._per_step, self._done = before, behind, step, per_step, done
+    def __init__(
+        self, before: Source, behind: Source, step: int, per_step: int = 1, done: int = 0
+    ) -> None:
+        self._before, self._behind, self._step, self._per_step, self._done = (
+            before,
+            behind,
+            step,
+            per_step,
+            done,
+        )
 
     def take(self, n: int) -> Array:
         """The next ``n`` numbers, (n,)."""
@@ -75,10 +83,17 @@ class Spliced:
 
 
 def spliced(
-    first: Source, splits: Sequence[Split], kind: str, number: int, made: Callable[[np.random.PCG64], Source], per_step: int = 1,
+    first: Source,
+    splits: Sequence[Split],
+    kind: str,
+    number: int,
+    made: Callable[[np.random.PCG64], Source],
+    per_step: int = 1,
     done: int = 0,
-) -> Source:  # fmt: skip
+) -> Source:
     """A source that goes on behind each split with the normals of its branch; ``first`` has given ``done`` steps already."""
     for split in splits:
-        first = Spliced(first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done)
+        first = Spliced(
+            first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done
+        )
     return first

@@ -25,7 +25,10 @@ class GroundWatch:
     def __init__(self, fdm: Any, aircraft: Aircraft, block_s: float) -> None:
         units = _units(fdm)
         names = _names(aircraft, len(units))
-        self._points = [(engine.handle(fdm, f"{unit}/WOW").get_double_value, name) for unit, name in zip(units, names, strict=True)]
+        self._points = [
+            (engine.handle(fdm, f"{unit}/WOW").get_double_value, name)
+            for unit, name in zip(units, names, strict=True)
+        ]
         self._reach_ft = max((_distance_ft(fdm, unit) for unit in units), default=0.0) + _MARGIN_FT
         self._block_s = block_s
         self._height = engine.handle(fdm, "position/h-agl-ft").get_double_value
@@ -72,7 +75,9 @@ def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
         names = [f"{unit}/{axis}-position" for axis in "xyz"]
         engine.require(fdm, names)
         x, y, z = (float(fdm[n]) for n in names)
-        found.append(ContactPoint(name, (x, y, z), fdm.get_property_manager().hasNode(f"{unit}/pos-norm")))
+        found.append(
+            ContactPoint(name, (x, y, z), fdm.get_property_manager().hasNode(f"{unit}/pos-norm"))
+        )
     return found
 
 
@@ -81,14 +86,21 @@ def _units(fdm: Any) -> list[str]:
     exists = fdm.get_property_manager().hasNode
     found = []
     for number in range(int(fdm["gear/num-units"])):
-        found += [unit for unit in (f"gear/unit[{number}]", f"contact/unit[{number}]") if exists(f"{unit}/WOW")]
+        found += [
+            unit
+            for unit in (f"gear/unit[{number}]", f"contact/unit[{number}]")
+            if exists(f"{unit}/WOW")
+        ]
     return found
 
 
 def _names(aircraft: Aircraft, count: int) -> list[str]:
     """What the XML calls the contact points; their numbers where it is not to be had."""
     try:
-        found = [item.get("name", "") for item in parse_xml(aircraft.xml).getroot().iterfind("ground_reactions/contact")]
+        found = [
+            item.get("name", "")
+            for item in parse_xml(aircraft.xml).getroot().iterfind("ground_reactions/contact")
+        ]
     except BadInputError:
         found = []
     named = found if len(found) == count else [""] * count
@@ -100,6 +112,12 @@ def _distance_ft(fdm: Any, unit: str) -> float:
     exists = fdm.get_property_manager().hasNode
     if not all(exists(f"{unit}/{axis}-position") for axis in "xyz"):
         return math.inf
-    return math.dist(*([fdm[name] / 12.0 for name in names] for names in (
-        [f"{unit}/{axis}-position" for axis in "xyz"], [f"inertia/cg-{axis}-in" for axis in "xyz"],
-    )))  # fmt: skip
+    return math.dist(
+        *(
+            [fdm[name] / 12.0 for name in names]
+            for names in (
+                [f"{unit}/{axis}-position" for axis in "xyz"],
+                [f"inertia/cg-{axis}-in" for axis in "xyz"],
+            )
+        )
+    )

@@ -23,7 +23,15 @@ from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
 from uqharness.flight import exact
 from uqharness.flight.branching import Source, Split, spliced
-from uqharness.flight.gust_filters import PAGE_STEPS, GustFilters, Recur, UnitGusts, first_order, lateral, numpy_recursion
+from uqharness.flight.gust_filters import (
+    PAGE_STEPS,
+    GustFilters,
+    Recur,
+    UnitGusts,
+    first_order,
+    lateral,
+    numpy_recursion,
+)
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 
 Array = npt.NDArray[np.float64]
@@ -77,7 +85,9 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
     if not W20_kt >= 0.0:
         raise BadInputError(f"W20_kt = {W20_kt}: the wind at 20 ft is 0 or more knots")
     if not h_m <= 1000.0 * FT_M:
-        raise BadInputError(f"h_m = {h_m}: the low-altitude model reaches from the ground to 304.8 m (1000 ft)")
+        raise BadInputError(
+            f"h_m = {h_m}: the low-altitude model reaches from the ground to 304.8 m (1000 ft)"
+        )
     h_ft = max(h_m / FT_M, 10.0)
     profile = 0.177 + 0.000823 * h_ft
     L_w = h_ft * FT_M  # 3.7.3.4, figure 10: L_w = h
@@ -102,7 +112,14 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
     )
 
 
-def dryden_psd(component: Component, omega_radps: npt.ArrayLike, V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Array:
+def dryden_psd(
+    component: Component,
+    omega_radps: npt.ArrayLike,
+    V_mps: float,
+    h_m: float,
+    W20_kt: float,
+    b_m: float,
+) -> Array:
     """One-sided spectral density over angular frequency; its integral from 0 to infinity is the variance.
 
     Unit (m/s)^2 s for u, v, w and (rad/s)^2 s for p, q, r.
@@ -117,7 +134,9 @@ def dryden_psd(component: Component, omega_radps: npt.ArrayLike, V_mps: float, h
     if component == "w":
         return _lateral_psd(omega, par.sigma_w_mps, par.L_w_m / V_mps)  # 3.7.1.2, Phi_w
     if component == "p":
-        return par.sigma_p_radps**2 * 2.0 * par.T_p_s / np.pi / (1.0 + (par.T_p_s * omega) ** 2)  # 3.7.5, Phi_p
+        return (
+            par.sigma_p_radps**2 * 2.0 * par.T_p_s / np.pi / (1.0 + (par.T_p_s * omega) ** 2)
+        )  # 3.7.5, Phi_p
     if component == "q":
         w_psd = _lateral_psd(omega, par.sigma_w_mps, par.L_w_m / V_mps)
         return (omega / V_mps) ** 2 / (1.0 + (par.T_q_s * omega) ** 2) * w_psd  # 3.7.5, Phi_q
@@ -127,7 +146,9 @@ def dryden_psd(component: Component, omega_radps: npt.ArrayLike, V_mps: float, h
     raise BadInputError(f"component '{component}': expected one of {', '.join(COMPONENTS)}")
 
 
-def dryden_sigma(component: Component, V_mps: float, h_m: float, W20_kt: float, b_m: float) -> float:
+def dryden_sigma(
+    component: Component, V_mps: float, h_m: float, W20_kt: float, b_m: float
+) -> float:
     """Standard deviation: the root of the spectrum's integral, in closed form for all six."""
     par = dryden_parameters(V_mps, h_m, W20_kt, b_m)
     if component in ("u", "v"):
@@ -143,7 +164,15 @@ def dryden_sigma(component: Component, V_mps: float, h_m: float, W20_kt: float, 
     raise BadInputError(f"component '{component}': expected one of {', '.join(COMPONENTS)}")
 
 
-def dryden_gusts(n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b_m: float, seed: int | Sequence[int]) -> GustSeries:
+def dryden_gusts(
+    n: int,
+    dt_s: float,
+    V_mps: float,
+    h_m: float,
+    W20_kt: float,
+    b_m: float,
+    seed: int | Sequence[int],
+) -> GustSeries:
     """``n`` samples of all six gusts at constant airspeed and height.
 
     ``seed`` is the root seed or a sequence that begins with it, such as (root, aleatory id). u, v with r, w with q, and
@@ -153,7 +182,14 @@ def dryden_gusts(n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b
 
 
 def gust_blocks(
-    n: int, dt_s: float, V_mps: float, h_m: float, W20_kt: float, b_m: float, seed: int | Sequence[int], block: int
+    n: int,
+    dt_s: float,
+    V_mps: float,
+    h_m: float,
+    W20_kt: float,
+    b_m: float,
+    seed: int | Sequence[int],
+    block: int,
 ) -> Iterator[GustSeries]:
     """The same ``n`` samples, to the bit, as series of at most ``block``: the memory of a day is that of a block."""
     if n < 1:
@@ -198,10 +234,14 @@ class DrydenGusts:
             -par.sigma_w_mps / par.V_mps,  # 3.7.5: q = -dw/dx = -(dw/dt)/V
             par.sigma_u_mps / par.V_mps,  # 3.7.5: r = +dv/dx = +(dv/dt)/V
         )
-        self._scales = np.array([par.sigma_u_mps, par.sigma_u_mps, par.sigma_w_mps, par.sigma_p_radps, *slopes])[:, None]
+        self._scales = np.array(
+            [par.sigma_u_mps, par.sigma_u_mps, par.sigma_w_mps, par.sigma_p_radps, *slopes]
+        )[:, None]
 
         self._pairs, self._steps = pairs, 0
-        self._unit = UnitGusts(filters, [Normals(_generator(seed, name), pairs) for name in _STREAMS], recur)
+        self._unit = UnitGusts(
+            filters, [Normals(_generator(seed, name), pairs) for name in _STREAMS], recur
+        )
         self.branch(*splits)
 
     def page(self) -> Array:
@@ -227,8 +267,13 @@ class DrydenGusts:
         """
         step = split.frame - (self._steps - PAGE_STEPS)
         if not 0 <= step < PAGE_STEPS:
-            raise ValueError(f"the last page ends at step {self._steps}; received a split at {split.frame}")
-        normals = [Normals(np.random.PCG64(split.stream("turbulence", number)), self._pairs) for number in _STREAMS.values()]
+            raise ValueError(
+                f"the last page ends at step {self._steps}; received a split at {split.frame}"
+            )
+        normals = [
+            Normals(np.random.PCG64(split.stream("turbulence", number)), self._pairs)
+            for number in _STREAMS.values()
+        ]
         found = self._unit.branched(step, normals)
         if found is None:
             return None
@@ -243,7 +288,15 @@ class DrydenGusts:
 
         def noise(place: int, source: Source) -> Source:
             name, per_step = numbers[place]
-            return spliced(source, splits, "turbulence", _STREAMS[name], lambda g: Normals(g, pairs), per_step, self._steps)
+            return spliced(
+                source,
+                splits,
+                "turbulence",
+                _STREAMS[name],
+                lambda g: Normals(g, pairs),
+                per_step,
+                self._steps,
+            )
 
         self._unit.exchange(noise)
 
@@ -256,7 +309,11 @@ def _lateral_psd(omega: Array, sigma: float, T: float) -> Array:
 def _gradient_sigma(sigma: float, L: float, smoothing: float) -> float:
     # Integral of (w/V)^2/(1 + (smoothing w/V)^2) Phi by partial fractions, rho = smoothing/L.
     rho = smoothing / L
-    return float(sigma / L * np.sqrt(0.5 * (3.0 / rho - 5.0 / (1.0 + rho) + (1.0 + 2.0 * rho) / (1.0 + rho) ** 2)))
+    return float(
+        sigma
+        / L
+        * np.sqrt(0.5 * (3.0 / rho - 5.0 / (1.0 + rho) + (1.0 + 2.0 * rho) / (1.0 + rho) ** 2))
+    )
 
 
 def _generator(seed: int | Sequence[int], name: str) -> np.random.PCG64:

@@ -17,7 +17,13 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.branching import Split
 from uqharness.flight.contact import GroundWatch
-from uqharness.flight.scoring import Recorded, commanded_signals, from_start_signals, score_commanded, score_from_start
+from uqharness.flight.scoring import (
+    Recorded,
+    commanded_signals,
+    from_start_signals,
+    score_commanded,
+    score_from_start,
+)
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air, stepper
 from uqharness.simulator import (
@@ -76,23 +82,35 @@ def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
 
 def _flown(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
     mission = staged_mission(spec)
-    recorded = record_mission(mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off)
+    recorded = record_mission(
+        mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off
+    )
     return score(mission, spec, recorded)
 
 
 def scored_signals(mission: StagedMission) -> dict[str, Source]:
     """What a flight of the mission is scored by."""
-    signals = from_start_signals(_steady(mission)) if _from_start(mission) else commanded_signals(mission.aircraft)
+    signals = (
+        from_start_signals(_steady(mission))
+        if _from_start(mission)
+        else commanded_signals(mission.aircraft)
+    )
     return signals | {"phi_rad": Source("attitude/phi-rad"), "alpha_rad": Source("aero/alpha-rad")}
 
 
-OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType({"extrapolated": Source("uq/extrapolated")})
+OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType(
+    {"extrapolated": Source("uq/extrapolated")}
+)
 """What is scored where the aircraft has it."""
 
 
 def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> FlightResult:
     """The scores of what was recorded of a flight."""
-    return score_from_start(spec, recorded) if _from_start(mission) else score_commanded(spec, recorded)
+    return (
+        score_from_start(spec, recorded)
+        if _from_start(mission)
+        else score_commanded(spec, recorded)
+    )
 
 
 def _steady(mission: StagedMission) -> bool:
@@ -185,7 +203,9 @@ def record_mission(
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
     """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are recorded."""
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / row_s, 9))
-    return burn, math.ceil(round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9))
+    return burn, math.ceil(
+        round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9)
+    )
 
 
 def _clock(fdm: Any) -> str:
@@ -205,12 +225,16 @@ def record_stride(spec: FlightSpec, dt_s: float) -> int:
 
 def _exists(fdm: Any, source: Source) -> bool:
     manager = fdm.get_property_manager()
-    return bool(manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over)))
+    return bool(
+        manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over))
+    )
 
 
 def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]:
     """Of each source's property, then of each divisor's."""
-    names = [s.property for s in table.values()] + [s.over for s in table.values() if s.over is not None]
+    names = [s.property for s in table.values()] + [
+        s.over for s in table.values() if s.over is not None
+    ]
     engine.require(fdm, names)
     return [engine.handle(fdm, name).get_double_value for name in names]
 
@@ -231,12 +255,18 @@ def in_signals(read: Array, table: Mapping[str, Source]) -> Array:
 def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened. Raises BadInputError."""
     if spec.turbulence not in TURBULENCE_W20_KT:
-        raise BadInputError(f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}")
+        raise BadInputError(
+            f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}"
+        )
     if spec.turbulence_source not in ("jsbsim", "spec"):
-        raise BadInputError(f"turbulence source '{spec.turbulence_source}': allowed are jsbsim, spec")
+        raise BadInputError(
+            f"turbulence source '{spec.turbulence_source}': allowed are jsbsim, spec"
+        )
     for name in ("seed_turbulence", "seed_noise"):
         if not 0 <= getattr(spec, name) <= _MAX_SEED:
-            raise BadInputError(f"{name} = {getattr(spec, name)}: an integer from 0 to {_MAX_SEED} is needed")
+            raise BadInputError(
+                f"{name} = {getattr(spec, name)}: an integer from 0 to {_MAX_SEED} is needed"
+            )
     for name in spec.properties:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
@@ -282,7 +312,9 @@ def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> No
     if spec.transient is None:
         return
     exists = fdm.get_property_manager().hasNode
-    lacking = [name for name in (f"uq/{c}/transient-level" for c in COEFFICIENTS) if not exists(name)]
+    lacking = [
+        name for name in (f"uq/{c}/transient-level" for c in COEFFICIENTS) if not exists(name)
+    ]
     if lacking:
         raise BadInputError(
             f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient model error can act on it: make its "
@@ -317,7 +349,11 @@ def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
     """BadInputError for a setting that initialising has overwritten: it would have no effect and no message."""
     for name, value in properties.items():
         kept = fdm[name]
-        if name not in CHANGEABLE and not name.startswith("ic/") and abs(kept - value) > 1e-9 * max(abs(value), 1.0):
+        if (
+            name not in CHANGEABLE
+            and not name.startswith("ic/")
+            and abs(kept - value) > 1e-9 * max(abs(value), 1.0)
+        ):
             raise BadInputError(
                 f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
                 "so it cannot be set"

@@ -145,7 +145,9 @@ Recur = Callable[[Array, Array, Array, float], Array]
 class UnitGusts:
     """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noise of u, v, w and p."""
 
-    def __init__(self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion) -> None:
+    def __init__(
+        self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion
+    ) -> None:
         self._normals = tuple(normals)
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
@@ -160,7 +162,12 @@ class UnitGusts:
 
     def _copied(self) -> UnitGusts:
         other = copy.copy(self)
-        other._u, other._p, other._v, other._w = self._u.copy(), self._p.copy(), self._v.copy(), self._w.copy()
+        other._u, other._p, other._v, other._w = (
+            self._u.copy(),
+            self._p.copy(),
+            self._v.copy(),
+            self._w.copy(),
+        )
         return other
 
     def exchange(self, other: Callable[[int, Source], Source]) -> None:
@@ -170,7 +177,8 @@ class UnitGusts:
     def page(self) -> Array:
         """The next samples (6, PAGE_STEPS): u, v, w, p, slope of w, slope of v."""
         noise = [
-            source.take(rows * PAGE_STEPS).reshape(rows, PAGE_STEPS) for source, rows in zip(self._normals, _PER_STEP, strict=True)
+            source.take(rows * PAGE_STEPS).reshape(rows, PAGE_STEPS)
+            for source, rows in zip(self._normals, _PER_STEP, strict=True)
         ]
         return self._filtered(noise)
 
@@ -295,7 +303,9 @@ def _exponential(A: Matrix, t: float) -> Matrix:
     result = one
     for k in range(18, 0, -1):
         moved = _product(A, result)
-        result = tuple(tuple(one[i][j] + moved[i][j] * part / k for j in range(n)) for i in range(n))
+        result = tuple(
+            tuple(one[i][j] + moved[i][j] * part / k for j in range(n)) for i in range(n)
+        )
     for _ in range(halvings):
         result = _product(result, result)
     return result
@@ -307,7 +317,11 @@ def _stationary(A: Matrix, B: Sequence[float]) -> list[list[float]]:
     P = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            known = B[i] * B[j] + math.fsum(A[i][k] * P[k][j] for k in range(i)) + math.fsum(A[j][k] * P[i][k] for k in range(j))
+            known = (
+                B[i] * B[j]
+                + math.fsum(A[i][k] * P[k][j] for k in range(i))
+                + math.fsum(A[j][k] * P[i][k] for k in range(j))
+            )
             P[i][j] = P[j][i] = -known / (A[i][i] + A[j][j])
     return P
 

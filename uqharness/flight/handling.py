@@ -23,7 +23,11 @@ SHORT_PERIOD_DAMPING = {
     "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
 }
 # 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
-CAP = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
+CAP = {
+    "A": ((0.28, 3.6), (0.16, 10.0)),
+    "B": ((0.085, 3.6), (0.038, 10.0)),
+    "C": ((0.16, 3.6), (0.096, 10.0)),
+}
 # 3.2.1.2: least damping at Levels 1 and 2, shortest time to double amplitude [s] at Level 3.
 PHUGOID_DAMPING, PHUGOID_DOUBLE_S = (0.04, 0.0), 55.0
 
@@ -40,7 +44,9 @@ class Assessment:
     paragraph: str
 
 
-def assess(model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I") -> list[Assessment]:
+def assess(
+    model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
+) -> list[Assessment]:
     """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
     if category not in CATEGORIES or aircraft_class not in CLASSES:
         raise ValueError(
@@ -73,7 +79,9 @@ def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[A
         wn = math.sqrt(product)
         zeta = -(pair[0].real + pair[1].real) / (2 * wn)
     first, second, third = SHORT_PERIOD_DAMPING[category]
-    damping = 1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third else 4
+    damping = (
+        1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third else 4
+    )
     cap = wn**2 / load_factor_per_alpha(model)
     one, two = CAP[category]
     control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
@@ -121,10 +129,16 @@ def spiral_limits_s(category: str) -> tuple[float, float, float]:
 def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
     if len(pair) == 2:
         level = 1 if max(mode.real for mode in pair) < 0 else 4
-        return [Assessment("dutch_roll", "damping", 1.0 if level == 1 else float("nan"), "1", level, "3.3.1.1")]
+        return [
+            Assessment(
+                "dutch_roll", "damping", 1.0 if level == 1 else float("nan"), "1", level, "3.3.1.1"
+            )
+        ]
     mode = pair[0]
     level = 4
-    for index, (zeta, product, wn) in enumerate(dutch_roll_limits(category, aircraft_class), start=1):
+    for index, (zeta, product, wn) in enumerate(
+        dutch_roll_limits(category, aircraft_class), start=1
+    ):
         if mode.zeta >= zeta and -mode.real >= product and mode.wn_radps >= wn:
             level = index
             break

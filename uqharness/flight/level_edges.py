@@ -22,7 +22,9 @@ OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
 """Modes whose Levels are areas of the plane; those of roll and spiral are limits of a real root."""
 
 
-def level_edges(mode: str, category: str, aircraft_class: str, imag: Array) -> tuple[Array, Array, Array]:
+def level_edges(
+    mode: str, category: str, aircraft_class: str, imag: Array
+) -> tuple[Array, Array, Array]:
     """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts ``imag`` (n,) [rad/s] above 0.
 
     Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge here. ValueError for a mode

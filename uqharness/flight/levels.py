@@ -27,7 +27,9 @@ BLOCK_STEPS = 8192
 """Steps drawn at once. The values do not depend on it; memory does."""
 
 
-def level_blocks(driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS) -> Iterator[Array]:
+def level_blocks(
+    driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS
+) -> Iterator[Array]:
     """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
 
     A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same driver gives the same levels,
@@ -46,13 +48,19 @@ class Levels:
     """
 
     def __init__(
-        self, driver: LevelDriver | TransientDriver, dt_s: float, pairs: Pairs = numpy_pairs, splits: Sequence[Split] = ()
+        self,
+        driver: LevelDriver | TransientDriver,
+        dt_s: float,
+        pairs: Pairs = numpy_pairs,
+        splits: Sequence[Split] = (),
     ) -> None:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s = {dt_s}: a step must be positive")
         self._columns: list[_Column]
         if isinstance(driver, TransientDriver):
-            self._columns = [_transient_column(driver, name, dt_s, pairs, splits) for name in COEFFICIENTS]
+            self._columns = [
+                _transient_column(driver, name, dt_s, pairs, splits) for name in COEFFICIENTS
+            ]
         else:
             self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
 
@@ -92,9 +100,13 @@ class _Walk:
     """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
 
     def __init__(
-        self, generator: np.random.PCG64, rate_per_sqrt_s: float, dt_s: float, pairs: Pairs,
+        self,
+        generator: np.random.PCG64,
+        rate_per_sqrt_s: float,
+        dt_s: float,
+        pairs: Pairs,
         spliced_to: Callable[[Source], Source] = lambda first: first,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if not rate_per_sqrt_s >= 0.0:
             raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
         # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
@@ -124,14 +136,20 @@ class _Centred:
 
 def _transient_column(
     driver: TransientDriver, coefficient: str, dt_s: float, pairs: Pairs, splits: Sequence[Split]
-) -> _Column:  # fmt: skip
+) -> _Column:
     if coefficient not in driver.coefficients:
         return _Constant(0.0)
     generator = np.random.PCG64(transient_stream(driver.root_seed, driver.aleatory_id, coefficient))
     rate = driver.rates_per_sqrt_s[driver.coefficients.index(coefficient)]
     number = COEFFICIENTS.index(coefficient)
     return _Centred(
-        _Walk(generator, rate, dt_s, pairs, lambda first: spliced(first, splits, "transient", number, lambda g: Normals(g, pairs)))
+        _Walk(
+            generator,
+            rate,
+            dt_s,
+            pairs,
+            lambda first: spliced(first, splits, "transient", number, lambda g: Normals(g, pairs)),
+        )
     )
 
 

@@ -28,7 +28,9 @@ def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: fl
     A flight that begins outside counts one. ValueError unless 0 <= rearm_m < radius_m.
     """
     if not 0.0 <= rearm_m < radius_m:
-        raise ValueError(f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius {radius_m} m")
+        raise ValueError(
+            f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius {radius_m} m"
+        )
     magnitude = np.abs(distance)
     outside = magnitude > radius_m
     inside = magnitude < radius_m - rearm_m
@@ -39,10 +41,16 @@ def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: fl
     return int(decided[0]) + int(np.count_nonzero(decided[1:] & ~decided[:-1]))
 
 
-def lost_control(phi_rad: NDArray[np.float64], alpha_rad: NDArray[np.float64], altitude_error_m: NDArray[np.float64]) -> bool:
+def lost_control(
+    phi_rad: NDArray[np.float64],
+    alpha_rad: NDArray[np.float64],
+    altitude_error_m: NDArray[np.float64],
+) -> bool:
     """Whether a flight lost control at any sample; a sample that is not finite counts as lost."""
     finite = np.isfinite(phi_rad) & np.isfinite(alpha_rad) & np.isfinite(altitude_error_m)
     beyond = (
-        (np.abs(phi_rad) > BANK_LIMIT_RAD) | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD) | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
+        (np.abs(phi_rad) > BANK_LIMIT_RAD)
+        | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD)
+        | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
     )
     return bool(np.any(beyond | ~finite))

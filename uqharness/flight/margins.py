@@ -73,10 +73,23 @@ class Loop:
     @property
     def properties(self) -> tuple[str, ...]:
         """Properties that the aircraft must have for the loop to be measured."""
-        return (self.inject, self.output, self.applied, *(name for item in self.mixed for name in (item.inject, item.gain)))
+        return (
+            self.inject,
+            self.output,
+            self.applied,
+            *(name for item in self.mixed for name in (item.inject, item.gain)),
+        )
 
 
-def _loop(surface: str, unit: str, rms: float, lowest: float, highest: float, period_s: float, *mixed: Mixed) -> Loop:
+def _loop(
+    surface: str,
+    unit: str,
+    rms: float,
+    lowest: float,
+    highest: float,
+    period_s: float,
+    *mixed: Mixed,
+) -> Loop:
     return Loop(
         name=surface,
         inject=f"ap/inject-{surface}-{unit}",
@@ -98,7 +111,15 @@ _FEWEST_LINES = 10
 LOOPS: Mapping[str, Loop] = {
     "elevator": _loop("elevator", "deg", 0.3, 0.2, 60.0, 100.0),
     # +aileron is right wing down and +rudder nose left: the mixing moves the rudder the other way.
-    "aileron": _loop("aileron", "deg", 0.5, 0.2, 60.0, 100.0, Mixed("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0)),
+    "aileron": _loop(
+        "aileron",
+        "deg",
+        0.5,
+        0.2,
+        60.0,
+        100.0,
+        Mixed("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0),
+    ),
     "rudder": _loop("rudder", "deg", 0.5, 0.2, 60.0, 100.0),
     "throttle": _loop("throttle", "pct", 1.5, 0.05, 12.0, 250.0),
 }
@@ -147,7 +168,9 @@ class LoopMargins:
     margins: Margins
     frequency_radps: Floats = field(repr=False)
     response: Complexes = field(repr=False)
-    scatter: Floats = field(repr=False)  # |difference between the records of either sign| / |L|, per line
+    scatter: Floats = field(
+        repr=False
+    )  # |difference between the records of either sign| / |L|, per line
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
@@ -164,7 +187,9 @@ def multisine(lines: NDArray[np.int64], samples: int, rms: float) -> Floats:
     return rms * math.sqrt(2 / count) * np.cos(angle).sum(axis=1)
 
 
-def choose_lines(lowest_radps: float, highest_radps: float, period_s: float, count: int = 60) -> NDArray[np.int64]:
+def choose_lines(
+    lowest_radps: float, highest_radps: float, period_s: float, count: int = 60
+) -> NDArray[np.int64]:
     """Harmonics of the period, evenly spread in log frequency."""
     base = 2 * np.pi / period_s
     wanted = np.geomspace(max(lowest_radps / base, 1.0), highest_radps / base, count)
@@ -178,7 +203,9 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
     phase = np.unwrap(np.angle(response))
 
     def at(log_frequency: float) -> tuple[float, float]:
-        return float(np.interp(log_frequency, log_w, log_gain)), float(np.interp(log_frequency, log_w, phase))
+        return float(np.interp(log_frequency, log_w, log_gain)), float(
+            np.interp(log_frequency, log_w, phase)
+        )
 
     def crossings(signal: Floats) -> list[float]:
         found = []
@@ -189,7 +216,9 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
         return found
 
     gain_crossings = crossings(log_gain)
-    turns = range(math.floor((phase.min() / np.pi - 1) / 2), math.ceil((phase.max() / np.pi + 1) / 2) + 1)
+    turns = range(
+        math.floor((phase.min() / np.pi - 1) / 2), math.ceil((phase.max() / np.pi + 1) / 2) + 1
+    )
     phase_crossings = sorted(x for k in turns for x in crossings(phase - np.pi * (2 * k + 1)))
 
     # Each the smallest of (size, log frequency); NaN for a frequency that is none.
@@ -260,7 +289,10 @@ def measure_loop(
         for period in range(1 + periods):
             records.append(_fly_period(fdm, loop, sign * excitation))
             tell((settling + (k * (periods + 1) + period + 1) * samples) / every)
-        out, on = (sign * np.fft.rfft(np.sum(signal, axis=0))[lines] for signal in zip(*records[1:], strict=True))
+        out, on = (
+            sign * np.fft.rfft(np.sum(signal, axis=0))[lines]
+            for signal in zip(*records[1:], strict=True)
+        )
         output.append(out)
         applied.append(on)
     for name in (loop.inject, *(item.inject for item in loop.mixed)):
@@ -273,7 +305,9 @@ def measure_loop(
     frequency = np.asarray(2 * np.pi * lines / (samples * dt), dtype=np.float64)
     good = scatter < MAX_SCATTER
     if np.count_nonzero(good) < _FEWEST_LINES:
-        raise ValueError(f"{loop.name}: the records of either sign of the injection disagree, the flight was not steady")
+        raise ValueError(
+            f"{loop.name}: the records of either sign of the injection disagree, the flight was not steady"
+        )
     return LoopMargins(
         loop=loop.name,
         margins=margins_of(frequency[good], response[good]),

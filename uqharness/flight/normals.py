@@ -115,7 +115,9 @@ def logarithm(x: Any, m: Operations) -> Any:
     """Natural logarithm of normal doubles between 2^-1021 and 2^1023, to 1 unit in the last place."""
     shifted = m.integer("add", m.bits(x), (1024 << 52) - _ROOT_HALF_BITS)
     # The exponent in the low bits of 2^52 is a double without a conversion.
-    k = m.double(m.integer("or", m.integer("shr", shifted, 52), _bits_of(2.0**52))) - (2.0**52 + 1024.0)
+    k = m.double(m.integer("or", m.integer("shr", shifted, 52), _bits_of(2.0**52))) - (
+        2.0**52 + 1024.0
+    )
     f = m.double(m.integer("add", m.integer("and", shifted, _FRACTION_BITS), _ROOT_HALF_BITS)) - 1.0
     s = f / (f + 2.0)
     z = s * s
@@ -137,7 +139,9 @@ def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
     sign = m.integer("shl", m.integer("and", second, 2), 62)
     along = m.integer("xor", m.bits(radius * cosine), sign)
     across = m.bits(radius * sine)
-    swapped = m.integer("and", m.integer("xor", along, across), m.integer("sub", 0, m.integer("and", second, 1)))
+    swapped = m.integer(
+        "and", m.integer("xor", along, across), m.integer("sub", 0, m.integer("and", second, 1))
+    )
     return m.double(m.integer("xor", along, swapped)), m.double(m.integer("xor", across, swapped))
 
 
@@ -165,7 +169,11 @@ class Normals:
         """The next ``n`` numbers, (n,)."""
         if n > self._left.size:
             groups = -(-(n - self._left.size) // GROUP)
-            raw = self._generator.random_raw(groups * GROUP).view(np.int64).reshape(groups, 2, GROUP // 2)
+            raw = (
+                self._generator.random_raw(groups * GROUP)
+                .view(np.int64)
+                .reshape(groups, 2, GROUP // 2)
+            )
             made = self._pairs(raw).reshape(-1)
             self._left = np.concatenate([self._left, made]) if self._left.size else made
         out, self._left = self._left[:n], self._left[n:]

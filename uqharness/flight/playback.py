@@ -37,16 +37,22 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
     """
     missing = [name for name in NEEDED if name not in record]
     if missing:
-        raise BadInputError(f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs {', '.join(NEEDED)}")
+        raise BadInputError(
+            f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs {', '.join(NEEDED)}"
+        )
     time_s = np.asarray(record["time_s"])
     at = np.arange(time_s[0], time_s[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     right = np.clip(np.searchsorted(time_s, at), 1, len(time_s) - 1)
     rows = np.where(at - time_s[right - 1] <= time_s[right] - at, right - 1, right)
-    north, east, h, phi, theta, psi, airspeed = (_held(name, np.asarray(record[name]))[rows] for name in NEEDED)
+    north, east, h, phi, theta, psi, airspeed = (
+        _held(name, np.asarray(record[name]))[rows] for name in NEEDED
+    )
     latitude, longitude = geodetic(north, east, start["lat_deg"], start["lon_deg"])
     heading = np.mod(psi * RAD_DEG, 360.0)
     altitude = (start["alt_m"] + h) / FT_M
-    return np.column_stack([latitude, longitude, altitude, phi * RAD_DEG, theta * RAD_DEG, heading, airspeed / KT_MPS])
+    return np.column_stack(
+        [latitude, longitude, altitude, phi * RAD_DEG, theta * RAD_DEG, heading, airspeed / KT_MPS]
+    )
 
 
 def geodetic(north_m: Array, east_m: Array, lat_deg: float, lon_deg: float) -> tuple[Array, Array]:

@@ -14,7 +14,15 @@ from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.normals import drawn
 from uqharness.flight.spec import FlightSpec
-from uqharness.simulator import MANOEUVRE_PROPERTY, MEMS_NOISE_STD, Aircraft, Script, Source, StagedMission, open_aircraft
+from uqharness.simulator import (
+    MANOEUVRE_PROPERTY,
+    MEMS_NOISE_STD,
+    Aircraft,
+    Script,
+    Source,
+    StagedMission,
+    open_aircraft,
+)
 from uqharness.simulator import signals as properties
 
 if TYPE_CHECKING:
@@ -29,15 +37,23 @@ _OPTIONAL = {
 }
 
 
-def recorded_flight(aircraft: Aircraft, script: Script, spec: FlightSpec) -> tuple[pd.DataFrame, Recorded]:
+def recorded_flight(
+    aircraft: Aircraft, script: Script, spec: FlightSpec
+) -> tuple[pd.DataFrame, Recorded]:
     """Fly ``spec`` from its start on: the flight record, and how the flight ended. Raises BadInputError."""
     with StagedMission(aircraft, script.path) as mission:
-        table = {name: source for name, source in properties.sources(aircraft).items() if name != "time_s"}
+        table = {
+            name: source
+            for name, source in properties.sources(aircraft).items()
+            if name != "time_s"
+        }
         optional = dict(_OPTIONAL)
         if not aircraft.has_card:
             # What a card would have promised is only hoped for: a glider has no throttle.
             controls = set(table) - set(properties.STANDARD)
-            optional |= {name: table.pop(name) for name in controls} | properties.standard_positions()
+            optional |= {
+                name: table.pop(name) for name in controls
+            } | properties.standard_positions()
         # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
         flown = spec if _has_sensors(aircraft) else replace(spec, sensor_noise=False)
         recorded = record_mission(mission, flown, table, optional, keep_burn_in=True)
@@ -58,7 +74,11 @@ def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
         ("wind_mps", spec.wind_mps, None, 100.0),
         ("rate_hz", spec.record_rate_hz, 0.0, 1e5),
     ):
-        if not (math.isfinite(value) and (value >= 0.0 if least is None else value > least) and value <= most):
+        if not (
+            math.isfinite(value)
+            and (value >= 0.0 if least is None else value > least)
+            and value <= most
+        ):
             low = "of at least 0" if least is None else f"above {least:g}"
             raise BadInputError(f"{name} = {value:g}: a number {low} and up to {most:g} is needed")
     if not math.isfinite(spec.wind_from_deg):
@@ -77,12 +97,18 @@ def start_of(recorded: Recorded) -> dict[str, float]:
 
 def two_seeds(seed: int) -> tuple[int, int]:
     """Seeds of turbulence and of noise: two streams from one number."""
-    turbulence, noise = (int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2))
+    turbulence, noise = (
+        int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2)
+    )
     return turbulence, noise
 
 
 def to_record(
-    recorded: Recorded, aircraft: Aircraft, spec: FlightSpec, manoeuvre: str, named: Mapping[int, str] | None = None
+    recorded: Recorded,
+    aircraft: Aircraft,
+    spec: FlightSpec,
+    manoeuvre: str,
+    named: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
     """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for.
 
@@ -103,5 +129,7 @@ def to_record(
                 columns[name] = columns[name] + std * drawn(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
-    frame["manoeuvre"] = [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
+    frame["manoeuvre"] = (
+        [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
+    )
     return frame

@@ -21,25 +21,43 @@ LOAD_FACTOR = "load_factor_max"
 class Recorded:
     """Signals of one flight as flown so far, and how it ended."""
 
-    def __init__(self, names: Sequence[str], rows: NDArray[np.float64], status: str, reason: str, flown_s: float) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        rows: NDArray[np.float64],
+        status: str,
+        reason: str,
+        flown_s: float,
+    ) -> None:
         self.status = status
         self.reason = reason
         self.flown_s = flown_s
-        self.signals: dict[str, NDArray[np.float64]] = {name: rows[:, column] for column, name in enumerate(names)}
+        self.signals: dict[str, NDArray[np.float64]] = {
+            name: rows[:, column] for column, name in enumerate(names)
+        }
 
 
 def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
     """The card's error signals, true and measured."""
     signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
-    return signals | {f"{key}_measured": Source(card.measured) for key, card in aircraft.card.metrics.items() if card.measured}
+    return signals | {
+        f"{key}_measured": Source(card.measured)
+        for key, card in aircraft.card.metrics.items()
+        if card.measured
+    }
 
 
 def from_start_signals(straight: bool) -> dict[str, Source]:
     """What deviations from the start are made of; any JSBSim aircraft has it. ``straight``: the flight is to go straight on."""
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
-    table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {"load_factor": Source("accelerations/Nz")}
+    table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {
+        "load_factor": Source("accelerations/Nz")
+    }
     if straight:
-        table |= {f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT_M) for axis in ("north", "east")}
+        table |= {
+            f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT_M)
+            for axis in ("north", "east")
+        }
         table |= {name: STANDARD[name] for name in ("vn_mps", "ve_mps")}
     return table
 
@@ -54,7 +72,11 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
             values = recorded.signals.get(key + suffix)
             names = [f"{key}_{kind}_{unit}{suffix}" for kind in _STATISTICS]
             if values is None or not complete:
-                why = recorded.reason if values is not None else f"the card names no {key}{suffix} under [metrics]"
+                why = (
+                    recorded.reason
+                    if values is not None
+                    else f"the card names no {key}{suffix} under [metrics]"
+                )
                 metrics |= dict.fromkeys(names, math.nan)
                 undefined |= dict.fromkeys(names, why)
             else:
@@ -64,7 +86,10 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
             values = recorded.signals.get(key)
             name = f"excursions_{radius:g}m{suffix}"
             if values is None:
-                metrics[name], undefined[name] = math.nan, f"the card names no {key} under [metrics]"
+                metrics[name], undefined[name] = (
+                    math.nan,
+                    f"the card names no {key} under [metrics]",
+                )
             else:
                 # What was flown counts, however the flight ended: a campaign bounds the rest from above.
                 metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
@@ -89,7 +114,9 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
         distances = {"": cross_track, "_3d": np.sqrt(cross_track**2 + (height - height[:1]) ** 2)}
         for suffix, distance in distances.items():
             for radius in spec.excursion_radius_m:
-                metrics[f"excursions_{radius:g}m{suffix}"] = float(count_excursions(distance, radius, spec.rearm_m))
+                metrics[f"excursions_{radius:g}m{suffix}"] = float(
+                    count_excursions(distance, radius, spec.rearm_m)
+                )
     deviations = {
         **({} if cross_track is None else {"cross_track": (cross_track, "m")}),
         "altitude": (recorded.signals["height_m"], "m"),
@@ -111,7 +138,9 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
     """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight is not to go straight on."""
     if "north_m" not in recorded.signals:
         return None
-    north, east, vn, ve = (recorded.signals[name] for name in ("north_m", "east_m", "vn_mps", "ve_mps"))
+    north, east, vn, ve = (
+        recorded.signals[name] for name in ("north_m", "east_m", "vn_mps", "ve_mps")
+    )
     if north.size == 0:
         return north
     # Roots and products have the same bits on every processor; a C library's hypot need not.
@@ -121,7 +150,10 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
 
 
 def _result(
-    recorded: Recorded, metrics: dict[str, float], undefined: dict[str, str], altitude: NDArray[np.float64]
+    recorded: Recorded,
+    metrics: dict[str, float],
+    undefined: dict[str, str],
+    altitude: NDArray[np.float64],
 ) -> FlightResult:
     bank = recorded.signals["phi_rad"]
     error = altitude if altitude.size else np.zeros_like(bank)
@@ -133,4 +165,6 @@ def _result(
         undefined["extrapolated_share"] = "the aircraft publishes no uq/extrapolated"
     else:
         metrics["extrapolated_share"] = float(np.mean(outside > 0.5))
-    return FlightResult(recorded.status, recorded.reason, recorded.flown_s, metrics, undefined, recorded.signals)
+    return FlightResult(
+        recorded.status, recorded.reason, recorded.flown_s, metrics, undefined, recorded.signals
+    )

@@ -14,7 +14,16 @@ import numpy as np
 from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
-KINDS = {"turbulence": 1, "noise": 2, "walk": 3, "levels": 4, "parameters": 5, "variable": 6, "transient": 7, "branch": 8}
+KINDS = {
+    "turbulence": 1,
+    "noise": 2,
+    "walk": 3,
+    "levels": 4,
+    "parameters": 5,
+    "variable": 6,
+    "transient": 7,
+    "branch": 8,
+}
 """Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
 
 _LARGEST = 2**31 - 2
@@ -40,9 +49,14 @@ def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.r
     return np.random.SeedSequence(entropy=root_seed, spawn_key=key)
 
 
-def branch_stream(root_seed: int, aleatory_id: int, level: int, branch: int, kind: str, number: int) -> np.random.SeedSequence:
+def branch_stream(
+    root_seed: int, aleatory_id: int, level: int, branch: int, kind: str, number: int
+) -> np.random.SeedSequence:
     """Seed sequence of one stream of the kind behind a split: of the branch of that number at that level, in that air."""
-    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS["branch"], aleatory_id, level, branch, KINDS[kind], number))
+    return np.random.SeedSequence(
+        entropy=root_seed,
+        spawn_key=(KINDS["branch"], aleatory_id, level, branch, KINDS[kind], number),
+    )
 
 
 def branch_seed(root_seed: int, aleatory_id: int, level: int, branch: int, kind: str) -> int:
@@ -56,9 +70,13 @@ def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence
     return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *_words(name)))
 
 
-def numbered_stream(root_seed: int, kind: str, number: int, name: str = "") -> np.random.SeedSequence:
+def numbered_stream(
+    root_seed: int, kind: str, number: int, name: str = ""
+) -> np.random.SeedSequence:
     """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same however many follow."""
-    return np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number))
+    return np.random.SeedSequence(
+        entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number)
+    )
 
 
 def _words(name: str) -> tuple[int, int]:

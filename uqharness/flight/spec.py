@@ -11,7 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType({"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0})
+TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
+    {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
+)
 """Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
 
 DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"

@@ -17,20 +17,31 @@ from uqharness.flight.branching import Split
 from uqharness.flight.dryden import DrydenGusts, dryden_parameters, gust_blocks
 from uqharness.flight.gust_filters import PAGE_STEPS
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
-from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightSpec, LevelDriver, TransientDriver
+from uqharness.flight.spec import (
+    COEFFICIENTS,
+    TURBULENCE_W20_KT,
+    FlightSpec,
+    LevelDriver,
+    TransientDriver,
+)
 from uqharness.simulator import engine
 
 Array = NDArray[np.float64]
 
 Rows = Iterator[tuple[float, ...]]
 
-_GUSTS = tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec"))
+_GUSTS = tuple(
+    f"air/host/{name}"
+    for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+)
 # All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
 _LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
 _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 
 
-def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()) -> Callable[[int], None]:
+def stepper(
+    fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
+) -> Callable[[int], None]:
     """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising.
 
     Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises ValueError where JSBSim's own
@@ -38,12 +49,18 @@ def stepper(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequenc
     """
     if not splits:
         return _straight(fdm, spec, dt_s, steps)
-    if spec.transient is not None or (spec.turbulence != "none" and spec.turbulence_source != "spec"):
-        raise ValueError("a branch is flown in JSBSim with the host's gusts alone, without transient model error")
+    if spec.transient is not None or (
+        spec.turbulence != "none" and spec.turbulence_source != "spec"
+    ):
+        raise ValueError(
+            "a branch is flown in JSBSim with the host's gusts alone, without transient model error"
+        )
     return _branching(fdm, _straight(fdm, spec, dt_s, steps, splits), splits)
 
 
-def _branching(fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]) -> Callable[[int], None]:
+def _branching(
+    fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]
+) -> Callable[[int], None]:
     """The same steps, with the sensors' generator seeded anew behind each split."""
     left, done = list(splits), 0
 
@@ -59,14 +76,18 @@ def _branching(fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]
     return stepped
 
 
-def _straight(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()) -> Callable[[int], None]:
+def _straight(
+    fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
+) -> Callable[[int], None]:
     run = fdm.run
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
     names = [columns for _, columns in _drivers(spec)]
     if gusty and not has_air(fdm):
         gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps, splits))
-        return _with_turned_gusts(fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(()))
+        return _with_turned_gusts(
+            fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(())
+        )
     if gusty:
         moving.insert(0, _gust_blocks(fdm, spec, dt_s, steps, splits))
         names.insert(0, _GUSTS)
@@ -87,7 +108,11 @@ def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
     for driver, columns in _drivers(spec):
         row = _first_row(driver, dt_s)
         moved = zip(COEFFICIENTS, columns, row, strict=True)
-        found |= {name: float(value) for coefficient, name, value in moved if coefficient in driver.coefficients}
+        found |= {
+            name: float(value)
+            for coefficient, name, value in moved
+            if coefficient in driver.coefficients
+        }
     return found
 
 
@@ -138,7 +163,9 @@ def _with_six(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], Non
 
 def _with_twelve(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], None]:
     run = fdm.run
-    set_u, set_v, set_w, set_p, set_q, set_r, set_1, set_2, set_3, set_4, set_5, set_6 = _setters(fdm, names)
+    set_u, set_v, set_w, set_p, set_q, set_r, set_1, set_2, set_3, set_4, set_5, set_6 = _setters(
+        fdm, names
+    )
 
     def fed(count: int) -> None:
         for u, v, w, p, q, r, one, two, three, four, five, six in islice(rows, count):
@@ -172,14 +199,18 @@ def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], No
     return fed
 
 
-def _with_turned_gusts(fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]) -> Callable[[int], None]:
+def _with_turned_gusts(
+    fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]
+) -> Callable[[int], None]:
     """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
 
     JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
     """
     run = fdm.run
     heading = engine.handle(fdm, "attitude/psi-rad").get_double_value
-    set_north, set_east, set_down = _setters(fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")])
+    set_north, set_east, set_down = _setters(
+        fdm, [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")]
+    )
     level_setters = _setters(fdm, names)
     cos, sin, per_ft = math.cos, math.sin, 1.0 / FT_M
 
@@ -197,7 +228,9 @@ def _with_turned_gusts(fdm: Any, gusts: Rows, names: Sequence[str], levels: Iter
     return fed
 
 
-def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]) -> Iterator[Array]:
+def _gust_blocks(
+    fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]
+) -> Iterator[Array]:
     air = (
         max(_airspeed_mps(fdm, spec), 1.0),
         max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),
@@ -209,7 +242,10 @@ def _gust_blocks(fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Se
         return (branching.page().T[: steps - first] for first in range(0, steps, PAGE_STEPS))
     blocks = gust_blocks(steps, dt_s, *air, seed=spec.seed_turbulence, block=BLOCK_STEPS)
     return (
-        np.column_stack([gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps]) for gusts in blocks
+        np.column_stack(
+            [gusts.u_mps, gusts.v_mps, gusts.w_mps, gusts.p_radps, gusts.q_radps, gusts.r_radps]
+        )
+        for gusts in blocks
     )
 
 

@@ -56,7 +56,9 @@ def motion(modelled: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else math.nan
 
 
-def answer_of(measured: Sequence[Array], modelled: Sequence[Array], noise: float, dt_s: float) -> Answer:
+def answer_of(
+    measured: Sequence[Array], modelled: Sequence[Array], noise: float, dt_s: float
+) -> Answer:
     """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of sign, scale and delay.
 
     noise: standard deviation of the measured channel, its own unit
@@ -78,7 +80,9 @@ def answer_of(measured: Sequence[Array], modelled: Sequence[Array], noise: float
 
 
 def _too_little(sigma: float) -> str:
-    return f"the model moves {sigma:.1f} sigma" if math.isfinite(sigma) else "the model does not move"
+    return (
+        f"the model moves {sigma:.1f} sigma" if math.isfinite(sigma) else "the model does not move"
+    )
 
 
 def _no_shift() -> Shift:

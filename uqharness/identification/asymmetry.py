@@ -18,6 +18,10 @@ def lateral_constants(model: ReplayModel) -> tuple[str, ...]:
     out = []
     for slot in _LATERAL:
         nodes = axes[slot].node.walk() if slot in axes else ()
-        found = [node.text.strip() for node in nodes if node.tag == "property" and node.text.strip().startswith(_BIAS)]
+        found = [
+            node.text.strip()
+            for node in nodes
+            if node.tag == "property" and node.text.strip().startswith(_BIAS)
+        ]
         out += found[:1]
     return tuple(out)

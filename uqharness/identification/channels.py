@@ -5,9 +5,18 @@ from __future__ import annotations
 from uqharness.errors import BadInputError
 
 OUTPUTS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 """Channels that are compared. Height and heading follow from the others and drift in real sensors."""
 BIASES = ("p_radps", "q_radps", "r_radps")
 """Channels whose sensors have a constant bias in each flight."""
@@ -29,5 +38,7 @@ def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
     further = (CONTROL_DELAY,) if option == "--delays" else ()
     unknown = [n for n in names if n not in (*OUTPUTS, *further)]
     if unknown:
-        raise BadInputError(f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}")
+        raise BadInputError(
+            f"{option} {text}: unknown channel {unknown[0]}; allowed are none, {', '.join((*further, *short))}"
+        )
     return tuple(dict.fromkeys(names))

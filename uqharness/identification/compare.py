@@ -146,7 +146,10 @@ class Comparison(Tabled):
         return f"Comparison({self.aircraft!r}, {self.flight!r}, above: {', '.join(self.above) or 'none'})"
 
     def _facts(self) -> Mapping[str, object]:
-        return {"reaches the noise floor": "yes" if self.reached else "no", "above it": ", ".join(self.above) or "none"}
+        return {
+            "reaches the noise floor": "yes" if self.reached else "no",
+            "above it": ", ".join(self.above) or "none",
+        }
 
     @property
     def aligned(self) -> bool:
@@ -168,12 +171,16 @@ class Comparison(Tabled):
     @property
     def reached(self) -> bool:
         """Every judged channel's rms is within LIMIT times its noise, and the controls are where the record puts them."""
-        return self.aligned and all(gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged)
+        return self.aligned and all(
+            gap.ratio <= LIMIT for gap in self.channels.values() if gap.judged
+        )
 
     @property
     def above(self) -> tuple[str, ...]:
         """Judged channels above the limit, the worst first."""
-        found = [(g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT]
+        found = [
+            (g.ratio, c) for c, g in self.channels.items() if g.judged and not g.ratio <= LIMIT
+        ]
         return tuple(c for _, c in sorted(found, reverse=True))
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -181,7 +188,13 @@ class Comparison(Tabled):
         import pandas as pd
 
         rows = {
-            c: {"rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds}
+            c: {
+                "rms": g.rms,
+                "noise": g.noise,
+                "ratio": g.ratio,
+                "judged": g.judged,
+                "delay_s": g.allowed_s + g.shift.seconds,
+            }
             for c, g in self.channels.items()
         }
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
@@ -190,28 +203,41 @@ class Comparison(Tabled):
         """Each segment's channels as measured and, ending in ``_model``, as replayed: what ``plot_overlay`` draws."""
         return [
             History(
-                number, segment.flight, segment.label, segment.time_s,
+                number,
+                segment.flight,
+                segment.label,
+                segment.time_s,
                 {
                     **{c: z[:, k] for k, c in enumerate(self.outputs)},
                     **{f"{c}_model": y[:, k] for k, c in enumerate(self.outputs)},
                 },
             )
-            for number, (segment, z, y) in enumerate(zip(self.segments, self.measured, self.modelled, strict=True))
-        ]  # fmt: skip
+            for number, (segment, z, y) in enumerate(
+                zip(self.segments, self.measured, self.modelled, strict=True)
+            )
+        ]
 
 
 def compare(
-    aircraft: Aircraft, flight: Flight, measured: Sequence[str], *, biases: Sequence[str] = BIASES,
-    delays: Sequence[str] | None = None, ideal_servos: bool = False, workers: int | None = None,
+    aircraft: Aircraft,
+    flight: Flight,
+    measured: Sequence[str],
+    *,
+    biases: Sequence[str] = BIASES,
+    delays: Sequence[str] | None = None,
+    ideal_servos: bool = False,
+    workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     """Replay a flight and measure the gap; ``on_stage`` is told what is being done.
 
     Raises BadInputError when the model cannot fly any segment.
     """
     arm = aircraft.accelerometer_m
     cut = segments(flight, measured, arm)
-    present = tuple(c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any())
+    present = tuple(
+        c for c in CHANNELS if c in flight.record and np.isfinite(flight.record[c]).any()
+    )
     judged = tuple(c for c in OUTPUTS if c in present)
     data = measured_outputs(flight, present)
     noise = channel_noise(data, present, aircraft.card.sensors.noise_std)
@@ -221,7 +247,9 @@ def compare(
         with replay_pool(workers) as spread:
             wanted = [b for b in biases if b in judged]
             late = delayed([flight], judged, delays)
-            theta, layout_names, kept, notes, late_std_s = _starts(model, cut, judged, data, present, wanted, late, spread)
+            theta, layout_names, kept, notes, late_std_s = _starts(
+                model, cut, judged, data, present, wanted, late, spread
+            )
         replay = Replay(model, cut, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
         on_stage("coefficients")
@@ -242,28 +270,61 @@ def compare(
     if missing:
         notes = [*notes, f"not in the record and not compared: {', '.join(missing)}"]
     return Comparison(
-        aircraft=aircraft.name, flight=flight.name,
+        aircraft=aircraft.name,
+        flight=flight.name,
         channels={
-            c: _channel(k, c, data, modelled, gaps, cut, noise, c in judged, _allowed(layout_names, theta, c))
+            c: _channel(
+                k,
+                c,
+                data,
+                modelled,
+                gaps,
+                cut,
+                noise,
+                c in judged,
+                _allowed(layout_names, theta, c),
+            )
             for k, c in enumerate(present)
         },
         coefficients={c: _coefficient(k, demand, said, floor) for k, c in enumerate(COEFFICIENTS)},
         manoeuvres=_by_manoeuvre(cut, gaps, present, noise),
         manoeuvre_coefficients=_by_manoeuvre(
-            cut, [d - s for d, s in zip(demand, said, strict=True)], COEFFICIENTS, dict(zip(COEFFICIENTS, floor, strict=True))
+            cut,
+            [d - s for d, s in zip(demand, said, strict=True)],
+            COEFFICIENTS,
+            dict(zip(COEFFICIENTS, floor, strict=True)),
         ),
-        moments=_moments(cut, gaps, judged, present, noise), segments=tuple(cut), outputs=present, measured=data,
-        modelled=modelled, demanded=demand, predicted=said, nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
+        moments=_moments(cut, gaps, judged, present, noise),
+        segments=tuple(cut),
+        outputs=present,
+        measured=data,
+        modelled=modelled,
+        demanded=demand,
+        predicted=said,
+        nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
-        controls_late_s=float(sum(v for n, v in zip(layout_names, theta, strict=True) if n.endswith(f"/{CONTROL_DELAY}"))),
-        late_limit_s=late_limit_s(flight, cut[0].command_s), controls_late_std_s=late_std_s,
-    )  # fmt: skip
+        controls_late_s=float(
+            sum(
+                v
+                for n, v in zip(layout_names, theta, strict=True)
+                if n.endswith(f"/{CONTROL_DELAY}")
+            )
+        ),
+        late_limit_s=late_limit_s(flight, cut[0].command_s),
+        controls_late_std_s=late_std_s,
+    )
 
 
 def _starts(
-    model: ReplayModel, cut: list[Segment], judged: Sequence[str], data: list[Array], present: Sequence[str],
-    biases: Sequence[str], late: Mapping[str, Sequence[str]], spread: Any,
-) -> tuple[Array, tuple[str, ...], list[bool], list[str], float]:  # fmt: skip
+    model: ReplayModel,
+    cut: list[Segment],
+    judged: Sequence[str],
+    data: list[Array],
+    present: Sequence[str],
+    biases: Sequence[str],
+    late: Mapping[str, Sequence[str]],
+    spread: Any,
+) -> tuple[Array, tuple[str, ...], list[bool], list[str], float]:
     """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes; standard
     error of the controls' delay [s], NaN where the flight does not determine it."""
     columns = [list(present).index(c) for c in judged]
@@ -282,7 +343,9 @@ def _starts(
     ]
     flown = [s for s, ok in zip(cut, kept, strict=True) if ok]
     wanted = [z[:, columns] for z, ok in zip(data, kept, strict=True) if ok]
-    fitted = fit_replays(model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread)
+    fitted = fit_replays(
+        model, Observed(flown, tuple(judged), wanted, biases, late), (), [np.zeros(0)], (), spread
+    )
     fit, inner = fitted.found, fitted.layout
     if not fit.converged:
         notes.append("start states and biases did not converge: the gaps may be too large")
@@ -294,12 +357,18 @@ def _starts(
             _, k, state = name.split("/")
             name = f"start/{number[int(k)]}/{state}"
         theta[layout.names.index(name)] = value
-    errors = [s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")]
+    errors = [
+        s for n, s in zip(inner.names, fit.std, strict=True) if n.endswith(f"/{CONTROL_DELAY}")
+    ]
     return theta, layout.names, kept, notes, float(errors[0]) if errors else math.nan
 
 
 def _coefficients(
-    model: ReplayModel, straight: ReplayModel, flight: Flight, cut: Sequence[Segment], noise: Mapping[str, float]
+    model: ReplayModel,
+    straight: ReplayModel,
+    flight: Flight,
+    cut: Sequence[Segment],
+    noise: Mapping[str, float],
 ) -> tuple[list[Array], list[Array], Array]:
     """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
 
@@ -315,19 +384,38 @@ def _coefficients(
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
     """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
     ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
-    return float(sum(v for n, v in zip(names, theta, strict=True) if n.startswith("delay/") and n.endswith(ends)))
+    return float(
+        sum(
+            v
+            for n, v in zip(names, theta, strict=True)
+            if n.startswith("delay/") and n.endswith(ends)
+        )
+    )
 
 
 def _channel(
-    k: int, name: str, data: list[Array], modelled: list[Array], gaps: list[Array], cut: list[Segment],
-    noise: Mapping[str, float], judged: bool, allowed_s: float,
-) -> ChannelGap:  # fmt: skip
+    k: int,
+    name: str,
+    data: list[Array],
+    modelled: list[Array],
+    gaps: list[Array],
+    cut: list[Segment],
+    noise: Mapping[str, float],
+    judged: bool,
+    allowed_s: float,
+) -> ChannelGap:
     z, y = [d[:, k] for d in data], [m[:, k] for m in modelled]
     answer = answer_of(z, y, noise[name], cut[0].dt_s)
     return ChannelGap(
-        rms(np.concatenate([g[:, k] for g in gaps])), noise[name], judged, allowed_s,
-        answer.shift, theil(np.concatenate(z), np.concatenate(y)), answer.relation, answer.undefined,
-    )  # fmt: skip
+        rms(np.concatenate([g[:, k] for g in gaps])),
+        noise[name],
+        judged,
+        allowed_s,
+        answer.shift,
+        theil(np.concatenate(z), np.concatenate(y)),
+        answer.relation,
+        answer.undefined,
+    )
 
 
 def _coefficient(k: int, demand: list[Array], said: list[Array], floor: Array) -> CoefficientGap:
@@ -355,6 +443,8 @@ def _moments(
     found = []
     for segment, gap in zip(cut, gaps, strict=True):
         for channel in judged:
-            for at, size in worst(gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0):
+            for at, size in worst(
+                gap[:, list(present).index(channel)], segment.time_s, noise[channel], 3, 1.0
+            ):
                 found.append(Moment(at, channel, segment.label, size, abs(size) / noise[channel]))
     return tuple(sorted(found, key=lambda m: -m.noises)[:_WORST])

@@ -45,9 +45,14 @@ NOTHING = Excited({}, ())
 
 
 def excited(
-    replay: Replay, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
-    noise: Mapping[str, float], map_: Callable[..., Any],
-) -> Excited:  # fmt: skip
+    replay: Replay,
+    observed: Observed,
+    names: Sequence[str],
+    initial: Array,
+    limits: Sequence[tuple[float, float]],
+    noise: Mapping[str, float],
+    map_: Callable[..., Any],
+) -> Excited:
     """Judge parameters ``names`` (k,) of a replay whose theta begins with them, at ``initial`` (k,).
 
     noise: standard deviation by channel; map_: as `replay_pool` gives it. NOTHING where the model cannot fly from there.
@@ -63,15 +68,25 @@ def excited(
         steps[k] *= -1.0 if value + steps[k] > high else 1.0
     sigma = np.array([noise[c] for c in observed.outputs])
     known = np.isfinite(np.concatenate(list(observed.data))) & (sigma > 0.0)
-    moved = forward_differences(replay, theta, steps, ([len(z) for z in observed.data], len(sigma)), map_)
+    moved = forward_differences(
+        replay, theta, steps, ([len(z) for z in observed.data], len(sigma)), map_
+    )
     if moved is None:
         return NOTHING
     with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = moved.each(lambda part, _, rows: np.where(known[rows, :, None], part / sigma[:, None], 0.0))
+        slopes = moved.each(
+            lambda part, _, rows: np.where(known[rows, :, None], part / sigma[:, None], 0.0)
+        )
     widths = np.array([high - low if np.isfinite(high - low) else 0.0 for low, high in limits])
     size = np.maximum(np.abs(initial), WIDTH_SHARE * widths)
     found = judged(slopes, replay.names, size, observed.outputs)
-    return replace(found, held={n: f"held at {initial[list(names).index(n)]:.4g}: {why}" for n, why in found.held.items()})
+    return replace(
+        found,
+        held={
+            n: f"held at {initial[list(names).index(n)]:.4g}: {why}"
+            for n, why in found.held.items()
+        },
+    )
 
 
 def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence[str]) -> Excited:
@@ -84,7 +99,9 @@ def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence
         rest = [k for k, name in enumerate(labels) if name not in held]
         gate = assess(information[np.ix_(rest, rest)], tuple(labels[k] for k in rest))
         smallest = np.full(len(labels), np.inf)
-        smallest[rest] = np.sqrt(np.where(gate.identified, np.maximum(np.diagonal(gate.inverse), 0.0), np.inf))
+        smallest[rest] = np.sqrt(
+            np.where(gate.identified, np.maximum(np.diagonal(gate.inverse), 0.0), np.inf)
+        )
         t = size / smallest[:count]
         # One at a time: what is held leaves the others its share of the information.
         weak = [k for k in rest if k < count and size[k] > 0.0 and t[k] < LEAST_T]
@@ -96,7 +113,9 @@ def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence
             f"{size[worst] / LEAST_T:.2g} at most is needed"
         )
         held[labels[worst]] = why
-    free = [k for k, name in enumerate(labels[:count]) if name not in held and np.isfinite(smallest[k])]
+    free = [
+        k for k, name in enumerate(labels[:count]) if name not in held and np.isfinite(smallest[k])
+    ]
     if not free:
         return Excited(held, ())
     # (free, m): information of each channel alone on each parameter, in units of what is left of all when the rest is estimated.
@@ -104,7 +123,10 @@ def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence
     for part, columns in slopes:
         squares[:, columns] += np.sum(part**2, axis=0)
     share = squares.T[free] * smallest[free, None] ** 2
-    return Excited(held, tuple(c for c, most in zip(outputs, share.max(axis=0), strict=True) if most < LEAST_SHARE))
+    return Excited(
+        held,
+        tuple(c for c, most in zip(outputs, share.max(axis=0), strict=True) if most < LEAST_SHARE),
+    )
 
 
 def without(observed: Observed, left_out: Sequence[str]) -> Observed:
@@ -112,23 +134,40 @@ def without(observed: Observed, left_out: Sequence[str]) -> Observed:
     kept = [k for k, c in enumerate(observed.outputs) if c not in left_out]
     outputs = tuple(observed.outputs[k] for k in kept)
     return replace(
-        observed, outputs=outputs, data=[z[:, kept] for z in observed.data], biases=[b for b in observed.biases if b in outputs]
+        observed,
+        outputs=outputs,
+        data=[z[:, kept] for z in observed.data],
+        biases=[b for b in observed.biases if b in outputs],
     )
 
 
 def excited_alone(
-    model: ReplayModel, observed: Observed, names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
-    noise: Mapping[str, float], spread: Callable[..., Any], choose: bool,
-) -> tuple[Observed, list[str]]:  # fmt: skip
+    model: ReplayModel,
+    observed: Observed,
+    names: Sequence[str],
+    initial: Array,
+    limits: Sequence[tuple[float, float]],
+    noise: Mapping[str, float],
+    spread: Callable[..., Any],
+    choose: bool,
+) -> tuple[Observed, list[str]]:
     """What is fitted of what was observed, parameters that it does not excite held; notes. choose: channels may be left out."""
     constants = [n for n in lateral_constants(model) if n not in names]
     layout = nuisance_layout(
-        (*names, *constants), (*limits, *[(-np.inf, np.inf)] * len(constants)), observed.cut, observed.biases, observed.outputs,
+        (*names, *constants),
+        (*limits, *[(-np.inf, np.inf)] * len(constants)),
+        observed.cut,
+        observed.biases,
+        observed.outputs,
         observed.late,
-    )  # fmt: skip
+    )
     replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex)
     found = excited(replay, observed, names, initial, limits, noise, spread)
     replay.forget()
     left_out = found.left_out if choose else ()
-    notes = [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"] if left_out else []
+    notes = (
+        [f"not fitted, because no parameter that is estimated acts on them: {', '.join(left_out)}"]
+        if left_out
+        else []
+    )
     return replace(without(observed, left_out), held=found.held), notes

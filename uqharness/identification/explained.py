@@ -19,7 +19,10 @@ UNEXPLAINED_SHARE = 0.1
 
 
 def unexplained(
-    residual: Sequence[Array], measured: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]
+    residual: Sequence[Array],
+    measured: Sequence[Array],
+    outputs: Sequence[str],
+    noise: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
     """Channels that a fit does not explain: rms of the residual in sigma, and its share of the channel's variance.
 
@@ -51,16 +54,16 @@ def withdrawn(found: Identification) -> Identification:
     why = _why_withdrawn(found) if found.identified else ""
     if not why:
         return found
-    advice = (
-        "compare the flights and the model first (units, signs, mass and inertia, servos), or let refine look for what is missing"
-    )
+    advice = "compare the flights and the model first (units, signs, mass and inertia, servos), or let refine look for what is missing"
     return replace(
         found,
         theta=found.initial.copy(),
         std=np.full(len(found.names), np.nan),
         std_crb=np.full(len(found.names), np.nan),
         status=dict.fromkeys(found.names, "not-identified"),
-        reason={n: why if found.status[n] == "identified" else found.reason[n] for n in found.names},
+        reason={
+            n: why if found.status[n] == "identified" else found.reason[n] for n in found.names
+        },
         cov=np.zeros((0, 0)),
         warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
     )
@@ -72,11 +75,15 @@ def _why_withdrawn(found: Identification) -> str:
     if wrong:
         channel = max(wrong, key=lambda c: wrong[c][1])
         sigma, share = wrong[channel]
-        others = f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+        others = (
+            f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+        )
         return (
             f"the fit leaves {channel} at {sigma:.0f} sigma, {100.0 * share:.0f} % of its variance{others}: this model does not "
             "explain the flights, and its nearest values are no estimates"
         )
     return (
-        "" if found.converged else "the estimation did not converge: where it was stopped is no estimate, and has no standard error"
+        ""
+        if found.converged
+        else "the estimation did not converge: where it was stopped is no estimate, and has no standard error"
     )

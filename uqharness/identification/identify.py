@@ -88,22 +88,34 @@ def identify(
         begun = time.perf_counter()
         on_stage("equation error")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            near, notes = equation_error_start(model, straight, flights, cut, names, initial, limits)
+            near, notes = equation_error_start(
+                model, straight, flights, cut, names, initial, limits
+            )
         channels = _outputs(flights, outputs)
         data = [block for f in flights for block in measured_outputs(f, channels)]
-        observed = Observed(cut, channels, data, [b for b in biases if b in channels], delayed(flights, channels, delays))
+        observed = Observed(
+            cut,
+            channels,
+            data,
+            [b for b in biases if b in channels],
+            delayed(flights, channels, delays),
+        )
         noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
         bare, flown, started = bare_rate(model, cut[0]), counter["rows"], time.perf_counter()
         with replay_pool(workers) as spread:
             if parameters is None:
                 on_stage("what the flights excite")
-                observed, more = excited_alone(model, observed, names, initial, limits, noise, spread, outputs is None)
+                observed, more = excited_alone(
+                    model, observed, names, initial, limits, noise, spread, outputs is None
+                )
                 notes = [*notes, *more]
             on_stage("output error")
             if tell is not None:
                 tell(_why_output_error(observed, names, method))
             descent = Descent("output error", on_stage, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
-            fitted = fit_replays(model, observed, names, (near, initial), limits, spread, told=descent)
+            fitted = fit_replays(
+                model, observed, names, (near, initial), limits, spread, told=descent
+            )
         fit = fitted.found
         taken = time.perf_counter() - started
         seconds = time.perf_counter() - begun
@@ -124,18 +136,31 @@ def identify(
 
         on_stage("filter error")
         fitted.replay.forget()
-        setup = filter_setup(aircraft, flights, Asked(outputs, biases, delays, measured, ideal), found)
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight, worker_map(workers) as map_:
+        setup = filter_setup(
+            aircraft, flights, Asked(outputs, biases, delays, measured, ideal), found
+        )
+        with (
+            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight,
+            worker_map(workers) as map_,
+        ):
             descent = Descent("filter error", on_stage, FILTER_TOLERANCE, FILTER_ITERATIONS)
-            return withdrawn(filter_route(found, fitted, (model, straight), setup, limits, observed.held, map_, descent))
+            return withdrawn(
+                filter_route(
+                    found, fitted, (model, straight), setup, limits, observed.held, map_, descent
+                )
+            )
 
 
 def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
     """Channels that some flight has. Raises BadInputError for one asked for that none has."""
-    there = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+    there = tuple(
+        c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
+    )
     missing = [] if asked is None else [c for c in asked if c not in there]
     if missing or asked == ():
-        raise BadInputError(f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}")
+        raise BadInputError(
+            f"no flight has {', '.join(missing) or 'the outputs asked for: none'}; there are {', '.join(there)}"
+        )
     return there if asked is None else tuple(c for c in there if c in asked)
 
 
@@ -152,7 +177,11 @@ def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> 
 
 def _why_it_stays(method: str, gusty: bool) -> str:
     if method == "output-error":
-        air = "looks like process noise (turbulence): estimates may be biased" if gusty else "does not look like process noise"
+        air = (
+            "looks like process noise (turbulence): estimates may be biased"
+            if gusty
+            else "does not look like process noise"
+        )
         return f"output error stays (asked for by --method); what it leaves {air}"
     return (
         "output error stays: what it leaves of rates and accelerations does not look like process noise (turbulence), which would "
@@ -165,7 +194,9 @@ def _why_filter_error(found: Identification, method: str) -> str:
     channels = [c for c in found.outputs if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = {c: rms(np.concatenate(residual)[:, k]) / noise[k] for k, c in enumerate(channels)}
-    left = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0)
+    left = ", ".join(
+        f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0
+    )
     why = "asked for by --method"
     if method != "filter-error":
         why = (
@@ -184,7 +215,9 @@ def _sensed(found: Identification) -> tuple[list[Array], list[Array], Array]:
 
     An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
     """
-    columns = [k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    columns = [
+        k for k, c in enumerate(found.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
+    ]
     return (
         [r[:, columns] for r in found.residual],
         [y[:, columns] for y in found.modelled],
@@ -223,14 +256,20 @@ def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tu
     out = []
     for name, value in zip(names, initial, strict=True):
         card = aircraft.card.parameters.get(name)
-        low, high = card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
+        low, high = (
+            card.bounds if card is not None and card.bounds is not None else (-np.inf, np.inf)
+        )
         if not low <= value <= high:
-            raise BadInputError(f"{name}: its start {value:g} lies outside the card's bounds [{low:g}, {high:g}]")
+            raise BadInputError(
+                f"{name}: its start {value:g} lies outside the card's bounds [{low:g}, {high:g}]"
+            )
         out.append((float(low), float(high)))
     return out
 
 
-def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]) -> list[str]:
+def _left_over(
+    residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]
+) -> list[str]:
     """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
     whole = np.concatenate(residual)
     ratio = {c: rms(whole[:, k]) / noise[c] for k, c in enumerate(outputs) if noise[c] > 0.0}
@@ -238,30 +277,63 @@ def _left_over(residual: Sequence[Array], outputs: Sequence[str], noise: Mapping
     if not above:
         return []
     return [
-        "residuals above the noise: " + ", ".join(f"{c} {r:.2f} times" for c, r in above.items()) + "; something acted that the "
+        "residuals above the noise: "
+        + ", ".join(f"{c} {r:.2f} times" for c, r in above.items())
+        + "; something acted that the "
         "replay does not have (commands between rows while an autopilot flew, gusts, a missing term), and estimates may be off by "
         "more than std: label the manoeuvres, record surface positions or log faster"
     ]
 
 
 def _assemble(
-    aircraft: Aircraft, names: tuple[str, ...], initial: Array, fitted: ReplayFit, observed: Observed,
-    noise: Mapping[str, float], notes: Sequence[str], seconds: float, speed: Speed,
-) -> Identification:  # fmt: skip
+    aircraft: Aircraft,
+    names: tuple[str, ...],
+    initial: Array,
+    fitted: ReplayFit,
+    observed: Observed,
+    noise: Mapping[str, float],
+    notes: Sequence[str],
+    seconds: float,
+    speed: Speed,
+) -> Identification:
     k, fit, outputs = len(names), fitted.found, observed.outputs
     identified = [i for i in range(k) if fit.status[names[i]] == "identified"]
-    hidden = {n: (float(fit.theta[i]), float(fit.std[i])) for i, n in enumerate(fitted.layout.names) if i >= k}
+    hidden = {
+        n: (float(fit.theta[i]), float(fit.std[i]))
+        for i, n in enumerate(fitted.layout.names)
+        if i >= k
+    }
     # A start state that two channels cannot tell apart is nobody's concern; a parameter is.
-    mine = [w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))]
+    mine = [
+        w for w in fit.warnings if not w.startswith(("start/", "bias/", "delay/", f"{UNSEEN}/"))
+    ]
     warnings = by_channel(mine, outputs)
     assert isinstance(fit.residual, list)
     if not any(w.startswith("coloured") for w in warnings):
         warnings += _left_over(fit.residual, outputs, noise)
     return Identification(
-        aircraft=aircraft.name, names=names, initial=initial, theta=fit.theta[:k], std=fit.std[:k], std_crb=fit.std_crb[:k],
-        status={n: fit.status[n] for n in names}, reason={n: fit.reason[n] for n in names},
-        cov=fit.cov[np.ix_(identified, identified)], nuisance=hidden, outputs=outputs, segments=tuple(observed.cut),
-        measured=list(observed.data), modelled=fitted.replay(fit.theta), residual=fit.residual, whiteness=fit.whiteness,
-        noise=noise, method="output error", converged=fit.converged, warnings=tuple(warnings), notes=tuple(notes),
-        simulations=fit.n_simulations, seconds=seconds, speed=speed,
-    )  # fmt: skip
+        aircraft=aircraft.name,
+        names=names,
+        initial=initial,
+        theta=fit.theta[:k],
+        std=fit.std[:k],
+        std_crb=fit.std_crb[:k],
+        status={n: fit.status[n] for n in names},
+        reason={n: fit.reason[n] for n in names},
+        cov=fit.cov[np.ix_(identified, identified)],
+        nuisance=hidden,
+        outputs=outputs,
+        segments=tuple(observed.cut),
+        measured=list(observed.data),
+        modelled=fitted.replay(fit.theta),
+        residual=fit.residual,
+        whiteness=fit.whiteness,
+        noise=noise,
+        method="output error",
+        converged=fit.converged,
+        warnings=tuple(warnings),
+        notes=tuple(notes),
+        simulations=fit.n_simulations,
+        seconds=seconds,
+        speed=speed,
+    )

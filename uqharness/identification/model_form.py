@@ -106,11 +106,16 @@ class MadeBounds(Tabled):
 
         rows = {
             c: {
-                "n": b.n, "n_effective": b.n_effective, "s": math.sqrt(b.s2), "mean_width": self.widths[c],
-                "noise": self.noise.get(c, math.nan), "walk_rate_per_sqrt_s": b.walk_rate, **_parts_of(b),
+                "n": b.n,
+                "n_effective": b.n_effective,
+                "s": math.sqrt(b.s2),
+                "mean_width": self.widths[c],
+                "noise": self.noise.get(c, math.nan),
+                "walk_rate_per_sqrt_s": b.walk_rate,
+                **_parts_of(b),
             }
             for c, b in self.form.coefficients.items()
-        }  # fmt: skip
+        }
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("coefficient")
 
 
@@ -120,9 +125,12 @@ def _parts_of(bounds: CoefficientBounds) -> dict[str, float]:
     if p is None:
         return {}
     return {
-        "persistent": p.persistent, "transient": p.transient, "transient_time_s": p.transient_time_s, "not_above": p.not_above,
+        "persistent": p.persistent,
+        "transient": p.transient,
+        "transient_time_s": p.transient_time_s,
+        "not_above": p.not_above,
         "found": p.found,
-    }  # fmt: skip
+    }
 
 
 def make_bounds(
@@ -145,7 +153,9 @@ def make_bounds(
         say("sensor noise")
         noisy = [NoisyFlight.of(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
         still = (
-            [n.in_still_air(n.residuals) for n in noisy] if options.fit.noise == "apart" else [(n.residuals, None) for n in noisy]
+            [n.in_still_air(n.residuals) for n in noisy]
+            if options.fit.noise == "apart"
+            else [(n.residuals, None) for n in noisy]
         )
         residuals = together([r for r, _ in still])
         say("model error apart from noise" if options.fit.noise == "apart" else "intervals")
@@ -153,28 +163,60 @@ def make_bounds(
         table = []
         if options.checks:
             say("other filters")
-            table = [_other(pair, flights, noisy, arm, c, options) for c in _other_cutoffs(options.cutoffs)]
-    walks = {c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside) for c, f in fitted.items()}
+            table = [
+                _other(pair, flights, noisy, arm, c, options)
+                for c in _other_cutoffs(options.cutoffs)
+            ]
+    walks = {
+        c: variation(residuals, c, f.bounds, options.walk_cutoff_hz, options.outside)
+        for c, f in fitted.items()
+    }
     form = ModelForm(
         aircraft=AircraftReference(aircraft.name, content_hash(aircraft)),
         flights=tuple(_used(f, r, h) for f, r, h in zip(flights, parts, hashes, strict=True)),
-        filtering=Filtering(options.cutoffs.all_hz, options.cutoffs.airspeed_hz, options.walk_cutoff_hz, 1.0 / residuals.dt_s),
+        filtering=Filtering(
+            options.cutoffs.all_hz,
+            options.cutoffs.airspeed_hz,
+            options.walk_cutoff_hz,
+            1.0 / residuals.dt_s,
+        ),
         confidence=options.fit.confidence,
         outside=options.outside,
         coefficients=with_walk_rates(fitted, {c: w.rate for c, w in walks.items()}),
     )
     say("leaving manoeuvres out")
-    left_out = leave_one_out(residuals, options.designs, options.fit, options.outside, fitted) if options.checks else {}
-    said = [said_of_air(f, air) for f, (_, air) in zip(flights, still, strict=True) if air is not None and air.level > 0.0]
+    left_out = (
+        leave_one_out(residuals, options.designs, options.fit, options.outside, fitted)
+        if options.checks
+        else {}
+    )
+    said = [
+        said_of_air(f, air)
+        for f, (_, air) in zip(flights, still, strict=True)
+        if air is not None and air.level > 0.0
+    ]
     return MadeBounds(
-        form=form, residuals=residuals, fitted=fitted, baseline=_baseline(residuals, options), variations=walks,
-        widths=mean_widths(form, residuals), noise=_forced(together([n.residuals for n in noisy])), left_out=left_out,
-        cutoffs=tuple(table), notes=(*(n for f in flights for n in f.notes), *said, *(n for f in fitted.values() for n in f.notes)),
+        form=form,
+        residuals=residuals,
+        fitted=fitted,
+        baseline=_baseline(residuals, options),
+        variations=walks,
+        widths=mean_widths(form, residuals),
+        noise=_forced(together([n.residuals for n in noisy])),
+        left_out=left_out,
+        cutoffs=tuple(table),
+        notes=(
+            *(n for f in flights for n in f.notes),
+            *said,
+            *(n for f in fitted.values() for n in f.notes),
+        ),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
-    )  # fmt: skip
+    )
 
 
-def _fit(residuals: Residuals, designs: Mapping[str, Design], options: FitOptions) -> dict[str, FittedBounds]:
+def _fit(
+    residuals: Residuals, designs: Mapping[str, Design], options: FitOptions
+) -> dict[str, FittedBounds]:
     try:
         return fit_bounds(residuals, designs, options)
     except ValueError as error:
@@ -186,19 +228,27 @@ def _baseline(residuals: Residuals, options: BoundsOptions) -> dict[str, Coeffic
     usual = default_designs()
     changed = {c: usual[c] for c, d in options.designs.items() if d != usual[c]}
     try:
-        return {c: f.bounds for c, f in fit_bounds(residuals, changed, options.fit).items()} if changed else {}
+        return (
+            {c: f.bounds for c, f in fit_bounds(residuals, changed, options.fit).items()}
+            if changed
+            else {}
+        )
     except ValueError:
         return {}
 
 
 def mean_widths(form: ModelForm, residuals: Residuals) -> dict[str, float]:
     """Mean width of the bounds over a flight's own states."""
-    return {c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()}
+    return {
+        c: float(np.mean(high - low)) for c, (low, high) in form.bounds(residuals.states).items()
+    }
 
 
 def _forced(residuals: Residuals) -> dict[str, float]:
     """Root mean square of the sensors' noise in each coefficient's samples [-]."""
-    variance = np.concatenate([noise_variance(p.noise) for p in residuals.pieces if p.noise is not None])
+    variance = np.concatenate(
+        [noise_variance(p.noise) for p in residuals.pieces if p.noise is not None]
+    )
     return dict(zip(COEFFICIENTS, np.sqrt(variance.mean(axis=0)).tolist(), strict=True))
 
 
@@ -213,11 +263,18 @@ def _other_cutoffs(used: Cutoffs) -> list[Cutoffs]:
 
 
 def _other(
-    pair: ReplayPair, flights: Sequence[Flight], used: Sequence[NoisyFlight], arm: Sequence[float], cutoffs: Cutoffs,
+    pair: ReplayPair,
+    flights: Sequence[Flight],
+    used: Sequence[NoisyFlight],
+    arm: Sequence[float],
+    cutoffs: Cutoffs,
     options: BoundsOptions,
-) -> CutoffRow:  # fmt: skip
+) -> CutoffRow:
     try:
-        parts = [with_noise_of(flight_residuals(pair, f, arm, cutoffs), u.residuals) for f, u in zip(flights, used, strict=True)]
+        parts = [
+            with_noise_of(flight_residuals(pair, f, arm, cutoffs), u.residuals)
+            for f, u in zip(flights, used, strict=True)
+        ]
         if options.fit.noise == "apart":
             parts = [u.in_still_air(r)[0] for u, r in zip(used, parts, strict=True)]
         residuals = together(parts)
@@ -232,30 +289,43 @@ def _mean_width(bounds: CoefficientBounds, residuals: Residuals) -> float:
     return float(np.mean(high - low))
 
 
-def mean_left_out(residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+def mean_left_out(
+    residuals: Residuals, left_out: Mapping[str, Mapping[str, float]]
+) -> dict[str, float]:
     """Share inside when manoeuvres are left out, over all samples; NaN without a second manoeuvre."""
     if not left_out:
         return dict.fromkeys(COEFFICIENTS, float("nan"))
     named = told_apart(residuals)
     n = {label: sum(named.only([label]).lengths) for label in left_out}
     names = next(iter(left_out.values()))
-    return {c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out])) for c in names}
+    return {
+        c: float(np.average([left_out[m][c] for m in left_out], weights=[n[m] for m in left_out]))
+        for c in names
+    }
 
 
 def _used(flight: Flight, residuals: Residuals, sha256: str) -> FlightUsed:
     seconds = sum(p.time_s[-1] - p.time_s[0] for p in residuals.pieces)
     estimates = tuple(c for c in flight.record.metadata.estimates if c in NOISY)
-    return FlightUsed(flight.name, sha256, round(float(seconds), 6), sum(residuals.lengths), estimates)
+    return FlightUsed(
+        flight.name, sha256, round(float(seconds), 6), sum(residuals.lengths), estimates
+    )
 
 
 def _warnings(
-    aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str], form: ModelForm, walks: Mapping[str, Variation],
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    hashes: Sequence[str],
+    form: ModelForm,
+    walks: Mapping[str, Variation],
     cutoffs: Cutoffs,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     out = [*flight_warnings(flights, form, cutoffs), *_identified_from(aircraft, flights, hashes)]
     short = [c for c, w in walks.items() if not np.isfinite(w.rate)]
     if short:
-        out.append(f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz")
+        out.append(
+            f"no piece is long enough for a rate of variation of {', '.join(short)} at {form.filtering.walk_cutoff_hz:g} Hz"
+        )
     return out
 
 
@@ -269,7 +339,11 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
             out.append(
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor: its errors are in the intervals"
             )
-        slow = [c for c, hz in record.metadata.native_hz.items() if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"]
+        slow = [
+            c
+            for c, hz in record.metadata.native_hz.items()
+            if c in NOISY and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
+        ]
         if slow:
             out.append(
                 f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at {cutoffs.all_hz:g} Hz; lower --cutoff-hz"
@@ -283,7 +357,9 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
     return out
 
 
-def _identified_from(aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]) -> list[str]:
+def _identified_from(
+    aircraft: Aircraft, flights: Sequence[Flight], hashes: Sequence[str]
+) -> list[str]:
     """Flights that the aircraft's parameters were estimated from, by the fit.json beside an identified aircraft."""
     path = aircraft.folder.parent / "fit.json"
     try:

@@ -25,7 +25,9 @@ from uqharness.simulator import Aircraft
 VANES = ("alpha_rad", "beta_rad")
 
 
-def noise_sizes(flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs) -> dict[str, NoiseSize]:
+def noise_sizes(
+    flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs
+) -> dict[str, NoiseSize]:
     """White noise of each channel: what the flight's samples show above the filter's cut-off, the card's figure as prior.
 
     stated: channel -> standard deviation that the card gives.
@@ -36,7 +38,12 @@ def noise_sizes(flight: Flight, stated: Mapping[str, float], cutoffs: Cutoffs) -
         if name not in record:
             continue
         pieces = [np.asarray(record[name][p.rows], dtype=float) for p in flight.pieces]
-        found = noise_size([x for x in pieces if np.isfinite(x).all()], record.dt_s, cutoffs.all_hz, stated.get(name))
+        found = noise_size(
+            [x for x in pieces if np.isfinite(x).all()],
+            record.dt_s,
+            cutoffs.all_hz,
+            stated.get(name),
+        )
         if found is not None:
             out[name] = found
     return out
@@ -55,7 +62,9 @@ class NoisyFlight:
     arm_m: tuple[float, ...]
 
     @staticmethod
-    def of(pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft) -> NoisyFlight:
+    def of(
+        pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
+    ) -> NoisyFlight:
         """Asks the model for what noise and rotation would change."""
         sizes = noise_sizes(flight, aircraft.card.sensors.noise_std, residuals.cutoffs)
         std = {c: found.std for c, found in sizes.items()}
@@ -63,18 +72,34 @@ class NoisyFlight:
         model, arm = pair.around(flight), tuple(aircraft.accelerometer_m)
         pair.ahead_near(flight, offset_records(flight.record, residuals.cutoffs), flight.pieces)
         noisy = with_sensor_noise(
-            residuals, flight.record, flight.pieces, model, arm, std, {c: found.spread for c, found in sizes.items()}
+            residuals,
+            flight.record,
+            flight.pieces,
+            model,
+            arm,
+            std,
+            {c: found.spread for c, found in sizes.items()},
         )
         felt = not set(VANES) & set(flight.record.metadata.estimates)
-        air = air_pieces(flight.record, flight.pieces, model, residuals.cutoffs.airspeed_hz) if felt else None
+        air = (
+            air_pieces(flight.record, flight.pieces, model, residuals.cutoffs.airspeed_hz)
+            if felt
+            else None
+        )
         return NoisyFlight(noisy, std, air, arm)
 
     def in_still_air(self, residuals: Residuals) -> tuple[Residuals, AirFound | None]:
         """Residuals of the flight behind any filter, with noise, without the rotation of the air."""
-        return (residuals, None) if self.air is None else without_air_rotation(residuals, self.air, self.arm_m, self.std)
+        return (
+            (residuals, None)
+            if self.air is None
+            else without_air_rotation(residuals, self.air, self.arm_m, self.std)
+        )
 
 
-def noisy_residuals(pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft) -> Residuals:
+def noisy_residuals(
+    pair: ReplayPair, flight: Flight, residuals: Residuals, aircraft: Aircraft
+) -> Residuals:
     """A flight's residuals with the noise of its sensors and of the air's rolling, without the air's rotation."""
     noisy = NoisyFlight.of(pair, flight, residuals, aircraft)
     return noisy.in_still_air(noisy.residuals)[0]

@@ -65,10 +65,15 @@ class ReplayFit:
 
 
 def fit_replays(
-    model: ReplayModel, observed: Observed, names: Sequence[str], tries: Sequence[Array],
-    limits: Sequence[tuple[float, float]], map_: Callable[..., Any], errors: bool = True,
+    model: ReplayModel,
+    observed: Observed,
+    names: Sequence[str],
+    tries: Sequence[Array],
+    limits: Sequence[tuple[float, float]],
+    map_: Callable[..., Any],
+    errors: bool = True,
     told: Callable[[int, float], None] | None = None,
-) -> ReplayFit:  # fmt: skip
+) -> ReplayFit:
     """Fit properties ``names`` of a model, and everything that is estimated beside them.
 
     tries   values to begin from, the first that can be flown counts; what the flights do not determine stays at the last
@@ -78,14 +83,34 @@ def fit_replays(
     Raises BadInputError when the model cannot fly the segments.
     """
     jumping = jumping_in(model, observed.cut, observed.late)
-    layout = nuisance_layout(names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping)
-    replay = Replay(model, observed.cut, layout.names, observed.outputs, uuid.uuid4().hex, observed.properties, observed.late_s)
+    layout = nuisance_layout(
+        names, limits, observed.cut, observed.biases, observed.outputs, observed.late, jumping
+    )
+    replay = Replay(
+        model,
+        observed.cut,
+        layout.names,
+        observed.outputs,
+        uuid.uuid4().hex,
+        observed.properties,
+        observed.late_s,
+    )
 
     def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
         return output_error(
-            replay, theta, list(observed.data), names=layout.names, bounds=layout.bounds, free=list(free), map=map_,
-            tolerance=TOLERANCE, max_iterations=MAX_ITERATIONS, differences="secant", errors=errors, told=told,
-        )  # fmt: skip
+            replay,
+            theta,
+            list(observed.data),
+            names=layout.names,
+            bounds=layout.bounds,
+            free=list(free),
+            map=map_,
+            tolerance=TOLERANCE,
+            max_iterations=MAX_ITERATIONS,
+            differences="secant",
+            errors=errors,
+            told=told,
+        )
 
     held = observed.held
     tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
@@ -93,7 +118,11 @@ def fit_replays(
     rest = np.array([observed.begin.get(n, 0.0) for n in layout.names[len(names) :]])
     begun = [np.concatenate([values, rest]) for values in tries]
     fit = _first_that_flies(lambda theta: fit_from(theta, free), begun)
-    fit = replace(fit, status={**fit.status, **dict.fromkeys(held, "not-identified")}, reason={**fit.reason, **held})
+    fit = replace(
+        fit,
+        status={**fit.status, **dict.fromkeys(held, "not-identified")},
+        reason={**fit.reason, **held},
+    )
     lost = tuple(n for n in names if fit.status[n] == "not-identified" and n not in held)
     if lost:
         # What the data do not determine goes back to where it was, so that the rest is estimated beside values that will be flown.
@@ -106,9 +135,12 @@ def fit_replays(
         reason = {**again.reason, **{n: fit.reason[n] for n in (*lost, *held)}}
         kept = [w for w in fit.warnings if any(w.startswith(f"{n} not identified") for n in lost)]
         fit = replace(
-            again, status=status, reason=reason, warnings=kept + again.warnings,
+            again,
+            status=status,
+            reason=reason,
+            warnings=kept + again.warnings,
             n_simulations=fit.n_simulations + again.n_simulations,
-        )  # fmt: skip
+        )
     return ReplayFit(fit, layout, replay, (*lost, *held))
 
 
@@ -119,7 +151,12 @@ def _misfit(data: Sequence[Array], flown: Sequence[Array]) -> float:
     measured = np.isfinite(np.concatenate(data))
     if not np.isfinite(left[measured]).all():
         return float("inf")
-    return float(sum(known.sum() * np.log(np.mean(part[known] ** 2)) for part, known in zip(left.T, measured.T, strict=True)))
+    return float(
+        sum(
+            known.sum() * np.log(np.mean(part[known] ** 2))
+            for part, known in zip(left.T, measured.T, strict=True)
+        )
+    )
 
 
 def _with(values: Array, fixed: Array, places: Sequence[int]) -> Array:
@@ -129,13 +166,17 @@ def _with(values: Array, fixed: Array, places: Sequence[int]) -> Array:
     return out
 
 
-def jumping_in(model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]) -> list[str]:
+def jumping_in(
+    model: ReplayModel, cut: Sequence[Segment], late: Mapping[str, Sequence[str]]
+) -> list[str]:
     """Flights in which some control jumps with its command and no sensor is late: in them a row says what it has seen of that."""
     flights = dict.fromkeys(s.flight for s in cut) if model.jumping else {}
     return [f for f in flights if not set(late.get(f, ())) - {CONTROL_DELAY}]
 
 
-def _first_that_flies(fit_from: Callable[[Array], OutputErrorFit], tries: Sequence[Array]) -> OutputErrorFit:
+def _first_that_flies(
+    fit_from: Callable[[Array], OutputErrorFit], tries: Sequence[Array]
+) -> OutputErrorFit:
     """The fit from the first of some values at which the segments can be flown."""
     failure: ValueError | None = None
     for theta in tries:
@@ -145,4 +186,6 @@ def _first_that_flies(fit_from: Callable[[Array], OutputErrorFit], tries: Sequen
             failure = error
             if "fails at theta0" not in str(error):
                 raise BadInputError(str(error)) from None
-    raise BadInputError(f"the model cannot fly these segments: {failure}; give other start values (--start)")
+    raise BadInputError(
+        f"the model cannot fly these segments: {failure}; give other start values (--start)"
+    )

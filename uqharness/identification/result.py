@@ -71,11 +71,21 @@ class Identification(Tabled):
         """The table of parameters: one row a property, with what it began at, estimate, standard error, bound and status."""
         import pandas as pd
 
-        columns = {"initial": self.initial, "estimate": self.theta, "std": self.std, "std_crb": self.std_crb}
-        told = {"status": [self.status[n] for n in self.names], "reason": [self.reason[n] for n in self.names]}
+        columns = {
+            "initial": self.initial,
+            "estimate": self.theta,
+            "std": self.std,
+            "std_crb": self.std_crb,
+        }
+        told = {
+            "status": [self.status[n] for n in self.names],
+            "reason": [self.reason[n] for n in self.names],
+        }
         return pd.DataFrame({**columns, **told}, index=pd.Index(self.names, name="parameter"))
 
 
 def by_channel(sentences: Sequence[str], outputs: Sequence[str]) -> list[str]:
     """Sentences that speak of outputs by number, by the channels' names."""
-    return [re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences]
+    return [
+        re.sub(r"\boutput (\d+)", lambda found: outputs[int(found[1])], text) for text in sentences
+    ]

@@ -27,9 +27,14 @@ Array = NDArray[np.float64]
 
 
 def equation_error_start(
-    model: ReplayModel, straight: ReplayModel, flights: Sequence[Flight], cut: Sequence[Segment],
-    names: Sequence[str], initial: Array, limits: Sequence[tuple[float, float]],
-) -> tuple[Array, list[str]]:  # fmt: skip
+    model: ReplayModel,
+    straight: ReplayModel,
+    flights: Sequence[Flight],
+    cut: Sequence[Segment],
+    names: Sequence[str],
+    initial: Array,
+    limits: Sequence[tuple[float, float]],
+) -> tuple[Array, list[str]]:
     """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
 
     Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
@@ -69,9 +74,12 @@ def equation_error_start(
 
 
 def forced_at(
-    model: ReplayModel, straight: ReplayModel, cut: Sequence[Segment], every: Sequence[Mapping[str, Array]],
+    model: ReplayModel,
+    straight: ReplayModel,
+    cut: Sequence[Segment],
+    every: Sequence[Mapping[str, Array]],
     properties: Mapping[str, float],
-) -> list[tuple[ForcedModel, dict[str, Array]]]:  # fmt: skip
+) -> list[tuple[ForcedModel, dict[str, Array]]]:
     """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
     stood = surface_positions(model, cut, CONTROLS, properties)
     parts = [
@@ -80,27 +88,44 @@ def forced_at(
     ]
     out = []
     for part, forced in zip(parts, force_all(straight, parts, properties), strict=True):
-        de, da, dr = (part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder"))
-        V, alpha, beta, p, q, r = (part.states[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
-        out.append((forced, variables(V, alpha, beta, p, q, r, de, da, dr, forced.mass.b, forced.mass.c)))
+        de, da, dr = (
+            part.controls[:, model.controls.index(c)] for c in ("elevator", "aileron", "rudder")
+        )
+        V, alpha, beta, p, q, r = (
+            part.states[c]
+            for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
+        )
+        out.append(
+            (forced, variables(V, alpha, beta, p, q, r, de, da, dr, forced.mass.b, forced.mass.c))
+        )
     return out
 
 
 def coefficient_gaps(
-    model: ReplayModel, straight: ReplayModel, cut: Sequence[Segment], every: Sequence[Mapping[str, Array]],
-    noise_std: Mapping[str, float], rng: np.random.Generator, properties: Mapping[str, float] | None = None,
-) -> list[tuple[Array, Array, Array]]:  # fmt: skip
+    model: ReplayModel,
+    straight: ReplayModel,
+    cut: Sequence[Segment],
+    every: Sequence[Mapping[str, Array]],
+    noise_std: Mapping[str, float],
+    rng: np.random.Generator,
+    properties: Mapping[str, float] | None = None,
+) -> list[tuple[Array, Array, Array]]:
     """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more
     changes the first less the second."""
     noisy = [with_noise(channels, noise_std, rng) for channels in every]
     given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
-    forced = forced_at(model, straight, [s for s, _ in given], [c for _, c in given], properties or {})
+    forced = forced_at(
+        model, straight, [s for s, _ in given], [c for _, c in given], properties or {}
+    )
     found = [
         (demand_of(channels, said, segment), smooth(said.coefficients, segment.dt_s))
         for (segment, channels), (said, _) in zip(given, forced, strict=True)
     ]
     both = zip(found[: len(cut)], found[len(cut) :], strict=True)
-    return [(demand, said, (demand_again - said_again) - (demand - said)) for (demand, said), (demand_again, said_again) in both]
+    return [
+        (demand, said, (demand_again - said_again) - (demand - said))
+        for (demand, said), (demand_again, said_again) in both
+    ]
 
 
 def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:
@@ -108,5 +133,10 @@ def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segme
     return demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
         np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
-        forced.qbar, forced.mass, forced.other_force, forced.other_moment, segment.dt_s, np.array(segment.arm_m),
-    )  # fmt: skip
+        forced.qbar,
+        forced.mass,
+        forced.other_force,
+        forced.other_moment,
+        segment.dt_s,
+        np.array(segment.arm_m),
+    )

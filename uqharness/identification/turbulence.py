@@ -47,7 +47,9 @@ class Asked:
     ideal: Sequence[str]
 
 
-def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification) -> Setup:
+def filter_setup(
+    aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, found: Identification
+) -> Setup:
     """The flights as filter error takes them: as `refine` does, but that delays are those that output error estimates.
 
     found: output error's result, which tells how uncertain channels are that an estimator computed and no sensor measured.
@@ -56,23 +58,35 @@ def filter_setup(aircraft: Aircraft, flights: Sequence[Flight], asked: Asked, fo
     if asked.outputs is not None:
         columns = [k for k, c in enumerate(setup.outputs) if c in asked.outputs]
         outputs = tuple(setup.outputs[k] for k in columns)
-        setup = replace(setup, outputs=outputs, measured=tuple(z[:, columns] for z in setup.measured), noise=setup.noise[columns])
+        setup = replace(
+            setup,
+            outputs=outputs,
+            measured=tuple(z[:, columns] for z in setup.measured),
+            noise=setup.noise[columns],
+        )
     # By default a log's sensors are late against its gyros, and its controls late as well: a filter finds where commands act far
     # sooner than by how much all sensors are late together.
     late = delayed(flights, setup.outputs, asked.delays)
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
     setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
-    setup = setup_in_gusts(aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs)))
+    setup = setup_in_gusts(
+        aircraft, replace(setup, biased=tuple(b for b in asked.biases if b in setup.outputs))
+    )
     left = {c: rms(r) for c, r in zip(found.outputs, np.concatenate(found.residual).T, strict=True)}
     return replace(setup, noise=noise_left(setup, left))
 
 
 def filter_route(
-    found: Identification, fitted: ReplayFit, models: tuple[ReplayModel, ReplayModel], setup: Setup,
-    limits: Sequence[tuple[float, float]], held: Mapping[str, str], map_: Processes,
+    found: Identification,
+    fitted: ReplayFit,
+    models: tuple[ReplayModel, ReplayModel],
+    setup: Setup,
+    limits: Sequence[tuple[float, float]],
+    held: Mapping[str, str],
+    map_: Processes,
     told: Callable[[int, float], None] | None = None,
-) -> Identification:  # fmt: skip
+) -> Identification:
     """Output error's result replaced by filter error's, started from it; with a note saying so.
 
     models  the aircraft as it flies and with every control straight through      held  parameters that stay, and why
@@ -86,9 +100,13 @@ def filter_route(
 
     def fit_from(setup: Setup, point: Point, near: Gusts | None = None) -> GustFit:
         try:
-            return gust_refit(*models, setup, point, free, bounds, map_, near, ITERATIONS, tune=True, told=told)
+            return gust_refit(
+                *models, setup, point, free, bounds, map_, near, ITERATIONS, tune=True, told=told
+            )
         except np.linalg.LinAlgError as error:
-            raise BadInputError(f"filter error: no filter follows these flights ({error}); use --method output-error") from None
+            raise BadInputError(
+                f"filter error: no filter follows these flights ({error}); use --method output-error"
+            ) from None
 
     fit = fit_from(setup, point_of(fitted, setup, found.names))
     if not fit.gusts.air:
@@ -96,19 +114,29 @@ def filter_route(
     values, cov, crb, reason = _judged(fit, free, bounds)
     if lost := {n: text for n, text in reason.items() if text}:
         # What the flights do not determine goes back to where it was, and the rest is estimated beside values that will be flown.
-        free, initial = [n for n in free if n not in lost], dict(zip(found.names, found.initial.tolist(), strict=True))
-        point = replace(fit.fit.flown.point, values={**fit.fit.flown.point.values, **{n: initial[n] for n in lost}})
+        free, initial = (
+            [n for n in free if n not in lost],
+            dict(zip(found.names, found.initial.tolist(), strict=True)),
+        )
+        point = replace(
+            fit.fit.flown.point,
+            values={**fit.fit.flown.point.values, **{n: initial[n] for n in lost}},
+        )
         fit = fit_from(fit.setup, point, fit.gusts)
         values, cov, crb, reason = _judged(fit, free, bounds)
     kept = [n for n in free if not reason[n]]
     where = [free.index(n) for n in kept]
     reason = {**reason, **lost, **held}
-    std, std_crb = (_of_names(found.names, kept, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb))
+    std, std_crb = (
+        _of_names(found.names, kept, np.sqrt(np.diagonal(c)[where])) for c in (cov, crb)
+    )
     outputs, modelled = fit.setup.outputs, _one_ahead(fit)
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
     white = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
     tint = colour(white)
-    warnings = [f"{n} not identified: {reason[n]}" for n in found.names if reason[n] and n not in held]
+    warnings = [
+        f"{n} not identified: {reason[n]}" for n in found.names if reason[n] and n not in held
+    ]
     warnings += by_channel(colour_warnings(tint, std, std_crb, "filter error"), outputs)
     warnings += _moments_left(fit.gusts)
     nuisance = _nuisance(fit, cov, len(free))
@@ -123,14 +151,30 @@ def filter_route(
     )
     return replace(
         found,
-        theta=np.array([values[n] if n in kept else i for n, i in zip(found.names, found.initial.tolist(), strict=True)]),
-        std=std, std_crb=std_crb, status={n: "identified" if n in kept else "not-identified" for n in found.names},
-        reason={n: reason[n] for n in found.names}, cov=cov[np.ix_(where, where)],
-        nuisance=nuisance, outputs=outputs, measured=list(fit.setup.measured),
-        modelled=modelled, residual=residual, whiteness=tint.p_value,
-        noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)), method="filter error", converged=converged,
-        warnings=tuple(warnings), notes=(*found.notes, note), seconds=found.seconds + time.perf_counter() - begun,
-    )  # fmt: skip
+        theta=np.array(
+            [
+                values[n] if n in kept else i
+                for n, i in zip(found.names, found.initial.tolist(), strict=True)
+            ]
+        ),
+        std=std,
+        std_crb=std_crb,
+        status={n: "identified" if n in kept else "not-identified" for n in found.names},
+        reason={n: reason[n] for n in found.names},
+        cov=cov[np.ix_(where, where)],
+        nuisance=nuisance,
+        outputs=outputs,
+        measured=list(fit.setup.measured),
+        modelled=modelled,
+        residual=residual,
+        whiteness=tint.p_value,
+        noise=dict(zip(outputs, fit.setup.noise.tolist(), strict=True)),
+        method="filter error",
+        converged=converged,
+        warnings=tuple(warnings),
+        notes=(*found.notes, note),
+        seconds=found.seconds + time.perf_counter() - begun,
+    )
 
 
 def _moments_left(gusts: Gusts) -> list[str]:
@@ -180,8 +224,9 @@ def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, fl
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
     return {
         n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
-        for k, n in enumerate(names) if k >= first
-    }  # fmt: skip
+        for k, n in enumerate(names)
+        if k >= first
+    }
 
 
 def _one_ahead(fit: GustFit) -> list[Array]:
@@ -191,9 +236,15 @@ def _one_ahead(fit: GustFit) -> list[Array]:
     followed = follow(own.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process)
     delta = own.evidence.step()[0]
     out = []
-    for segment, steps, one, w in zip(setup.segments, own.steps, followed, own.evidence.white, strict=True):
+    for segment, steps, one, w in zip(
+        setup.segments, own.steps, followed, own.evidence.white, strict=True
+    ):
         path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
-        predicted = steps.y_ref[:, setup.which] + np.einsum("nij,nj->ni", steps.H[:, setup.which], path)
+        predicted = steps.y_ref[:, setup.which] + np.einsum(
+            "nij,nj->ni", steps.H[:, setup.which], path
+        )
         late = rows_late(setup, segment, point)
-        out.append(np.column_stack([moved(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)]))
+        out.append(
+            np.column_stack([moved(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)])
+        )
     return out

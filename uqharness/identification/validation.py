@@ -41,9 +41,14 @@ def load_form(path: Path) -> ModelForm:
 
 
 def validate(
-    aircraft: Aircraft, form: ModelForm, flights: Sequence[Flight], measured: Sequence[str], hashes: Sequence[str],
-    ideal_servos: bool = False, values: Mapping[str, float] | None = None,
-) -> Validation:  # fmt: skip
+    aircraft: Aircraft,
+    form: ModelForm,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    hashes: Sequence[str],
+    ideal_servos: bool = False,
+    values: Mapping[str, float] | None = None,
+) -> Validation:
     """Filter the flights as the form's own were, and count. Raises BadInputError for another aircraft's form and missing states.
 
     values: of properties that are not to be as in the aircraft's XML.
@@ -58,18 +63,35 @@ def validate(
     flights = [f.with_commands_as_felt() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:
         parts = [flight_residuals(pair, f, arm, cutoffs) for f in flights]
-        residuals = together([noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)])
+        residuals = together(
+            [noisy_residuals(pair, f, r, aircraft) for f, r in zip(flights, parts, strict=True)]
+        )
     missing = [s for s in form.states if s not in residuals.states]
     if missing:
-        raise BadInputError(f"the bounds depend on {', '.join(missing)}, which these flights do not have throughout")
+        raise BadInputError(
+            f"the bounds depend on {', '.join(missing)}, which these flights do not have throughout"
+        )
     warnings = flight_warnings(flights, form, cutoffs)
     if form.aircraft.sha256 != content_hash(aircraft):
-        warnings.append(f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was")
+        warnings.append(
+            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+        )
     for flight, sha256 in zip(flights, hashes, strict=True):
         if sha256 in {f.sha256 for f in form.flights}:
-            warnings.append(f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing")
-    std = {c: b.parts.flight if b.parts is not None else float("nan") for c, b in form.coefficients.items()}
-    return Validation(coverage(form, residuals), residuals, tuple(n for f in flights for n in f.notes), tuple(warnings), std)
+            warnings.append(
+                f"{flight.name}: the bounds were made from this flight; coverage on it validates nothing"
+            )
+    std = {
+        c: b.parts.flight if b.parts is not None else float("nan")
+        for c, b in form.coefficients.items()
+    }
+    return Validation(
+        coverage(form, residuals),
+        residuals,
+        tuple(n for f in flights for n in f.notes),
+        tuple(warnings),
+        std,
+    )
 
 
 def verdicts(found: Validation) -> dict[str, Verdict]:

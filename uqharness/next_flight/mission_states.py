@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import smooth
 from sysid.aerodynamics.polynomial import STATES
 from uqharness.campaign import Case, Mission, build_cases, find_mission, make_copy, needs_copy
-from uqharness.campaign.folder import describe, has_digests, read_cases, read_complete, refuse_if_different, spec_of
+from uqharness.campaign.folder import (
+    describe,
+    has_digests,
+    read_cases,
+    read_complete,
+    refuse_if_different,
+    spec_of,
+)
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, record_mission, staged_mission
@@ -77,7 +84,9 @@ def open_campaign(folder: Path) -> CampaignMission:
     ok = set(table.loc[table["status"] == "ok", "case_id"])
     every = build_cases(spec, replace(mission, aircraft_hash=manifest["hashes"]["aircraft"]))
     flown = tuple(c for c in every if c.case_id in ok)
-    return CampaignMission(folder, spec, mission, flown, len(table) - len(ok), has_digests(manifest))
+    return CampaignMission(
+        folder, spec, mission, flown, len(table) - len(ok), has_digests(manifest)
+    )
 
 
 def some_cases(cases: Sequence[Case], count: int) -> list[Case]:
@@ -87,7 +96,11 @@ def some_cases(cases: Sequence[Case], count: int) -> list[Case]:
     chosen: list[Case] = []
     for k in range(min(count, len(cases))):
         wanted = conditions[k % len(conditions)], air[(k // len(conditions)) % len(air)]
-        there = [c for c in cases if ((c.wind_mps, c.turbulence), c.aleatory_id) == wanted and c not in chosen]
+        there = [
+            c
+            for c in cases
+            if ((c.wind_mps, c.turbulence), c.aleatory_id) == wanted and c not in chosen
+        ]
         # Steps of the golden section never fall into step with the order of the corners.
         chosen += [there[int(len(there) * math.fmod(0.5 + k * _GOLDEN, 1.0))]] if there else []
     return chosen
@@ -119,7 +132,10 @@ def _fly(spec: FlightSpec) -> tuple[dict[str, Array], bool]:
     mission = staged_mission(spec)
     table = {n: s for n, s in properties.sources(mission.aircraft).items() if n in STATES}
     needed = {n: s for n, s in table.items() if n in properties.STANDARD}
-    optional = {**properties.standard_positions(), **{n: s for n, s in table.items() if n not in properties.STANDARD}}
+    optional = {
+        **properties.standard_positions(),
+        **{n: s for n, s in table.items() if n not in properties.STANDARD},
+    }
     rate = min(RATE_HZ, 1.0 / mission.aircraft.dt_s)
     flight = replace(spec, duration_s=min(spec.duration_s, LONGEST_S), record_rate_hz=rate)
     recorded = record_mission(mission, flight, needed, optional)
@@ -136,11 +152,18 @@ def recorded_mission(paths: Sequence[Path], aircraft: Aircraft, cutoff_hz: float
         known = tuple(n for n in STATES if n in record and np.isfinite(record[n]).mean() > 0.5)
         stride = max(1, round(1.0 / (RATE_HZ * record.dt_s)))
         pieces = [
-            {n: smooth(np.asarray(record[n][rows], dtype=float), record.dt_s, cutoff_hz)[::stride] for n in known}
+            {
+                n: smooth(np.asarray(record[n][rows], dtype=float), record.dt_s, cutoff_hz)[
+                    ::stride
+                ]
+                for n in known
+            }
             for rows in record.segments(known, 1.0)
         ]
         if not pieces:
-            raise BadInputError(f"--occupancy {path}: no second of it has all of {', '.join(known) or 'the states'}")
+            raise BadInputError(
+                f"--occupancy {path}: no second of it has all of {', '.join(known) or 'the states'}"
+            )
         parts += pieces
         seconds += sum(len(p["V_mps"]) for p in pieces if "V_mps" in p) * stride * record.dt_s
     names = [n for n in parts[0] if all(n in p for p in parts)]

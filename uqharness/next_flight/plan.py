@@ -149,7 +149,10 @@ def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float
         for k, state in enumerate(bounds.states):
             if state.startswith(("V_", "alpha", "beta")) and state in mission.states:
                 values = mission.states[state]
-                low, high = min(bounds.hull.low[k], values.min()), max(bounds.hull.high[k], values.max())
+                low, high = (
+                    min(bounds.hull.low[k], values.min()),
+                    max(bounds.hull.high[k], values.max()),
+                )
                 out[state] = float(low - WIDER * (high - low)), float(high + WIDER * (high - low))
     most = MOST_BANK_RAD
     if "phi_rad" in mission.states:
@@ -157,11 +160,15 @@ def allowed_states(form: ModelForm, mission: Occupancy) -> dict[str, tuple[float
     return {**out, "phi_rad": (-most, most)}
 
 
-def conditions_of(mission: Occupancy, flight: TestFlight, speeds_mps: Sequence[float]) -> list[Condition]:
+def conditions_of(
+    mission: Occupancy, flight: TestFlight, speeds_mps: Sequence[float]
+) -> list[Condition]:
     """Speeds at which the mission flies (quantiles 5, 50, 95 %), straight and in its turns; without an autopilot as it flies."""
     if not flight.has_autopilot:
         return [Condition()]
-    speeds = sorted(speeds_mps) or [float(f"{v:.3g}") for v in np.quantile(mission.states["V_mps"], [0.05, 0.5, 0.95])]
+    speeds = sorted(speeds_mps) or [
+        float(f"{v:.3g}") for v in np.quantile(mission.states["V_mps"], [0.05, 0.5, 0.95])
+    ]
     phi = mission.states.get("phi_rad", np.zeros(1))
     banks = [0.0]
     for side in (phi[phi > _TURN_RAD], phi[phi < -_TURN_RAD]):
@@ -171,9 +178,13 @@ def conditions_of(mission: Occupancy, flight: TestFlight, speeds_mps: Sequence[f
 
 
 def plan_flight(
-    form: ModelForm, coefficient: str, mission: Occupancy, flight: TestFlight, options: Options,
+    form: ModelForm,
+    coefficient: str,
+    mission: Occupancy,
+    flight: TestFlight,
+    options: Options,
     say: Callable[[str], object] = lambda stage: None,
-) -> NextFlight:  # fmt: skip
+) -> NextFlight:
     """Choose test points, simulate their flight, predict what it brings.
 
     Raises BadInputError where nothing can be flown or no point tells anything.
@@ -207,7 +218,9 @@ def try_library(
     conditions = conditions_of(mission, flight, options.speeds_mps)
     speed = float(np.median(mission.states["V_mps"]))
     points = library(flight.aircraft, conditions, unit_times(flight.aircraft, speed, 100.0))
-    trials, refused = try_points(flight, points, allowed_states(form, mission), cutoffs, options.seed)
+    trials, refused = try_points(
+        flight, points, allowed_states(form, mission), cutoffs, options.seed
+    )
     if not trials:
         first = refused[0]
         raise BadInputError(
@@ -218,16 +231,31 @@ def try_library(
 
 
 def plan_from(
-    form: ModelForm, coefficient: str, mission: Occupancy, flight: TestFlight, options: Options,
-    trials: Sequence[Trial], refused: Sequence[Refused], say: Callable[[str], object] = lambda stage: None,
-) -> NextFlight:  # fmt: skip
+    form: ModelForm,
+    coefficient: str,
+    mission: Occupancy,
+    flight: TestFlight,
+    options: Options,
+    trials: Sequence[Trial],
+    refused: Sequence[Refused],
+    say: Callable[[str], object] = lambda stage: None,
+) -> NextFlight:
     """The same from points that have been tried already."""
     bounds = form.coefficients[coefficient]
     states = mission.of(bounds.states)
     weight = form.filtering.rate_hz / flight.rate_hz
-    offers = [Offer(t.point.condition.text, t.point.seconds + RECOVERY_S, information(bounds, t.states, weight)) for t in trials]
+    offers = [
+        Offer(
+            t.point.condition.text,
+            t.point.seconds + RECOVERY_S,
+            information(bounds, t.states, weight),
+        )
+        for t in trials
+    ]
     transition = TRANSITION_S if flight.has_autopilot else 0.0
-    chosen = choose(bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside)
+    chosen = choose(
+        bounds, offers, states, 60.0 * options.minutes - flight.begin_s, transition, form.outside
+    )
     if not chosen:
         raise BadInputError(
             f"--minutes {options.minutes:g}: no test point fits or narrows anything; the shortest takes "
@@ -244,16 +272,24 @@ def plan_from(
     say("simulating the flight")
     flown, kept, lost = _simulate(flight, picked, options.seed + 1000, form)
     timed, end_s = schedule([p for p, _ in kept], flight.begin_s)
-    plan = tuple(Planned(t.point, t.start_s, t.end_s, g) for t, (_, g) in zip(timed, kept, strict=True))
+    plan = tuple(
+        Planned(t.point, t.start_s, t.end_s, g) for t, (_, g) in zip(timed, kept, strict=True)
+    )
     say("predicting")
     return NextFlight(
-        coefficient=coefficient, prospects=prospects(form, mission, flown, weight, trials),
+        coefficient=coefficient,
+        prospects=prospects(form, mission, flown, weight, trials),
         where=_where(form, coefficient, mission),
-        extrapolated=float(np.mean(form.extrapolated(mission.of(form.states)))), plan=plan, end_s=end_s,
-        scatter=math.sqrt(bounds.s2), simulated_scatter=_scatter(flown, form, coefficient), refused=(*refused, *lost),
-        tried=len(trials) + len(refused), states=flown.states,
+        extrapolated=float(np.mean(form.extrapolated(mission.of(form.states)))),
+        plan=plan,
+        end_s=end_s,
+        scatter=math.sqrt(bounds.s2),
+        simulated_scatter=_scatter(flown, form, coefficient),
+        refused=(*refused, *lost),
+        tried=len(trials) + len(refused),
+        states=flown.states,
         bounds_then=after(bounds, [information(bounds, flown.states, weight)]),
-    )  # fmt: skip
+    )
 
 
 def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, Array]) -> float:
@@ -268,7 +304,12 @@ def _where(form: ModelForm, coefficient: str, mission: Occupancy) -> tuple[Where
     variance = parameter_variance(bounds, states, form.outside)
     even = np.ones(len(variance))
     return tuple(
-        Where(s, bounds.hull.middle[k], weighted_quartiles(states[s], even), weighted_quartiles(states[s], variance))
+        Where(
+            s,
+            bounds.hull.middle[k],
+            weighted_quartiles(states[s], even),
+            weighted_quartiles(states[s], variance),
+        )
         for k, s in enumerate(bounds.states)
     )
 
@@ -286,12 +327,16 @@ def _simulate(
             if ok:
                 return residuals_of(flight.aircraft, [path], cutoffs)[0], left, lost
             timed, _ = schedule([p for p, _ in left], flight.begin_s)
-            bad = next((k for k, t in enumerate(timed) if t.end_s + RECOVERY_S > flown_s), len(left) - 1)
+            bad = next(
+                (k for k, t in enumerate(timed) if t.end_s + RECOVERY_S > flown_s), len(left) - 1
+            )
             lost.append(Refused(left[bad][0], f"the flight ends: {reason}"))
             left = [item for item in left if item[0] != left[bad][0]]
             if not left:
                 break
-    raise BadInputError(f"the flight of the chosen test points does not end well: {lost[-1].reason}")
+    raise BadInputError(
+        f"the flight of the chosen test points does not end well: {lost[-1].reason}"
+    )
 
 
 def _scatter(flown: Residuals, form: ModelForm, coefficient: str) -> float:

@@ -78,7 +78,9 @@ def half_travel(card: InputCard) -> float:
     return 0.5 * (card.limits[1] - card.limits[0])
 
 
-def library(aircraft: Aircraft, conditions: Sequence[Condition], unit_s: Mapping[str, float]) -> list[TestPoint]:
+def library(
+    aircraft: Aircraft, conditions: Sequence[Condition], unit_s: Mapping[str, float]
+) -> list[TestPoint]:
     """Steady flight, doublets both ways, 3-2-1-1, throttle doublets and all axes in turn, at every condition.
 
     unit_s: seconds of one unit by control. Amplitudes follow the card's stops; which of them an aircraft bears, a simulation tells.
@@ -96,7 +98,9 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
         for share in AMPLITUDES:
             for sign in (1.0, -1.0):
                 size = _rounded(sign * share * travel)
-                yield TestPoint(f"{control} doublet {size:+g} {what}", (Steps(control, size, unit),), nowhere)
+                yield TestPoint(
+                    f"{control} doublet {size:+g} {what}", (Steps(control, size, unit),), nowhere
+                )
     if "elevator" in inputs:
         travel, what = half_travel(inputs["elevator"]), inputs["elevator"].unit
         for share in (-0.1, 0.1):
@@ -114,11 +118,15 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
         for share in (0.1, 0.2):
             start, steps_of = 0.0, list[Steps]()
             for control in surfaces:
-                size = _rounded((0.6 if control == "elevator" else 1.0) * share * half_travel(inputs[control]))
+                size = _rounded(
+                    (0.6 if control == "elevator" else 1.0) * share * half_travel(inputs[control])
+                )
                 steps_of.append(Steps(control, size, unit_s[control], start_s=start))
                 # The next axis begins while this one still moves: this separates products of states.
                 start += 1.5 * unit_s[control]
-            yield TestPoint(f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), nowhere)
+            yield TestPoint(
+                f"doublets of {', '.join(surfaces)} {share:.0%}", tuple(steps_of), nowhere
+            )
 
 
 def _rounded(size: float) -> float:

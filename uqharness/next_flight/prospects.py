@@ -57,7 +57,9 @@ class Prospect:
         return 1.0 - self.ever.total / self.now.total
 
 
-def prospects(form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]) -> dict[str, Prospect]:
+def prospects(
+    form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]
+) -> dict[str, Prospect]:
     """Of every coefficient, from a simulated flight's states. weight: see `sysid.model_form.worth.information`."""
     behind_s = sum(f.seconds for f in form.flights)
     new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in flown.pieces)
@@ -67,10 +69,18 @@ def prospects(form: ModelForm, mission: Occupancy, flown: Residuals, weight: flo
         states = mission.of(bounds.states)
         told = [information(bounds, flown.states, weight)]
         share = new_s / behind_s if behind_s > 0.0 else math.nan
-        same = Information(np.asarray(share * np.linalg.inv(bounds.XtX_inv)), share * bounds.n, bounds.hull.low, bounds.hull.high)
+        same = Information(
+            np.asarray(share * np.linalg.inv(bounds.XtX_inv)),
+            share * bounds.n,
+            bounds.hull.low,
+            bounds.hull.high,
+        )
         repeated = after(bounds, [same]) if math.isfinite(share) else bounds
         then = after(bounds, told), after(bounds, told, scatter[c]), repeated, for_ever(bounds)
-        out[c] = Prospect(width(bounds, states, form.outside), *(expected_width(bounds, b, states, form.outside) for b in then))
+        out[c] = Prospect(
+            width(bounds, states, form.outside),
+            *(expected_width(bounds, b, states, form.outside) for b in then),
+        )
     return out
 
 
@@ -79,10 +89,19 @@ def scatter_ratios(form: ModelForm, flown: Residuals, trials: Sequence[Trial]) -
     out = {}
     speeds = np.array([float(np.mean(t.states["V_mps"])) for t in trials])
     counts = np.array([float(len(t.delta)) for t in trials])
-    hull = next(((b.hull, b.states.index("V_mps")) for b in form.coefficients.values() if "V_mps" in b.states), None)
+    hull = next(
+        (
+            (b.hull, b.states.index("V_mps"))
+            for b in form.coefficients.values()
+            if "V_mps" in b.states
+        ),
+        None,
+    )
     for c in form.coefficients:
         k = COEFFICIENTS.index(c)
-        power = speed_power(speeds, np.array([float(np.mean(t.delta[:, k] ** 2)) for t in trials]), counts)
+        power = speed_power(
+            speeds, np.array([float(np.mean(t.delta[:, k] ** 2)) for t in trials]), counts
+        )
         if hull is None or power == 0.0:
             out[c] = 1.0
             continue

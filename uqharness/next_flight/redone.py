@@ -14,24 +14,36 @@ from uqharness.text_tables import text_table
 Row = Mapping[str, float | None]
 
 
-def achieved(before: ModelForm, after: ModelForm, mission: Occupancy, planned: Path) -> dict[str, Row]:
+def achieved(
+    before: ModelForm, after: ModelForm, mission: Occupancy, planned: Path
+) -> dict[str, Row]:
     """Coefficient -> widths, narrowings and, where ``planned`` is a next-flight.json, those predicted there."""
     predicted = _planned(planned)
     then, now = widths_over(after, mission), widths_over(before, mission)
     return {
         c: {
-            "width": now[c].total, "width_after": then[c].total, "narrowing": 1.0 - then[c].total / now[c].total,
+            "width": now[c].total,
+            "width_after": then[c].total,
+            "narrowing": 1.0 - then[c].total / now[c].total,
             "predicted": predicted.get(c, {}).get("narrowing_redone"),
             "parameter_narrowing": 1.0 - then[c].parameter / now[c].parameter,
             "predicted_parameter": predicted.get(c, {}).get("parameter_narrowing"),
         }
-        for c in now if c in then
-    }  # fmt: skip
+        for c in now
+        if c in then
+    }
 
 
 def as_text(rows: Mapping[str, Row]) -> str:
     """A table for a terminal."""
-    return "\n".join(text_table([{"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}} for c, row in rows.items()]))
+    return "\n".join(
+        text_table(
+            [
+                {"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}}
+                for c, row in rows.items()
+            ]
+        )
+    )
 
 
 def _cell(key: str, value: float | None) -> str:

@@ -19,9 +19,16 @@ from uqharness.next_flight.points import QUIET_S, Condition, TestPoint
 from uqharness.simulator import MANOEUVRE_PROPERTY, SECOND_ORDER, Aircraft, InputCard, parse_xml
 
 AUTOPILOT = (
-    "ap/engaged", "ap/airspeed-cmd-mps", "ap/WP_LOITER_RAD", "ap/loiter-center-north-m", "ap/loiter-center-east-m",
-    "ap/loiter-direction", "nav/north-m", "nav/east-m", "nav/altitude-error-m",
-)  # fmt: skip
+    "ap/engaged",
+    "ap/airspeed-cmd-mps",
+    "ap/WP_LOITER_RAD",
+    "ap/loiter-center-north-m",
+    "ap/loiter-center-east-m",
+    "ap/loiter-direction",
+    "nav/north-m",
+    "nav/east-m",
+    "nav/altitude-error-m",
+)
 """Properties by which this project's autopilot is known."""
 RECOVERY_S = 8.0
 """On the autopilot after a point: from an unsettled state, controls that stand still lead into a dive."""
@@ -58,8 +65,14 @@ def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[Timed], 
 
 
 def script_text(
-    mission: Path, aircraft: Aircraft, points: Sequence[TestPoint], begin_s: float, has_autopilot: bool, name: str, purpose: str
-) -> bytes:  # fmt: skip
+    mission: Path,
+    aircraft: Aircraft,
+    points: Sequence[TestPoint],
+    begin_s: float,
+    has_autopilot: bool,
+    name: str,
+    purpose: str,
+) -> bytes:
     """The script as XML: the file ``mission`` with the points of `schedule` added. Raises BadInputError as parse_xml does."""
     tree = parse_xml(mission)
     root = tree.getroot()
@@ -82,7 +95,9 @@ def script_text(
     run.set("dt", f"{aircraft.dt_s:g}")
     present = {(item.text or "").strip(): item for item in run.findall("property")}
     # The mission's own air is not that of a test flight: a host sets what it wants.
-    calm: dict[str, float] = {name: 0.0 for name in ("air/wind-mps", "air/turbulence-w20-kt") if name in present}
+    calm: dict[str, float] = {
+        name: 0.0 for name in ("air/wind-mps", "air/turbulence-w20-kt") if name in present
+    }
     log = {"sensor/log": 1.0} if "sensor/log" in present else {}
     wanted: dict[str, float] = {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, **calm, **log}
     for prop, value in wanted.items():
@@ -109,7 +124,9 @@ def script_text(
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{said}-->\n{body}\n'.encode()
 
 
-def _events(timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool) -> Iterator[etree._Element]:
+def _events(
+    timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool
+) -> Iterator[etree._Element]:
     early = 0.5 * aircraft.dt_s  # so that rounding of the clock cannot shift an event by a frame
     last: Condition | None = None
     if has_autopilot:
@@ -121,33 +138,48 @@ def _events(timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool) -> 
             yield _event(f"{at:.2f} s, to {condition.text}", at - early, [*_heading_for(condition)])
         last = condition
         taking = [*_take_over(aircraft)] if has_autopilot else []
-        yield _event(item.point.name, item.start_s - early, [*taking, _set(MANOEUVRE_PROPERTY, number)])
+        yield _event(
+            item.point.name, item.start_s - early, [*taking, _set(MANOEUVRE_PROPERTY, number)]
+        )
         changes: dict[float, list[tuple[str, float]]] = {}
         for steps in item.point.steps:
             time, before = item.start_s + QUIET_S + steps.start_s, 0.0
             for units, sign in (*steps.pattern, (0, 0.0)):
-                changes.setdefault(round(time, 4), []).append((steps.control, steps.size * (sign - before)))
+                changes.setdefault(round(time, 4), []).append(
+                    (steps.control, steps.size * (sign - before))
+                )
                 before, time = sign, time + units * steps.unit_s
         for at, moves in sorted(changes.items()):
             said = ", ".join(f"{control} {delta:+g}" for control, delta in moves)
-            sets = [_delta(aircraft.card.inputs[control].property, delta) for control, delta in moves]
+            sets = [
+                _delta(aircraft.card.inputs[control].property, delta) for control, delta in moves
+            ]
             yield _event(f"{at:.2f} s, {said}", at - early, sets)
         giving = [_set("ap/engaged", 1), *_heading_for(condition)] if has_autopilot else []
-        yield _event(f"{item.end_s:.2f} s, end of {number}", item.end_s - early, [*giving, _set(MANOEUVRE_PROPERTY, 0)])
+        yield _event(
+            f"{item.end_s:.2f} s, end of {number}",
+            item.end_s - early,
+            [*giving, _set(MANOEUVRE_PROPERTY, 0)],
+        )
 
 
 def _safety_pilot() -> etree._Element:
     """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the point's record ends there."""
     event = etree.Element("event", name="safety pilot", persistent="true")
     condition = etree.SubElement(event, "condition", logic="OR")
-    condition.text = "".join(
-        f"\n        {name} {sign} {value:g}"
-        for name, sign, value in (
-            ("attitude/phi-rad", "gt", MOST_BANK_RAD), ("attitude/phi-rad", "lt", -MOST_BANK_RAD),
-            ("attitude/theta-rad", "gt", MOST_PITCH_RAD), ("attitude/theta-rad", "lt", -MOST_PITCH_RAD),
-            ("nav/altitude-error-m", "lt", -MOST_LOSS_M),
+    condition.text = (
+        "".join(
+            f"\n        {name} {sign} {value:g}"
+            for name, sign, value in (
+                ("attitude/phi-rad", "gt", MOST_BANK_RAD),
+                ("attitude/phi-rad", "lt", -MOST_BANK_RAD),
+                ("attitude/theta-rad", "gt", MOST_PITCH_RAD),
+                ("attitude/theta-rad", "lt", -MOST_PITCH_RAD),
+                ("nav/altitude-error-m", "lt", -MOST_LOSS_M),
+            )
         )
-    ) + "\n      "  # fmt: skip
+        + "\n      "
+    )
     event.extend([_set("ap/engaged", 1), _set(MANOEUVRE_PROPERTY, 0)])
     return event
 
@@ -179,13 +211,19 @@ def _take_over(aircraft: Aircraft) -> Iterator[etree._Element]:
     for card in aircraft.card.inputs.values():
         source = _stands_at(card)
         if source is not None:
-            yield _computed(card.property, f"<sum><property>{source}</property><value>0</value></sum>")
+            yield _computed(
+                card.property, f"<sum><property>{source}</property><value>0</value></sum>"
+            )
     yield _set("ap/engaged", 0)
 
 
 def _stands_at(card: InputCard) -> str | None:
     """Property that says, in the command's own unit, where a control stands."""
-    return card.position if card.position is not None and card.unit in ("deg", "pct", "rad") else card.selected
+    return (
+        card.position
+        if card.position is not None and card.unit in ("deg", "pct", "rad")
+        else card.selected
+    )
 
 
 def _heading_for(condition: Condition) -> Iterator[etree._Element]:

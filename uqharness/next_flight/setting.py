@@ -45,7 +45,9 @@ def aircraft_of(campaign: CampaignMission) -> Aircraft:
     return find_aircraft(campaign.mission.aircraft if own else campaign.mission.source)
 
 
-def flight_of(campaign: CampaignMission, aircraft: Aircraft, form: ModelForm, turbulence: str) -> TestFlight:
+def flight_of(
+    campaign: CampaignMission, aircraft: Aircraft, form: ModelForm, turbulence: str
+) -> TestFlight:
     """The test flight as it is simulated: the mission's script and air of that intensity, recorded at the bounds' rate."""
     held = campaign.spec.start is None and has_autopilot(aircraft)
     begin_s = _ON_AUTOPILOT_S if held else min(float(campaign.spec.aleatory.burn_in_s), _BURN_IN_S)
@@ -62,7 +64,9 @@ def flight_of(campaign: CampaignMission, aircraft: Aircraft, form: ModelForm, tu
     )
 
 
-def missing_in(form: ModelForm, aircraft: Aircraft, coefficient: str, flights: Sequence[Path]) -> list[MissingTerm]:
+def missing_in(
+    form: ModelForm, aircraft: Aircraft, coefficient: str, flights: Sequence[Path]
+) -> list[MissingTerm]:
     """Terms that the flights show to be missing in a coefficient's polynomial. Raises BadInputError."""
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
     residuals = together(residuals_of(aircraft, flights, cutoffs))
@@ -73,7 +77,12 @@ def missing_in(form: ModelForm, aircraft: Aircraft, coefficient: str, flights: S
 
 
 def warnings_of(
-    form: ModelForm, campaign: CampaignMission, flight: TestFlight, bounds: Path | None, flights: Sequence[Path], flown: bool
+    form: ModelForm,
+    campaign: CampaignMission,
+    flight: TestFlight,
+    bounds: Path | None,
+    flights: Sequence[Path],
+    flown: bool,
 ) -> list[str]:
     """What makes the plan less certain than it looks, a sentence each.
 
@@ -88,24 +97,38 @@ def warnings_of(
     """
     aircraft, out = flight.aircraft, []
     if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
-        out.append(f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was")
+        out.append(
+            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+        )
     if not campaign.same_aircraft:
         out.append(
             "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be told, nor whether its table is"
         )
     if campaign.spec.inputs.model_form is None:
-        kind = "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"
-        out.append(f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ with these")
+        kind = (
+            "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"
+        )
+        out.append(
+            f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ with these"
+        )
     elif bounds is not None and bounds.read_bytes() != campaign.spec.inputs.model_form.read_bytes():
-        out.append("the campaign flew other bounds than these: which coefficient wins may differ with these")
+        out.append(
+            "the campaign flew other bounds than these: which coefficient wins may differ with these"
+        )
     known = {f.sha256 for f in form.flights}
     others = [p.name for p in flights if file_sha256(p) not in known]
     if others:
-        out.append(f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter may differ")
+        out.append(
+            f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter may differ"
+        )
     if campaign.failed and flown:
-        out.append(f"{campaign.failed} flights of the campaign failed and do not count for the mission's states")
+        out.append(
+            f"{campaign.failed} flights of the campaign failed and do not count for the mission's states"
+        )
     if not flight.noise:
-        out.append(f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise")
+        out.append(
+            f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise"
+        )
     if not flight.has_autopilot:
         out.append(
             f"aircraft '{aircraft.name}' has none of this project's autopilot: test points are steps added to the commands while "

@@ -13,12 +13,26 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import Cutoffs, Residuals
 from sysid.errors import LogError
 from uqharness.errors import BadInputError
-from uqharness.flight import DEFAULT_TURBULENCE_SOURCE, FlightSpec, recorded_flight, two_seeds, write_record
+from uqharness.flight import (
+    DEFAULT_TURBULENCE_SOURCE,
+    FlightSpec,
+    recorded_flight,
+    two_seeds,
+    write_record,
+)
 from uqharness.next_flight.points import TestPoint
 from uqharness.next_flight.script import AUTOPILOT, MOST_LOSS_M, RECOVERY_S, schedule, script_text
 from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft, SteadyCondition, find_trim, linearise, modes, open_aircraft, read_script
+from uqharness.simulator import (
+    Aircraft,
+    SteadyCondition,
+    find_trim,
+    linearise,
+    modes,
+    open_aircraft,
+    read_script,
+)
 from uqharness.simulator import signals as properties
 
 Array = NDArray[np.float64]
@@ -89,30 +103,50 @@ def unit_times(aircraft: Aircraft, speed_mps: float, altitude_m: float) -> dict[
     except (BadInputError, ArithmeticError, ValueError, np.linalg.LinAlgError):
         pass
     pitch, yaw = (
-        float(f"{min(max(_PEAK / found[m], 0.2), 3.0):.1g}") if found.get(m, 0.0) > 0.0 else _FALLBACK_UNIT_S
+        float(f"{min(max(_PEAK / found[m], 0.2), 3.0):.1g}")
+        if found.get(m, 0.0) > 0.0
+        else _FALLBACK_UNIT_S
         for m in ("short_period", "dutch_roll")
     )
     return {"elevator": pitch, "aileron": yaw, "rudder": yaw, "throttle": round(3.0 * pitch, 1)}
 
 
-def fly_points(flight: TestFlight, points: Sequence[TestPoint], seed: int, path: Path) -> tuple[bool, float, str]:
+def fly_points(
+    flight: TestFlight, points: Sequence[TestPoint], seed: int, path: Path
+) -> tuple[bool, float, str]:
     """Fly the points, write the record; whether it ended well, how long it flew, and why it ended."""
     script = path.with_suffix(".xml")
-    text = script_text(flight.mission, flight.aircraft, points, flight.begin_s, flight.has_autopilot, path.stem, "Test points")
+    text = script_text(
+        flight.mission,
+        flight.aircraft,
+        points,
+        flight.begin_s,
+        flight.has_autopilot,
+        path.stem,
+        "Test points",
+    )
     script.write_bytes(text)
     return fly_script(flight, script, seed, path)
 
 
-def fly_script(flight: TestFlight, script: Path, seed: int, path: Path, duration_s: float | None = None) -> tuple[bool, float, str]:
+def fly_script(
+    flight: TestFlight, script: Path, seed: int, path: Path, duration_s: float | None = None
+) -> tuple[bool, float, str]:
     """The same for a script that is written already, or its first seconds."""
     read = read_script(script)
     turbulence, noise = two_seeds(seed)
     spec = FlightSpec(
-        aircraft=flight.aircraft.folder, script=script, duration_s=duration_s or read.end_s, turbulence=flight.turbulence,
+        aircraft=flight.aircraft.folder,
+        script=script,
+        duration_s=duration_s or read.end_s,
+        turbulence=flight.turbulence,
         turbulence_source=flight.turbulence_source,
-        sensor_noise=flight.noise, seed_turbulence=turbulence, seed_noise=noise, properties=dict(properties.SECOND_ORDER),
+        sensor_noise=flight.noise,
+        seed_turbulence=turbulence,
+        seed_noise=noise,
+        properties=dict(properties.SECOND_ORDER),
         record_rate_hz=flight.rate_hz,
-    )  # fmt: skip
+    )
     record, recorded = recorded_flight(flight.aircraft, read, spec)
     write_record(record, path)
     return recorded.status == "ok", recorded.flown_s, recorded.reason
@@ -127,8 +161,12 @@ def residuals_of(aircraft: Aircraft, paths: Sequence[Path], cutoffs: Cutoffs) ->
 
 
 def try_points(
-    flight: TestFlight, points: Sequence[TestPoint], allowed: Mapping[str, tuple[float, float]], cutoffs: Cutoffs, seed: int
-) -> tuple[list[Trial], list[Refused]]:  # fmt: skip
+    flight: TestFlight,
+    points: Sequence[TestPoint],
+    allowed: Mapping[str, tuple[float, float]],
+    cutoffs: Cutoffs,
+    seed: int,
+) -> tuple[list[Trial], list[Refused]]:
     """Fly every point once, those of a condition in one flight. A point at which a flight ends is refused, the rest flown again.
 
     allowed: state -> smallest and largest value that a point, with its recovery, may reach.
@@ -154,7 +192,9 @@ def try_points(
 
 
 def _judged(
-    path: Path, points: Sequence[tuple[TestPoint, float, float]], allowed: Mapping[str, tuple[float, float]]
+    path: Path,
+    points: Sequence[tuple[TestPoint, float, float]],
+    allowed: Mapping[str, tuple[float, float]],
 ) -> tuple[list[TestPoint], list[Refused]]:
     import pandas as pd
 
@@ -182,7 +222,9 @@ def _judged(
     return good, bad
 
 
-def _measured(aircraft: Aircraft, path: Path, points: Sequence[TestPoint], cutoffs: Cutoffs) -> list[Trial]:
+def _measured(
+    aircraft: Aircraft, path: Path, points: Sequence[TestPoint], cutoffs: Cutoffs
+) -> list[Trial]:
     try:
         (residuals,) = residuals_of(aircraft, [path], cutoffs)
     except LogError as error:

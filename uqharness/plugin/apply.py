@@ -11,7 +11,15 @@ from uqharness.plugin.folder import write
 from uqharness.plugin.instrument import Bounds, Plan, metrics_of, plan
 from uqharness.plugin.mass import MassProperties, mass_insertions
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft, aircraft_facts, check_loadable, copy_beside, copy_folder, engine, find_aircraft
+from uqharness.simulator import (
+    Aircraft,
+    aircraft_facts,
+    check_loadable,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+)
 from uqharness.xml import Insertion, apply, read_document
 
 CHECK_S = 1.0
@@ -58,7 +66,9 @@ def instrument_aircraft(
             facts = aircraft_facts.ask_in_child(aircraft.folder)
         except BadInputError as error:
             if check:
-                raise BadInputError(f"{error}; --no-check instruments it unflown, for a host that knows better") from None
+                raise BadInputError(
+                    f"{error}; --no-check instruments it unflown, for a host that knows better"
+                ) from None
             facts = aircraft_facts.assumed(*metrics_of(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())

@@ -22,7 +22,9 @@ _POSITIVE = {
 }
 
 
-def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool) -> str:
+def card_text(
+    name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool
+) -> str:
     """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
     shown = as_toml(name)[1:-1]
     lines = [
@@ -41,8 +43,17 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
         f"c_m = {facts.c_m!r}",
     ]
     for control, found in facts.controls.items():
-        idle = "" if found.sense else f"{' ' * (45 - len(control) - 9)}# moves nothing in this aircraft"
-        lines += ["", f"[inputs.{control}]{idle}", f'property = "fcs/{control}-cmd-norm"', 'unit = "norm"']
+        idle = (
+            ""
+            if found.sense
+            else f"{' ' * (45 - len(control) - 9)}# moves nothing in this aircraft"
+        )
+        lines += [
+            "",
+            f"[inputs.{control}]{idle}",
+            f'property = "fcs/{control}-cmd-norm"',
+            'unit = "norm"',
+        ]
         lines += [
             f'positive = "{_POSITIVE[control][found.sense < 0]}"',
             f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
@@ -53,11 +64,17 @@ def card_text(name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled
             if throw is None:
                 throw = _ASSUMED_THROW_DEG if found.sense else 1.0
             lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{remark}")
-        lines.append(f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others")
+        lines.append(
+            f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others"
+        )
         if found.position is not None:
             lines.append(f"position = {as_toml(found.position)}")
     if facts.host:
-        lines += ["", "[modes.open_loop]                              # FlightGear's properties are passed on", f'"{SWITCH}" = 1']
+        lines += [
+            "",
+            "[modes.open_loop]                              # FlightGear's properties are passed on",
+            f'"{SWITCH}" = 1',
+        ]
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
     if errors:

@@ -20,11 +20,15 @@ def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
         kind, _, name = place.partition("/")
         if any(f"{folder}/{name}".lstrip("/") in parts.own for folder in INSIDE[kind]):
             continue
-        content = read_xml((aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name)
+        content = read_xml(
+            (aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name
+        )
         shared = root / kind
         found = (shared if shared.is_dir() else stock / kind) / name
         if not (found.is_file() and read_xml(found) == content):
             folders = [folder for folder in INSIDE[kind] if folder]
-            own = next((folder for folder in folders if (aircraft.folder / folder).is_dir()), folders[0])
+            own = next(
+                (folder for folder in folders if (aircraft.folder / folder).is_dir()), folders[0]
+            )
             files[f"{own}/{name}"] = content
     return files

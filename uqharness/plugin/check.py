@@ -36,7 +36,9 @@ _MAY_CHANGE = re.compile(
     r"uq/|forces/(fb[xyz]-(aero|total)-lbs|f[ws][xyz]-aero-lbs|lod-norm|hold-down|load-factor)|"
     r"moments/([lmn]-(aero|total)-lbsft|(roll|pitch|yaw)-(stab|wind)-aero-lbsft)|accelerations/"
 )
-_UNINITIALISED = re.compile(r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c")
+_UNINITIALISED = re.compile(
+    r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c"
+)
 """JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground, FGTurboProp::Eng_Temperature."""
 _AIR_OWNS = re.compile(r"atmosphere/(turb-type|severity|windspeed_at_20ft.*|psiw-rad|wind-mag-fps)")
 _FORCES = tuple(f"forces/fb{axis}-{kind}-lbs" for kind in ("aero", "total") for axis in "xyz")
@@ -74,19 +76,30 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     if not np.isfinite(first[:, [height, speed]]).all():
         return Verdict("fails", "the state does not stay finite")
     if first[:, height].min() <= 0.0:
-        return Verdict("fails", f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s")
+        return Verdict(
+            "fails",
+            f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s",
+        )
     steady = np.all((first == again) | (np.isnan(first) & np.isnan(again)), axis=0)
     if _has_air(instrumented) and not _has_air(untouched):
         steady &= np.array([not _AIR_OWNS.fullmatch(name) for name in names])
     compared = [name for name, good in zip(names, steady, strict=True) if good]
-    same: dict[str, Any] = {"properties": len(compared), "unsteady": len(names) - len(compared), "dt_s": untouched.dt_s}
+    same: dict[str, Any] = {
+        "properties": len(compared),
+        "unsteady": len(names) - len(compared),
+        "dt_s": untouched.dt_s,
+    }
     try:
         idle = _fly(instrumented, steps, compared)[1]
         flown = first[:, steady]
         differs = ~np.all((idle == flown) | (np.isnan(idle) & np.isnan(flown)), axis=0)
         if differs.any():
             changed = [name for name, bad in zip(compared, differs, strict=True) if bad]
-            return Verdict("wrong", f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}", **same)
+            return Verdict(
+                "wrong",
+                f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}",
+                **same,
+            )
         return _switched(instrumented, compared, same)
     except (BadInputError, engine.RuntimeFailure) as error:
         return Verdict("wrong", " ".join(str(error).split()), **same)
@@ -101,7 +114,9 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
     for index, name in enumerate(COEFFICIENTS):
         moved, delta, scales = _frame(aircraft, wanted, name)
         if not delta:
-            return Verdict("wrong", f"uq/{name}/delta stays 0 with uq/active and uq/{name}/active 1", **same)
+            return Verdict(
+                "wrong", f"uq/{name}/delta stays 0 with uq/active and uq/{name}/active 1", **same
+            )
         expected = np.zeros(6)
         expected[index] = delta * scales[index]
         for kind in (0, 1):
@@ -120,13 +135,22 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
                 )
         changed = moved != idle
         changed &= ~(np.isnan(moved) & np.isnan(idle))
-        others = [n for n, bad in zip(wanted, changed, strict=True) if bad and not _MAY_CHANGE.match(n)]
+        others = [
+            n for n, bad in zip(wanted, changed, strict=True) if bad and not _MAY_CHANGE.match(n)
+        ]
         if others:
-            return Verdict("wrong", f"{name} changes {', '.join(others[:5])} in its first frame", worst=worst, **same)
+            return Verdict(
+                "wrong",
+                f"{name} changes {', '.join(others[:5])} in its first frame",
+                worst=worst,
+                **same,
+            )
     return Verdict("works", worst=worst, **same)
 
 
-def _frame(aircraft: Aircraft, names: Sequence[str], coefficient: str | None) -> tuple[NDArray[np.float64], float, list[float]]:
+def _frame(
+    aircraft: Aircraft, names: Sequence[str], coefficient: str | None
+) -> tuple[NDArray[np.float64], float, list[float]]:
     """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta, and force or moment per unit."""
     fdm, step = open_mid_envelope(aircraft)
     for k in range(SWITCHED_AFTER):
@@ -149,7 +173,9 @@ def _frame(aircraft: Aircraft, names: Sequence[str], coefficient: str | None) ->
     return row, delta, [pressure, pressure, pressure, pressure * b, pressure * c, pressure * b]
 
 
-def _fly(aircraft: Aircraft, steps: int, names: Sequence[str] | None) -> tuple[list[str], NDArray[np.float64]]:
+def _fly(
+    aircraft: Aircraft, steps: int, names: Sequence[str] | None
+) -> tuple[list[str], NDArray[np.float64]]:
     """Rows of properties (all that the aircraft has, or ``names``) every SAMPLE_EVERY frames."""
     fdm, step = open_mid_envelope(aircraft)
     wanted = list(names) if names is not None else _readable(fdm)
@@ -162,7 +188,11 @@ def _fly(aircraft: Aircraft, steps: int, names: Sequence[str] | None) -> tuple[l
 
 
 def _has_air(aircraft: Aircraft) -> bool:
-    return bool(engine.open_fdm(staged(aircraft), aircraft.dt_s).get_property_manager().hasNode("air/wind-mps"))
+    return bool(
+        engine.open_fdm(staged(aircraft), aircraft.dt_s)
+        .get_property_manager()
+        .hasNode("air/wind-mps")
+    )
 
 
 def _readable(fdm: Any) -> list[str]:
@@ -175,18 +205,24 @@ def _get(fdm: Any, name: str) -> float:
     return float(fdm.get_property_value(name))
 
 
-def check_in_child(untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0) -> Verdict:
+def check_in_child(
+    untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0
+) -> Verdict:
     """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
     ended = run_module(__name__, untouched, instrumented, repr(duration_s), timeout_s=timeout_s)
     if ended.code is None:
         return Verdict("fails", f"no answer within {timeout_s:g} s")
     if ended.answer:
         return Verdict(**ended.answer)
-    return Verdict("fails", f"the process ended with {ending(ended.code)}: {ended.errors or 'no message'}")
+    return Verdict(
+        "fails", f"the process ended with {ending(ended.code)}: {ended.errors or 'no message'}"
+    )
 
 
 def _main(untouched: str, instrumented: str, duration_s: str) -> None:
-    give_answer(asdict(check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s))))
+    give_answer(
+        asdict(check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s)))
+    )
 
 
 if __name__ == "__main__":

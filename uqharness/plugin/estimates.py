@@ -41,7 +41,9 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
     The copy appears whole or not at all; an existing ``out`` is replaced only if it is an aircraft's folder. Raises BadInputError.
     """
     if out.exists() and not (out / "airframe.toml").is_file() and any(out.iterdir()):
-        raise BadInputError(f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out")
+        raise BadInputError(
+            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out"
+        )
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy)

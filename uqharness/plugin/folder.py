@@ -24,8 +24,15 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     BadInputError.
     """
     in_place = out.exists() and out.resolve() == aircraft.folder
-    if out.exists() and not in_place and not (out / FILE_NAME).is_file() and (not out.is_dir() or any(out.iterdir())):
-        raise BadInputError(f"{out}: exists and is no instrumented aircraft; remove it or choose another --out")
+    if (
+        out.exists()
+        and not in_place
+        and not (out / FILE_NAME).is_file()
+        and (not out.is_dir() or any(out.iterdir()))
+    ):
+        raise BadInputError(
+            f"{out}: exists and is no instrumented aircraft; remove it or choose another --out"
+        )
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
     changes, files = dict(planned.changes), dict(planned.files)
     if not in_place:
@@ -67,10 +74,24 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
             else:
                 _put(path, content)
                 same = changed(None, content).after == change.before
-                done.append((name, "as it was, byte for byte" if same else "without the plugin; other changes since are kept"))
+                done.append(
+                    (
+                        name,
+                        "as it was, byte for byte"
+                        if same
+                        else "without the plugin; other changes since are kept",
+                    )
+                )
         (copy / FILE_NAME).unlink()
-        if out.exists() and out.resolve() != folder.resolve() and not (out / FILE_NAME).is_file() and any(out.iterdir()):
-            raise BadInputError(f"{out}: exists and is no instrumented aircraft; remove it or choose another --out")
+        if (
+            out.exists()
+            and out.resolve() != folder.resolve()
+            and not (out / FILE_NAME).is_file()
+            and any(out.iterdir())
+        ):
+            raise BadInputError(
+                f"{out}: exists and is no instrumented aircraft; remove it or choose another --out"
+            )
         _swap(copy, out, Path(temporary) / "old")
     return done
 

@@ -17,11 +17,24 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import ModelForm
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.plugin.card import ERRORS_SYSTEM, ERRORS_XML, IDLE_SYSTEM, IDLE_XML, card_text, scale_entry
+from uqharness.plugin.card import (
+    ERRORS_SYSTEM,
+    ERRORS_XML,
+    IDLE_SYSTEM,
+    IDLE_XML,
+    card_text,
+    scale_entry,
+)
 from uqharness.plugin.host import HOST_SYSTEM, host_xml
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
 from uqharness.plugin.record import Change, changed
-from uqharness.plugin.scale_functions import SYSTEM_NAME, Scaled, add_scales, coefficient_properties, scale_system
+from uqharness.plugin.scale_functions import (
+    SYSTEM_NAME,
+    Scaled,
+    add_scales,
+    coefficient_properties,
+    scale_system,
+)
 from uqharness.simulator import PROJECT_ROOT, Aircraft, AircraftFacts, content_hash, parse_card
 from uqharness.xml import (
     AeroSection,
@@ -101,9 +114,13 @@ def plan(
     else:
         _refuse_taken(aircraft)
         system = _system_file(aircraft, SYSTEM)
-        known = coefficient_properties([read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))])
+        known = coefficient_properties(
+            [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
+        )
         if known:
-            notes.append(f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are needed")
+            notes.append(
+                f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are needed"
+            )
         else:
             edit, scaled = add_scales(edit, reference)
             if scaled:
@@ -126,7 +143,9 @@ def plan(
             f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files (SHA-256 "
             f"{bounds.form.aircraft.sha256[:12]}...); they mean something only if its aerodynamics are the same"
         )
-    changes = {name: changed(_content(aircraft.folder / name), content) for name, content in files.items()}
+    changes = {
+        name: changed(_content(aircraft.folder / name), content) for name, content in files.items()
+    }
     for document in section.documents:
         if mine := edit.made_in(document):
             name = document.path.relative_to(aircraft.folder).as_posix()
@@ -140,7 +159,12 @@ def plan(
 
 
 def _add_card(
-    aircraft: Aircraft, facts: AircraftFacts, scaled: Sequence[Scaled], edit: SectionEdit, files: dict[str, bytes], notes: list[str]
+    aircraft: Aircraft,
+    facts: AircraftFacts,
+    scaled: Sequence[Scaled],
+    edit: SectionEdit,
+    files: dict[str, bytes],
+    notes: list[str],
 ) -> SectionEdit:
     """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what is to be known in ``notes``."""
     errors = not folder_names(aircraft.folder, "nav/")
@@ -154,8 +178,12 @@ def _add_card(
         files[_system_file(aircraft, HOST_SYSTEM)] = host_xml(facts.host)
         edit = add_system(edit, HOST_SYSTEM)
         read = ", ".join(theirs for theirs, _ in facts.host)
-        notes.append(f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes it on")
-    files["airframe.toml"] = card_text(aircraft.name, aircraft.xml.name, facts, scaled, errors).encode("utf-8")
+        notes.append(
+            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes it on"
+        )
+    files["airframe.toml"] = card_text(
+        aircraft.name, aircraft.xml.name, facts, scaled, errors
+    ).encode("utf-8")
     return edit
 
 
@@ -164,7 +192,9 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
     if bounds.form is not None:
         return model_form_xml(bounds.form, aircraft)
     remark = (
-        "Constant bounds, given by hand." if bounds.constant else "No bounds yet: all are zero. Write some, or instrument again."
+        "Constant bounds, given by hand."
+        if bounds.constant
+        else "No bounds yet: all are zero. Write some, or instrument again."
     )
     return constant_xml(bounds.constant, remark)
 
@@ -172,9 +202,18 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
 def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
     """What the coefficients are multiplied by: JSBSim's metrics, but the card's numbers where it has others."""
     card = aircraft.card.reference
-    wanted = (card.S_m2 and card.S_m2 / FT_M**2, card.b_m and card.b_m / FT_M, card.c_m and card.c_m / FT_M)
+    wanted = (
+        card.S_m2 and card.S_m2 / FT_M**2,
+        card.b_m and card.b_m / FT_M,
+        card.c_m and card.c_m / FT_M,
+    )
     written = read_reference(section)
-    return Reference(*(None if w is None or abs(w - x) <= _SAME * w else w for w, x in zip(wanted, written, strict=True)))
+    return Reference(
+        *(
+            None if w is None or abs(w - x) <= _SAME * w else w
+            for w, x in zip(wanted, written, strict=True)
+        )
+    )
 
 
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
@@ -188,7 +227,9 @@ def _has_plugin(section: AeroSection) -> bool:
     found: dict[str, str] = {}
     for document in section.documents:
         for node in document.root.walk():
-            if node.tag in ("property", "p") and (match := re.fullmatch(r"uq/(C\w)/delta", node.text.strip())):
+            if node.tag in ("property", "p") and (
+                match := re.fullmatch(r"uq/(C\w)/delta", node.text.strip())
+            ):
                 found.setdefault(match.group(1), document.where(node))
     if not found:
         return False
@@ -230,7 +271,11 @@ def _notes(section: AeroSection) -> list[str]:
         f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because a later one replaces it'
         for axis in section.overridden
     ]
-    induced = any("aero/cl-squared" in node.text for document in section.documents for node in document.root.walk())
+    induced = any(
+        "aero/cl-squared" in node.text
+        for document in section.documents
+        for node in document.root.walk()
+    )
     if induced:
         notes.append(
             "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as more lift of any origin does"
@@ -252,7 +297,11 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
         for path in _candidates(aircraft, name):
             if path.is_file() and declaration(read_document(path), "uq/active") is not None:
                 inside = path.is_relative_to(aircraft.folder)
-                return path.relative_to(aircraft.folder).as_posix() if inside else _system_file(aircraft, name)
+                return (
+                    path.relative_to(aircraft.folder).as_posix()
+                    if inside
+                    else _system_file(aircraft, name)
+                )
     raise BadInputError(
         f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no <system> declares uq/active; add "
         f'<system file="{SYSTEM}"/>'
@@ -273,7 +322,9 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
     """Where a new system goes; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
-            raise BadInputError(f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own")
+            raise BadInputError(
+                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
+            )
     return f"Systems/{name}.xml"
 
 
@@ -287,7 +338,9 @@ def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Inse
     try:
         parse_card((raw + text).decode("utf-8"), card)
     except (UnicodeDecodeError, BadInputError):
-        notes.append(f"{card}: the scales could not be added to [parameters]; name them by hand or with --params")
+        notes.append(
+            f"{card}: the scales could not be added to [parameters]; name them by hand or with --params"
+        )
         return None
     return Insertion(len(raw), text)
 
@@ -305,8 +358,22 @@ def _rows(section: AeroSection, had: bool) -> tuple[tuple[str, str, str], ...]:
     for slot, c in enumerate(COEFFICIENTS):
         own = section.axes.get(slot)
         name = axis_name(section, slot)
-        turned = (spread is not None and (slot != 1 or section.force == "wind")) if slot < 3 else section.moment != "body"
-        target = name if not turned else spread if slot < 3 and spread else f"ROLL, PITCH, YAW ({section.moment})"
-        where = own.document.where(own.node) if own else f"{section.document.where(section.node)} (axis made)"
+        turned = (
+            (spread is not None and (slot != 1 or section.force == "wind"))
+            if slot < 3
+            else section.moment != "body"
+        )
+        target = (
+            name
+            if not turned
+            else spread
+            if slot < 3 and spread
+            else f"ROLL, PITCH, YAW ({section.moment})"
+        )
+        where = (
+            own.document.where(own.node)
+            if own
+            else f"{section.document.where(section.node)} (axis made)"
+        )
         out.append((c, target, where))
     return tuple(out)

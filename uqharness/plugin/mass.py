@@ -49,7 +49,9 @@ class MassProperties:
         return {name: float(value) for name, value in values if value is not None}
 
 
-def mass_insertions(aircraft: Aircraft, document: Document, mass: MassProperties) -> tuple[Insertion, ...]:
+def mass_insertions(
+    aircraft: Aircraft, document: Document, mass: MassProperties
+) -> tuple[Insertion, ...]:
     """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass properties. Empty for none.
 
     The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body has, and where a number is not in
@@ -61,10 +63,14 @@ def mass_insertions(aircraft: Aircraft, document: Document, mass: MassProperties
     for name, value in given.items():
         free = name.startswith(("cg", "ixz"))
         if not math.isfinite(value) or not (free or value > 0.0):
-            raise BadInputError(f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed")
+            raise BadInputError(
+                f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed"
+            )
     moments = [given.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
     if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
-        raise BadInputError(f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of the other two")
+        raise BadInputError(
+            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of the other two"
+        )
     wanted = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in given.items()}
     texts = numbers_for(aircraft, wanted)
     return tuple(_edit(document, path, text) for path, text in texts.items())
@@ -78,9 +84,13 @@ def _edit(document: Document, path: str, text: str) -> Insertion:
         node = _child(document, node, step)
     old = node.find(steps[-1])
     if old is None:
-        return append_child(document, node, [f'<{steps[-1]} unit="SLUG*FT2"> {text} </{steps[-1]}>'])
+        return append_child(
+            document, node, [f'<{steps[-1]} unit="SLUG*FT2"> {text} </{steps[-1]}>']
+        )
     raw = document.raw
-    new = raw[old.start : old.open_end] + f" {text} ".encode("ascii") + raw[old.close_start : old.end]
+    new = (
+        raw[old.start : old.open_end] + f" {text} ".encode("ascii") + raw[old.close_start : old.end]
+    )
     return Insertion(old.start, new, raw[old.start : old.end])
 
 
@@ -90,4 +100,6 @@ def _child(document: Document, node: Node, step: str) -> Node:
     for child in node.all(match[1]):
         if match[2] is None or attribute(child, "name") == match[2]:
             return child
-    raise BadInputError(f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be changed")
+    raise BadInputError(
+        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be changed"
+    )

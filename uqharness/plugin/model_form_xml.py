@@ -80,14 +80,21 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
     body = [*_declarations(form)]
     body += [f'<channel name="Bounds" execrate="{every}">']
     for state, name in states.items():
-        body += _indent(_component(f"{name}-free" if clamped else name, _normalise(state, aircraft)))
+        body += _indent(
+            _component(f"{name}-free" if clamped else name, _normalise(state, aircraft))
+        )
         if clamped:
             body += _indent(_held(name, state))
     for group in groups:
         form_of_group = quadratic_form(group.bounds)
         body += _indent(_component(group.leverage, horner(form_of_group, group.names)))
         if clamped:
-            body += _indent(_component(group.free_leverage, horner(form_of_group, [f"{name}-free" for name in group.names])))
+            body += _indent(
+                _component(
+                    group.free_leverage,
+                    horner(form_of_group, [f"{name}-free" for name in group.names]),
+                )
+            )
     body += _indent(_outside(states, groups, clamped))
     for name, bounds in form.coefficients.items():
         group = next(group for group in groups if name in group.coefficients)
@@ -109,7 +116,9 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
     for name in COEFFICIENTS:
         lower, upper = bounds.get(name, (0.0, 0.0))
         if not lower <= 0.0 <= upper:
-            raise BadInputError(f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}")
+            raise BadInputError(
+                f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}"
+            )
         lines += [
             declare(f"uq/{name}/lower", repr(lower)),
             declare(f"uq/{name}/upper", repr(upper)),
@@ -123,7 +132,9 @@ def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
     out: dict[Powers, list[float]] = {}
     for i, a in enumerate(bounds.terms):
         for j, b in enumerate(bounds.terms):
-            out.setdefault(tuple(m + n for m, n in zip(a, b, strict=True)), []).append(float(bounds.XtX_inv[i, j]))
+            out.setdefault(tuple(m + n for m, n in zip(a, b, strict=True)), []).append(
+                float(bounds.XtX_inv[i, j])
+            )
     return {powers: math.fsum(parts) for powers, parts in out.items()}
 
 
@@ -132,7 +143,12 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
     shared: dict[tuple[object, ...], list[str]] = {}
     for name, bounds in form.coefficients.items():
         arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
-        key = (bounds.states, bounds.terms, bounds.hull.leverage, *(array.tobytes() for array in arrays))
+        key = (
+            bounds.states,
+            bounds.terms,
+            bounds.hull.leverage,
+            *(array.tobytes() for array in arrays),
+        )
         shared.setdefault(key, []).append(name)
     groups = []
     for members in shared.values():
@@ -170,7 +186,9 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
         if card.unit in _TO_DEGREES or card.throw_deg is not None:
             throw = card.throw_deg if card.unit == "norm" and card.throw_deg is not None else 1.0
             return card.selected or card.property, _TO_DEGREES.get(card.unit, throw)
-    known = "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
+    known = (
+        "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
+    )
     raise BadInputError(
         f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; say in airframe.toml how to "
         "read it, or make the bounds from other states"
@@ -202,12 +220,20 @@ def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: b
     for state, name in states.items():
         low, high = _edges(state)
         z = prop(f"{name}-free" if clamped else name)
-        beyond = call("difference", call("abs", call("difference", z, value(0.5 * (low + high)))), value(0.5 * (high - low)))
+        beyond = call(
+            "difference",
+            call("abs", call("difference", z, value(0.5 * (low + high)))),
+            value(0.5 * (high - low)),
+        )
         # In widths of the box; a state that stood still in the data has none, and its own unit serves.
         width = high - low if high > low else 1.0 / state.scale
         excesses.append(call("product", beyond, value(1.0 / width)))
     for group in groups:
-        share = call("quotient", prop(group.free_leverage if clamped else group.leverage), value(group.bounds.hull.leverage))
+        share = call(
+            "quotient",
+            prop(group.free_leverage if clamped else group.leverage),
+            value(group.bounds.hull.leverage),
+        )
         excesses.append(call("difference", call("sqrt", share), value(1.0)))
     far = prop("uq/beyond-edge")
     return [
@@ -228,7 +254,9 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
     return [
         *_component(y, horner(beta, group.names)),  # (2.17)
         *_component(half, call("sqrt", root)),
-        *_component(f"uq/{name}/lower", call("min", call("difference", prop(y), prop(half)), value(0.0))),
+        *_component(
+            f"uq/{name}/lower", call("min", call("difference", prop(y), prop(half)), value(0.0))
+        ),
         *_component(f"uq/{name}/upper", call("max", call("sum", prop(y), prop(half)), value(0.0))),
     ]
 
@@ -237,7 +265,10 @@ def _declarations(form: ModelForm) -> list[str]:
     lines = [declare("uq/active", "0")]
     for name in COEFFICIENTS:
         if name not in form.coefficients:
-            lines += [declare(f"uq/{name}/lower", "0", f"no bounds were made for {name}"), declare(f"uq/{name}/upper", "0")]
+            lines += [
+                declare(f"uq/{name}/lower", "0", f"no bounds were made for {name}"),
+                declare(f"uq/{name}/upper", "0"),
+            ]
         parts = form.coefficients[name].parts if name in form.coefficients else None
         lines += _levels(name, 0.0 if parts is None else parts.transient_half_width)
     return lines
@@ -257,9 +288,16 @@ def _deltas() -> list[str]:
     for name in COEFFICIENTS:
         lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
         persistent = call("product", prop(f"uq/{name}/level"), call("difference", upper, lower))
-        transient = call("product", prop(f"uq/{name}/transient"), prop(f"uq/{name}/transient-level"))
+        transient = call(
+            "product", prop(f"uq/{name}/transient"), prop(f"uq/{name}/transient-level")
+        )
         whole = call("sum", lower, persistent, transient)
-        lines += _indent(_component(f"uq/{name}/delta", call("product", prop("uq/active"), prop(f"uq/{name}/active"), whole)))
+        lines += _indent(
+            _component(
+                f"uq/{name}/delta",
+                call("product", prop("uq/active"), prop(f"uq/{name}/active"), whole),
+            )
+        )
     return [*lines, "</channel>"]
 
 
@@ -295,7 +333,11 @@ _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between b
 
 def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
     flights = ", ".join(f"{f.name} ({f.seconds:.0f} s)" for f in form.flights) or "none named"
-    growth = "grow with the polynomial (published form)" if form.outside == "grow" else "stay as at the edge"
+    growth = (
+        "grow with the polynomial (published form)"
+        if form.outside == "grow"
+        else "stay as at the edge"
+    )
     rate = 1.0 / (every * aircraft.dt_s)
     parted = any(bounds.parts is not None for bounds in form.coefficients.values())
     half = "t sqrt(persistent^2 + s2 f leverage)" if parted else "t sqrt(s2 (1 + f leverage))"

@@ -51,7 +51,10 @@ def to_json(changes: Mapping[str, Change]) -> bytes:
     for name, change in sorted(changes.items()):
         row: dict[str, Any] = {"before": change.before, "after": change.after}
         if change.edited:
-            row["insertions"] = [[i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")] for i in change.insertions]
+            row["insertions"] = [
+                [i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")]
+                for i in change.insertions
+            ]
         elif change.content is not None:
             row["content"] = base64.b64encode(change.content).decode("ascii")
         files[name] = row
@@ -64,10 +67,14 @@ def read_record(folder: Path) -> dict[str, Change]:
     try:
         document = parse_json(read_regular(path))
         if document["format"] != FORMAT:
-            raise BadInputError(f"{path}: format is {str(document['format'])[:80]!r}; '{FORMAT}' is read")
+            raise BadInputError(
+                f"{path}: format is {str(document['format'])[:80]!r}; '{FORMAT}' is read"
+            )
         return {_inside(name): _change(row) for name, row in document["files"].items()}
     except FileNotFoundError:
-        raise BadInputError(f"{folder}: no {FILE_NAME}, so nothing here was instrumented by uqharness") from None
+        raise BadInputError(
+            f"{folder}: no {FILE_NAME}, so nothing here was instrumented by uqharness"
+        ) from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
@@ -87,11 +94,14 @@ def _inside(name: str) -> str:
 
 def _change(row: Mapping[str, Any]) -> Change:
     insertions = tuple(
-        Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1")) for at, text, removed in row.get("insertions", ())
+        Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1"))
+        for at, text, removed in row.get("insertions", ())
     )
     content = row.get("content")
     before, after = row["before"], row["after"]
-    if not (isinstance(before, str) and isinstance(after, str)) or any(i.at < 0 for i in insertions):
+    if not (isinstance(before, str) and isinstance(after, str)) or any(
+        i.at < 0 for i in insertions
+    ):
         raise ValueError("a hash is no text, or an insertion lies before its file")
     return Change(before, after, insertions, None if content is None else base64.b64decode(content))
 
@@ -125,5 +135,7 @@ def _exactly(path: Path, change: Change, now: bytes) -> bytes:
         shift += len(insertion.text) - len(insertion.removed)
     out = b"".join([*pieces, now[position:]])
     if sha256_hex(out) != change.before:
-        raise BadInputError(f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand")
+        raise BadInputError(
+            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand"
+        )
     return out

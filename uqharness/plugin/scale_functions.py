@@ -48,7 +48,12 @@ class Scaled:
 
 def coefficient_properties(documents: list[Document]) -> list[str]:
     """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and needs no scales."""
-    return [name for document in documents for name, _ in declarations(document) if COEFFICIENT_PROPERTY.fullmatch(name)]
+    return [
+        name
+        for document in documents
+        for name, _ in declarations(document)
+        if COEFFICIENT_PROPERTY.fullmatch(name)
+    ]
 
 
 def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
@@ -59,18 +64,29 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
     done = []
     for _, axis in sorted(section.axes.items()):
         for at_cg in (False, True):
-            nodes = [node for node in axis.functions if (attribute(node, "apply_at_cg") == "true") is at_cg]
+            nodes = [
+                node
+                for node in axis.functions
+                if (attribute(node, "apply_at_cg") == "true") is at_cg
+            ]
             if not nodes:
                 continue
             rows = [
                 Scaled(
-                    axis.name, named[id(node)], str(axis.document.path.relative_to(section.folder)), node.line,
-                    f"uq/scale/{short[id(node)]}", f"uq/bias/{short[id(node)]}",
+                    axis.name,
+                    named[id(node)],
+                    str(axis.document.path.relative_to(section.folder)),
+                    node.line,
+                    f"uq/scale/{short[id(node)]}",
+                    f"uq/bias/{short[id(node)]}",
                 )
                 for node in nodes
-            ]  # fmt: skip
+            ]
             done += rows
-            edit = edit.plus(axis.document, append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference)))
+            edit = edit.plus(
+                axis.document,
+                append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference)),
+            )
     return edit, done
 
 
@@ -96,8 +112,17 @@ def scale_system(rows: list[Scaled]) -> bytes:
 def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:
     slot = SLOT[axis.name]
     lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
-    scaled = [call("product", call("difference", prop(row.scale), value(1, "g")), prop(row.function)) for row in rows]
-    biases = call("product", prop("aero/qbar-psf"), reference.area, *lengths, call("sum", *(prop(row.bias) for row in rows)))
+    scaled = [
+        call("product", call("difference", prop(row.scale), value(1, "g")), prop(row.function))
+        for row in rows
+    ]
+    biases = call(
+        "product",
+        prop("aero/qbar-psf"),
+        reference.area,
+        *lengths,
+        call("sum", *(prop(row.bias) for row in rows)),
+    )
     name = f"uq/scaled/{axis.name}{'-at-cg' if at_cg else ''}"
     return function_lines(name, "sum", [term.line() for term in (*scaled, biases)], at_cg)
 
@@ -110,7 +135,10 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
             name = attribute(node, "name")
             if not name:
                 name = f"uq/own/{axis.name}-{k}"
-                edit = edit.plus(axis.document, Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")))
+                edit = edit.plus(
+                    axis.document,
+                    Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")),
+                )
             # JSBSim turns white space within a name into hyphens (FGPropertyManager::mkPropertyName).
             names[id(node)] = re.sub(r"\s", "-", name)
     return names, edit
@@ -118,7 +146,9 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
 
 def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
     """The last part of each function's name where that is enough to distinguish them, else all of it with hyphens."""
-    nodes: list[tuple[Axis, Node]] = [(axis, node) for axis in section.axes.values() for node in axis.functions]
+    nodes: list[tuple[Axis, Node]] = [
+        (axis, node) for axis in section.axes.values() for node in axis.functions
+    ]
     count = Counter(_leaf(named[id(node)]) for _, node in nodes)
     out = {}
     for axis, node in nodes:

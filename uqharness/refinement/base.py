@@ -35,9 +35,13 @@ Base = tuple[Fit, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float6
 
 
 def base_fit_and_noise(
-    aircraft: Aircraft, bench: Bench, setup: Setup, names: tuple[str, ...], limits: Mapping[str, tuple[float, float]],
+    aircraft: Aircraft,
+    bench: Bench,
+    setup: Setup,
+    names: tuple[str, ...],
+    limits: Mapping[str, tuple[float, float]],
     map_: Processes,
-) -> Base:  # fmt: skip
+) -> Base:
     """The fit of the model as it is. What the flights do not excite stays where it is. What a model that lacks something drives to
     a bound begins where it was and is free beside effects, but for flights with an autopilot's estimates, where it stays. The
     noise of channels which the estimator computed is what the fit leaves of them, for no card knows an estimator's error."""
@@ -46,9 +50,13 @@ def base_fit_and_noise(
     current = np.array([fdm[n] for n in names])
     del fdm
     bounds = [limits[n] for n in names]
-    near, notes = equation_error_start(bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds)
+    near, notes = equation_error_start(
+        bench.model, bench.straight, setup.flights, setup.segments, names, current, bounds
+    )
     noise = dict(zip(setup.outputs, setup.noise.tolist(), strict=True))
-    seen, _ = excited_alone(bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False)
+    seen, _ = excited_alone(
+        bench.model, observed(setup), names, current, bounds, noise, spread_over(map_), choose=False
+    )
     found = fit_replays(bench.model, seen, names, (near, current), bounds, spread_over(map_))
     kept, excited = (tuple(n for n in names if n not in out) for out in (found.lost, seen.held))
     found.replay.forget()
@@ -91,4 +99,8 @@ def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
     """A note about parameters that are asked for and not among the ``names`` estimated, if there are any."""
     rest = [n for n in asked if n not in names]
-    return [f"not excited or not determined by these flights and left as they are: {', '.join(rest)}"] if rest else []
+    return (
+        [f"not excited or not determined by these flights and left as they are: {', '.join(rest)}"]
+        if rest
+        else []
+    )

@@ -57,7 +57,14 @@ from uqharness.refinement.rounds import eligible, resolved
 from uqharness.refinement.search import Say, Searched, search
 from uqharness.refinement.setup import candidates_for, column_evidence
 from uqharness.refinement.stages import Stages
-from uqharness.refinement.timing import CONTROLS_LATE, LEAST_LATE_ROWS, MOST_CORRECTIONS, controls_late, later, words
+from uqharness.refinement.timing import (
+    CONTROLS_LATE,
+    LEAST_LATE_ROWS,
+    MOST_CORRECTIONS,
+    controls_late,
+    later,
+    words,
+)
 from uqharness.refinement.types import Bent
 from uqharness.refinement.writing.slopes import of_lift_slope
 from uqharness.simulator import Aircraft
@@ -123,9 +130,15 @@ class Found:
 
 
 def find_effects(
-    aircraft: Aircraft, setup: Setup, extra: Sequence[Effect], work: Path, map_: Processes, say: Say, keep: Stages,
+    aircraft: Aircraft,
+    setup: Setup,
+    extra: Sequence[Effect],
+    work: Path,
+    map_: Processes,
+    say: Say,
+    keep: Stages,
     put_right: tuple[float, ...] = (),
-) -> Found:  # fmt: skip
+) -> Found:
     """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep:
     what an earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
@@ -135,25 +148,36 @@ def find_effects(
         )
     recorded, command_s = setup, setup.segments[0].command_s
     if put_right:
-        setup = make_setup(aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal)
-    limits = {n: (c.bounds if c.bounds is not None else (-np.inf, np.inf)) for n, c in aircraft.card.parameters.items()}
+        setup = make_setup(
+            aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal
+        )
+    limits = {
+        n: (c.bounds if c.bounds is not None else (-np.inf, np.inf))
+        for n, c in aircraft.card.parameters.items()
+    }
     gusts = None
     with Bench(aircraft, setup) as bench:
         say("re-identifying the parameters")
         asked, again = names, len(put_right) or ""
         setup = given = with_jumps(setup, bench.model)
         before, names, excited, notes, noise = keep(
-            f"parameters{again}", Base, lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_)
+            f"parameters{again}",
+            Base,
+            lambda: base_fit_and_noise(aircraft, bench, given, asked, limits, map_),
         )
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, asked, extra)
         if turbulent(setup, before.flown):
-            say(f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects")
+            say(
+                f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects"
+            )
             gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
             air = keep(
                 f"air{again}",
                 GustFit,
-                lambda: gust_refit(bench.model, bench.straight, gusty, at, excited, limits, map_, tune=True),
+                lambda: gust_refit(
+                    bench.model, bench.straight, gusty, at, excited, limits, map_, tune=True
+                ),
             )
             if air.gusts.air:
                 setup, before, gusts, names = air.setup, air.fit, air.gusts, excited
@@ -170,15 +194,34 @@ def find_effects(
     late = _of_the_clock(setup, before, evidence, effects, slips, least_t) if timed else None
     if late is not None:
         say(f"all controls act {1e3 * late[0]:.1f} ms after their rows; putting the records right")
-        found = find_effects(aircraft, recorded, extra, work, map_, say, keep, (*put_right, late[0]))
+        found = find_effects(
+            aircraft, recorded, extra, work, map_, say, keep, (*put_right, late[0])
+        )
         if not put_right:
-            found = replace(found, notes=(words(found.controls_late_s, late[1], command_s), *found.notes))
+            found = replace(
+                found, notes=(words(found.controls_late_s, late[1], command_s), *found.notes)
+            )
         return found
     free = before.columns[0].names
     open_ = list(eligible(effects, setup, free, evidence))
-    limit = chance_limit(evidence, free, open_) if gusts is None else max(threshold(len(open_)), least_t)
+    limit = (
+        chance_limit(evidence, free, open_)
+        if gusts is None
+        else max(threshold(len(open_)), least_t)
+    )
     merit = before.flown.cost if gusts is None else air.surprise
-    start = Start(aircraft, setup, before, names, {e.key: e for e in effects}, limits, limit, map_, merit, gusts)
+    start = Start(
+        aircraft,
+        setup,
+        before,
+        names,
+        {e.key: e for e in effects},
+        limits,
+        limit,
+        map_,
+        merit,
+        gusts,
+    )
     searched = search(start, evidence, work, say)
     found = _found(start, searched, evidence)
     board = score_table(evidence, free, [e for e in effects if e.key in open_])
@@ -193,9 +236,13 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         known = as_known_here(resolved(start, best), best)
         selection = with_resolution(known, start.effects, best.setup.segments[0].dt_s)
     else:
-        selection = replace(best.again, chosen=(), refused=_not_borne_out(start, best.again) or best.again.refused)
+        selection = replace(
+            best.again, chosen=(), refused=_not_borne_out(start, best.again) or best.again.refused
+        )
     # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
-    parameters = in_one_step(best.evidence, start.names, best.fit, [*selection.values], moved=gusty or bool(best.held))
+    parameters = in_one_step(
+        best.evidence, start.names, best.fit, [*selection.values], moved=gusty or bool(best.held)
+    )
     selection, slopes = of_lift_slope(selection, start.before, best.fit)
     open_ = eligible([*start.effects.values()], start.setup, best.free, best.evidence)
     plain = in_one_step(evidence, start.names, start.before, (), moved=gusty)
@@ -205,11 +252,22 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         notes = (*notes, IN_TURBULENCE.format(gain, gusts.words))
         trail = tuple(f"one-step predictions: {line}" for line in trail)
     return Found(
-        best.setup, start.names, start.before, best.fit, selection, start.effects, parameters, notes,
-        {n: value for n, (value, _) in plain.items()}, gusts,
-        limit=start.limit, trail=trail, slopes=slopes, flown=best.flown,
+        best.setup,
+        start.names,
+        start.before,
+        best.fit,
+        selection,
+        start.effects,
+        parameters,
+        notes,
+        {n: value for n, (value, _) in plain.items()},
+        gusts,
+        limit=start.limit,
+        trail=trail,
+        slopes=slopes,
+        flown=best.flown,
         left=left_beside(best.evidence, start.free, [*selection.values], open_),
-    )  # fmt: skip
+    )
 
 
 def slips_s(command_s: float, first: bool) -> tuple[float, float]:
@@ -221,7 +279,12 @@ def slips_s(command_s: float, first: bool) -> tuple[float, float]:
 
 
 def _of_the_clock(
-    setup: Setup, before: Fit, evidence: Evidence, effects: Sequence[Effect], slips: tuple[float, float], least_t: float
+    setup: Setup,
+    before: Fit,
+    evidence: Evidence,
+    effects: Sequence[Effect],
+    slips: tuple[float, float],
+    least_t: float,
 ) -> tuple[float, float] | None:
     """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
     slips: `slips_s`; least_t: |t| asked at least."""
@@ -241,7 +304,9 @@ def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
     strong = abs(c.t) > (start.limit + DIFFERENT if start.gusts is None else OVERWHELMING)
     if start.gusts is not None and not strong:
         return None
-    return Refusal(c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", strong)
+    return Refusal(
+        c.key, c.t, c.gain, "flown in the simulation it does not lower the error by as much", strong
+    )
 
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
@@ -275,23 +340,34 @@ def left_beside(
     return tuple((rest[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
 
 
-def score_table(evidence: Evidence, free: Sequence[str], effects: Sequence[Effect]) -> tuple[tuple[str, float], ...]:
+def score_table(
+    evidence: Evidence, free: Sequence[str], effects: Sequence[Effect]
+) -> tuple[tuple[str, float], ...]:
     """The twelve candidates with the largest gain, alone beside the parameters: (name, t)."""
     found = scores(evidence, free, [e.key for e in effects])
     order = np.argsort(-np.nan_to_num(found.gain, nan=-1.0))[:12]
-    return tuple((f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(found.t[i])) for i in order)
+    return tuple(
+        (f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(found.t[i]))
+        for i in order
+    )
 
 
-def remark(choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float) -> str:
+def remark(
+    choice: Choice, effect: Effect, flights: Sequence[str], command: str, limit: float
+) -> str:
     """What stands beside the number in the XML; limit: |t| above which it was chosen."""
     low, high = chosen_interval(choice, limit)
     said = f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}"
     return f"{said}; {command}" if command else said
 
 
-def estimates_of(found: Found, flights: Sequence[str], initial: Mapping[str, float]) -> dict[str, Estimate]:
+def estimates_of(
+    found: Found, flights: Sequence[str], initial: Mapping[str, float]
+) -> dict[str, Estimate]:
     """New numbers of the re-identified parameters with their remarks."""
     return {
-        n: Estimate(value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}")
+        n: Estimate(
+            value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}"
+        )
         for n, (value, std) in found.parameters.items()
     }

@@ -43,7 +43,9 @@ class Both:
     def t(self, key: str, beside: Sequence[str]) -> float:
         """t of an effect beside others, everything estimated on all flights, corrected as that of the train flights is."""
         names = [*self.found.names, *beside]
-        sides = [shared(e, names, at) for e, at in zip((self.train, self.test), self.at, strict=True)]
+        sides = [
+            shared(e, names, at) for e, at in zip((self.train, self.test), self.at, strict=True)
+        ]
         G, h = (np.sum(parts, axis=0) for parts in zip(*sides, strict=True))
         k, unit = names.index(key), np.eye(len(names))
         value, variance = solve(G, h[:, None])[k, 0], solve(G, unit)[k, k]
@@ -64,26 +66,43 @@ class Both:
 
 def linearised(
     found: Found, aircraft: Aircraft, side: Side, setup: Setup, flown: Flown, map_: Processes
-) -> tuple[Setup, Fit]:  # fmt: skip
+) -> tuple[Setup, Fit]:
     """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
     point = replace(flown.point, values=values, effects=found.selection.values)
     with Bench(aircraft, setup) as bench:
         setup = with_jumps(with_sensors_of(setup, aircraft), bench.model)
         if side.air is None:
-            fit = fit_at(bench.model, bench.straight, setup, found.names, replace(flown, point=point), map_)
+            fit = fit_at(
+                bench.model, bench.straight, setup, found.names, replace(flown, point=point), map_
+            )
             return setup, fit
-        fitted = gust_refit(bench.model, bench.straight, setup, point, found.names, {}, map_, side.air, 1, known=True)
+        fitted = gust_refit(
+            bench.model,
+            bench.straight,
+            setup,
+            point,
+            found.names,
+            {},
+            map_,
+            side.air,
+            1,
+            known=True,
+        )
         return fitted.setup, fitted.fit
 
 
-def both_sides(found: Found, train: Evidence, aircraft: Aircraft, side: Side, shown: Shown, map_: Processes) -> Both:
+def both_sides(
+    found: Found, train: Evidence, aircraft: Aircraft, side: Side, shown: Shown, map_: Processes
+) -> Both:
     """train: evidence of the train flights about no effect; aircraft: with every effect of ``found``, which flew the hold-out
     flights as ``shown``."""
     chosen = found.selection.values
     effects = [found.effects[key] for key in chosen]
     setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
-    test = column_evidence(setup, fit, effect_columns(setup, fit.probes, fit.flown, effects), side.air)
+    test = column_evidence(
+        setup, fit, effect_columns(setup, fit.probes, fit.flown, effects), side.air
+    )
     zero = dict.fromkeys(chosen, 0.0)
     before = {n: found.after.flown.point.values[n] for n in found.names}
     after = {n: v for n, (v, _) in found.parameters.items()}

@@ -15,7 +15,14 @@ import numpy as np
 
 from sysid.effects import FAR, Choice, Columns, Evidence, corrected_each
 from sysid.parallel import Processes
-from uqharness.identification.linearised import Point, Setup, effect_columns, in_dynamics, in_one_step, merged
+from uqharness.identification.linearised import (
+    Point,
+    Setup,
+    effect_columns,
+    in_dynamics,
+    in_one_step,
+    merged,
+)
 from uqharness.refinement.find import Found, with_resolution
 from uqharness.refinement.hold_out import Both, both_sides
 from uqharness.refinement.setup import column_evidence
@@ -69,7 +76,13 @@ class Verdict:
             return "too far"
         # Both sides' evidence together must still be what is asked of an effect.
         against = self.change < 0.0 and self.beyond < 0.0
-        return "shrank" if self.z > BEYOND_CHANCE else "grew" if against or self.z < -BEYOND_CHANCE else CANNOT_TELL
+        return (
+            "shrank"
+            if self.z > BEYOND_CHANCE
+            else "grew"
+            if against or self.z < -BEYOND_CHANCE
+            else CANNOT_TELL
+        )
 
 
 @dataclass(frozen=True)
@@ -88,7 +101,9 @@ class Judged:
     sides: tuple[Side, Side]
 
 
-def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes) -> Judged:
+def judge(
+    found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes
+) -> Judged:
     """Fly both sides before and after; withdraw effects one by one, the one that harms most first. whole: the aircraft with every
     effect of ``found``; write: one of a model's own."""
 
@@ -145,7 +160,9 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
             worst = min(unseen, key=lambda k: now[k].z)
         gone.append(next(c for c in found.selection.chosen if c.key == worst))
         standing, after = without[worst]
-    settled = fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
+    settled = (
+        fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
+    )
 
     def both_ways(side: Side, plain: Shown, with_: Shown) -> tuple[Setup, Shown, Shown]:
         first = shown(bare(found), side, plain)
@@ -155,17 +172,30 @@ def judge(found: Found, whole: Aircraft, write: Write, train: Side, test: Side, 
     return Judged(standing, tuple(gone), verdicts, on_train, on_test, (train, test))
 
 
-def surer(verdict: Verdict, both: Both, without: Shown, after: Shown, keys: Sequence[str], key: str | None = None) -> Verdict:
+def surer(
+    verdict: Verdict,
+    both: Both,
+    without: Shown,
+    after: Shown,
+    keys: Sequence[str],
+    key: str | None = None,
+) -> Verdict:
     """The verdict, of one effect by key or of all, with the errors of what the train flights estimated in its standard error and,
     of one, all flights' t in what both sides say. keys: of the effects that ``after`` has."""
     apart = [a - b for a, b in zip(without.white, after.white, strict=True)]
     # The effect's own error is in both terms of the change, and to the first order in neither.
     rest = [k for k in keys if key is not None and k != key]
     std = float(np.hypot(verdict.std, np.sqrt(both.variance(apart, rest))))
-    return replace(verdict, std=std, beyond=np.inf if key is None else both.t(key, keys) ** 2 - both.found.limit**2)
+    return replace(
+        verdict,
+        std=std,
+        beyond=np.inf if key is None else both.t(key, keys) ** 2 - both.found.limit**2,
+    )
 
 
-def flown_as(model: Found, found: Found, whole: Aircraft, write: Write) -> tuple[Aircraft, dict[str, float]]:
+def flown_as(
+    model: Found, found: Found, whole: Aircraft, write: Write
+) -> tuple[Aircraft, dict[str, float]]:
     """The aircraft with every effect of ``found``, and properties with which it flies as ``model``: each XML of its own would be
     compiled anew. One that is written where a number of the model stands in the XML alone."""
     values = property_values(model, found)
@@ -188,11 +218,15 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
     return values
 
 
-def written_at(found: Found, values: Mapping[str, float] | None = None, near: Point | None = None) -> Point:
+def written_at(
+    found: Found, values: Mapping[str, float] | None = None, near: Point | None = None
+) -> Point:
     """The point of an aircraft that was written as ``found``, but for properties of other ``values``: its sensors' effects, and
     nuisance and start states of another model's point in the same flights."""
     nuisance, starts = ({}, ()) if near is None else (near.nuisance, near.starts)
-    sensed = {k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])}
+    sensed = {
+        k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])
+    }
     return Point(values or {}, nuisance, starts, sensed)
 
 
@@ -202,7 +236,9 @@ def bare(found: Found) -> Found:
     return replace(found, parameters=parameters, selection=replace(found.selection, chosen=()))
 
 
-def gap_change(without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf) -> Verdict:
+def gap_change(
+    without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf
+) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
     With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
@@ -251,7 +287,10 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     free = [n for n in evidence.names if n not in effects]
     rest = [c.key for c in kept]
     now = corrected_each(evidence, [*free, *rest], rest)
-    chosen = [replace(c, value=value, std=std, t=value / std) for c, (value, std, _) in zip(kept, now.values(), strict=True)]
+    chosen = [
+        replace(c, value=value, std=std, t=value / std)
+        for c, (value, std, _) in zip(kept, now.values(), strict=True)
+    ]
     estimated = replace(found.selection, chosen=tuple(chosen))
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s)
     parameters = in_one_step(evidence, found.names, found.after, [*selection.values])

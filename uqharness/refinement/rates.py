@@ -41,9 +41,16 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
         inputs: dict[str, tuple[int, Array]] = {}
         for surface, servo in setup.servos.items():
             k = CONTROLS.index(surface)
-            moved = {_key(surface, x): surface_change("rate_limit", servo, segment, k, (servo.rate, x)) for x in tried[surface]}
-            moved |= {_zone(surface, width): in_dead_zone(p.controls[:, k], width) for width in WIDTHS_DEG}
-            inputs |= {name: (-1, p.by_control[:, :, k] * by[:, None]) for name, by in moved.items()}
+            moved = {
+                _key(surface, x): surface_change("rate_limit", servo, segment, k, (servo.rate, x))
+                for x in tried[surface]
+            }
+            moved |= {
+                _zone(surface, width): in_dead_zone(p.controls[:, k], width) for width in WIDTHS_DEG
+            }
+            inputs |= {
+                name: (-1, p.by_control[:, :, k] * by[:, None]) for name, by in moved.items()
+            }
         columns.append(Columns(tuple(inputs), inputs, {}))
     evidence, free = column_evidence(setup, fit, columns, gusts), fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
@@ -56,7 +63,9 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
         speeds = np.array(tried[surface])
         wanted = found.estimate / (1.0 / speeds - 1.0 / servo.rate)
         strength = np.where(wanted > 0.0, np.abs(found.t), 0.0)
-        side = max((speeds < servo.rate, speeds > servo.rate), key=lambda s: strength[s].max(initial=0.0))
+        side = max(
+            (speeds < servo.rate, speeds > servo.rate), key=lambda s: strength[s].max(initial=0.0)
+        )
         best = just_so(speeds[side], wanted[side], found.t[side])
         if best is not None:
             limits[surface] = (servo.rate, best)
@@ -67,9 +76,15 @@ def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
     """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its own, up to the fastest motion
     without a limit, rising."""
     fastest, free = (_fastest(setup, surface, s) for s in (servo, replace(servo, rate=np.inf)))
-    slower = [limit for share in SHARES if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate]
+    slower = [
+        limit for share in SHARES if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate
+    ]
     # A quarter of the way and so on, in travel time per degree; at the end the limit does nothing any more.
-    faster = [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER] if free > servo.rate / NEAR else []
+    faster = (
+        [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER]
+        if free > servo.rate / NEAR
+        else []
+    )
     return [*slower, *faster]
 
 
@@ -93,7 +108,9 @@ def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
     limit, share, t = limit[fine], np.log(wanted[fine]), t[fine]
     for k in range(len(limit) - 1):
         if share[k] >= 0.0 > share[k + 1]:
-            return float(limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1]))
+            return float(
+                limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1])
+            )
     return float(limit[int(np.argmax(np.abs(t)))])
 
 
@@ -101,7 +118,12 @@ def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
     """Fastest motion of a surface [deg/s], from row to row."""
     k = CONTROLS.index(surface)
     return max(
-        float(np.abs(np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))).max(initial=0.0)) / s.dt_s
+        float(
+            np.abs(
+                np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))
+            ).max(initial=0.0)
+        )
+        / s.dt_s
         for s in (segment.at_commands() for segment in setup.segments)
     )
 

@@ -50,7 +50,9 @@ class Start:
         """Gain asked of an effect besides: its own odds, and those of what a gust model that is a little off would look like."""
         if self.gusts is None:
             return effect.odds
-        gust_like = like_turning_air(effect) or (effect.subsystem or "").startswith(("sensor.", "actuator.", "mass"))
+        gust_like = like_turning_air(effect) or (effect.subsystem or "").startswith(
+            ("sensor.", "actuator.", "mass")
+        )
         return effect.odds + GUST_ODDS * gust_like
 
 
@@ -92,7 +94,11 @@ class Round:
 
     def _off(self, most: float) -> dict[str, float]:
         chosen = [c for c in self.selection.chosen if c.key in self.held]
-        return {c.key: self.held[c.key] for c in chosen if abs(c.value - self.held[c.key]) > most * c.std}
+        return {
+            c.key: self.held[c.key]
+            for c in chosen
+            if abs(c.value - self.held[c.key]) > most * c.std
+        }
 
     @property
     def keys(self) -> frozenset[str]:
@@ -108,10 +114,17 @@ class Round:
 def joint_point(start: Start, about: Round, keys: Sequence[str]) -> Point:
     """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet, and
     other properties as they were without any."""
-    evidence, point, plain, free = about.evidence, about.fit.flown.point, start.before.flown.point, start.free
+    evidence, point, plain, free = (
+        about.evidence,
+        about.fit.flown.point,
+        start.before.flown.point,
+        start.free,
+    )
     delta = evidence.fitted(evidence.index([*free, *keys]))
     step = dict(zip(free, delta[evidence.index(free)].tolist(), strict=True))
     values = {n: point.values.get(n, v) for n, v in plain.values.items()}
-    moved = stepped(start.setup, replace(plain, values=values, nuisance=point.nuisance), step, start.limits)
+    moved = stepped(
+        start.setup, replace(plain, values=values, nuisance=point.nuisance), step, start.limits
+    )
     delta[evidence.index(list(about.flown))] -= [*about.flown.values()]
     return replace(moved, starts=moved_starts(point.starts, evidence.white, delta))

@@ -8,7 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import DIFFERENT, EARNED, OVERWHELMING, UNKNOWN_ROWS, Effect, Evidence, Selection, judged, scores, select
+from sysid.effects import (
+    DIFFERENT,
+    EARNED,
+    OVERWHELMING,
+    UNKNOWN_ROWS,
+    Effect,
+    Evidence,
+    Selection,
+    judged,
+    scores,
+    select,
+)
 from uqharness.identification.linearised import (
     Bench,
     Setup,
@@ -96,34 +107,70 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
         gusts = start.gusts
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
-            found = gust_refit(bench.model, bench.straight, setup, begin, names, start.limits, start.map_, gusts, tune=True)
+            found = gust_refit(
+                bench.model,
+                bench.straight,
+                setup,
+                begin,
+                names,
+                start.limits,
+                start.map_,
+                gusts,
+                tune=True,
+            )
             fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.surprise
         else:
             options = [begin, replace(start.before.flown.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
-            fit = refit(bench.model, bench.straight, setup, best.point, names, start.limits, start.map_)
+            fit = refit(
+                bench.model, bench.straight, setup, best.point, names, start.limits, start.map_
+            )
             cost = fit.flown.cost
     values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
     rest = [e for e in start.effects.values() if e.key not in keys]
-    columns = effect_columns(setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)])
+    columns = effect_columns(
+        setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)]
+    )
     evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
     free = [n for n in fit.columns[0].names if n not in keys]
-    again = select(evidence, free, odds, chosen=keys, limit=start.limit, empirical=start.coloured, alone=OVERWHELMING)
+    again = select(
+        evidence,
+        free,
+        odds,
+        chosen=keys,
+        limit=start.limit,
+        empirical=start.coloured,
+        alone=OVERWHELMING,
+    )
     again = replace(again, chosen=felt(again.chosen, start.setup))
     same = again.values.keys() == set(keys)
     own = again.chosen if same else felt(judged(evidence, free, keys, list(odds)), start.setup)
     merit = cost + sum(start.effects[k].odds + EARNED * start.limit**2 for k in keys)
     return Round(
-        setup, fit, evidence, Selection(own, again.refused, again.trail), again, merit, gusts,
-        values, {k: written[k] for k in setup.held},
-    )  # fmt: skip
+        setup,
+        fit,
+        evidence,
+        Selection(own, again.refused, again.trail),
+        again,
+        merit,
+        gusts,
+        values,
+        {k: written[k] for k in setup.held},
+    )
 
 
-def odds_at(start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()) -> dict[str, float]:
+def odds_at(
+    start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()
+) -> dict[str, float]:
     """What may be chosen at a flight's evidence beside columns ``free``, what is ``chosen`` there included, and the gain asked."""
-    open_ = eligible([e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence)
-    return {k: start.odds(start.effects[k]) for k in (*open_, *(k for k in start.effects if k in chosen))}
+    open_ = eligible(
+        [e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence
+    )
+    return {
+        k: start.odds(start.effects[k])
+        for k in (*open_, *(k for k in start.effects if k in chosen))
+    }
 
 
 def resolved(start: Start, found: Round) -> Selection:
@@ -134,7 +181,9 @@ def resolved(start: Start, found: Round) -> Selection:
     chosen = found.selection.values
     kept = [k for k, value in chosen.items() if _resolves(start.effects[k], value, start.setup)]
     free = [n for n in found.free if n not in found.keys]
-    rest = [e for e in start.effects.values() if e.key in found.evidence.names and e.key not in kept]
+    rest = [
+        e for e in start.effects.values() if e.key in found.evidence.names and e.key not in kept
+    ]
     open_ = list(eligible(rest, start.setup, found.free, found.evidence))
     brief = _brief([e for e in rest if e.key not in open_], free, kept, found.evidence, start.setup)
     if len(kept) == len(chosen) and not brief:
@@ -143,18 +192,32 @@ def resolved(start: Start, found: Round) -> Selection:
     return replace(found.selection, chosen=again)
 
 
-def _brief(effects: Sequence[Effect], free: Sequence[str], kept: Sequence[str], evidence: Evidence, setup: Setup) -> list[str]:
+def _brief(
+    effects: Sequence[Effect],
+    free: Sequence[str],
+    kept: Sequence[str],
+    evidence: Evidence,
+    setup: Setup,
+) -> list[str]:
     """Times among effects that are no candidates, being too short, that have their sign in the place of one that was kept."""
     timed = [e for e in effects if e.unit in _OF_TIME]
     if not timed or not kept:
         return []
     names = [e.key for e in timed]
-    instead = [scores(evidence, [*free, *(o for o in kept if o != k)], names).estimate for k in kept]
+    instead = [
+        scores(evidence, [*free, *(o for o in kept if o != k)], names).estimate for k in kept
+    ]
     largest = np.max(np.nan_to_num(instead, nan=-np.inf), axis=0)
-    return [e.key for e, value in zip(timed, largest, strict=True) if value > 0.0 or not e.positive or may_be_faster(e, setup)]
+    return [
+        e.key
+        for e, value in zip(timed, largest, strict=True)
+        if value > 0.0 or not e.positive or may_be_faster(e, setup)
+    ]
 
 
-def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence) -> dict[str, float]:
+def eligible(
+    effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence
+) -> dict[str, float]:
     """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out, and
     what the search did without, of which the evidence has no column."""
     there = [e for e in effects if e.key in evidence.names]
@@ -162,7 +225,9 @@ def eligible(effects: Sequence[Effect], setup: Setup, free: Sequence[str], evide
     return {
         e.key: e.odds
         for e, estimate, share in zip(there, found.estimate.tolist(), found.share, strict=True)
-        if share > 0.0 and (estimate > 0.0 or not e.positive or may_be_faster(e, setup)) and _resolves(e, estimate, setup)
+        if share > 0.0
+        and (estimate > 0.0 or not e.positive or may_be_faster(e, setup))
+        and _resolves(e, estimate, setup)
     }
 
 
@@ -173,13 +238,18 @@ def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
         return True
     way = largest_step(setup, effect) if effect.unit == "s/deg" else 1.0
     # When within a row of a log a command changed, the log does not say.
-    return abs(value) * way > (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
+    return (
+        abs(value) * way
+        > (UNKNOWN_ROWS if setup.late else LEAST_LATE_ROWS) * setup.segments[0].dt_s
+    )
 
 
 def may_be_faster(effect: Effect, setup: Setup) -> bool:
     """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the real one need not have."""
     servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."), Actuator(None))
-    return (effect.term == "lag" and servo.lag is not None) or (effect.term == "rate_limit" and np.isfinite(servo.rate))
+    return (effect.term == "lag" and servo.lag is not None) or (
+        effect.term == "rate_limit" and np.isfinite(servo.rate)
+    )
 
 
 def largest_step(setup: Setup, effect: Effect) -> float:
@@ -191,11 +261,15 @@ def largest_step(setup: Setup, effect: Effect) -> float:
 def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, Setup]:
     """A copy of the aircraft that carries effects of such values, by key, and the setup that knows of them."""
     slopes, effects = control_slopes(start.before), [start.effects[k] for k in values]
-    staged = write_staged(start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder)
+    staged = write_staged(
+        start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder
+    )
     carriers = {e.key: found for e in effects if (found := carrier(e, start.aircraft)) is not None}
     setup = with_sensors_of(start.setup, staged)
     least = {e.key: least_felt(setup, e.key) for e in effects}
-    return staged, replace(setup, active=tuple(effects), carriers=carriers, slopes=slopes, least=least)
+    return staged, replace(
+        setup, active=tuple(effects), carriers=carriers, slopes=slopes, least=least
+    )
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
@@ -205,9 +279,13 @@ def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -
     return write_copy(aircraft, still, {}, folder)
 
 
-def write_copy(aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], folder: Path) -> Aircraft:
+def write_copy(
+    aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], folder: Path
+) -> Aircraft:
     """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its engines and systems."""
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
     write_effects(aircraft, effects, estimates, target)
-    return replace(find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    return replace(
+        find_aircraft(target), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path
+    )

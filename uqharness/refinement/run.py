@@ -45,7 +45,15 @@ from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
 from uqharness.refinement.writing.effects import Written
 from uqharness.replay import CONTROLS, read_flights, renamed
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft, content_hash, copy_beside, copy_folder, engine, find_aircraft, open_aircraft
+from uqharness.simulator import (
+    Aircraft,
+    content_hash,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+    open_aircraft,
+)
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,9 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     say("reading the flights")
     train, test = _read(request, request.train), _read(request, request.test)
     names = renamed([f.name for f in test.flights])
-    test = replace(test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True)))
+    test = replace(
+        test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
+    )
     with worker_map(request.workers) as map_, scratch_folder() as scratch:
         work, write = scratch.path, _writer(request, scratch.path / "models")
         identity = _identity(request)
@@ -104,9 +114,14 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = stages(
             "effects",
             Found,
-            lambda: find_effects(aircraft, setup, request.extra, work / "effects", map_, say, stages),
+            lambda: find_effects(
+                aircraft, setup, request.extra, work / "effects", map_, say, stages
+            ),
         )
-        train, test = (replace(side, flights=tuple(later(side.flights, chosen.late_s))) for side in (train, test))
+        train, test = (
+            replace(side, flights=tuple(later(side.flights, chosen.late_s)))
+            for side in (train, test)
+        )
         whole = _whole(request, chosen, work / "chosen")
         side = _side(request, chosen, train)
         named = named_beside(chosen, side, whole, map_)
@@ -120,7 +135,10 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         def flown_both_ways() -> Judged:
             other = _side(request, chosen, test)
             if chosen.gusts is not None:
-                other = replace(other, air=air_of(write(chosen), other.setup, map_, written_at(chosen), chosen.gusts))
+                other = replace(
+                    other,
+                    air=air_of(write(chosen), other.setup, map_, written_at(chosen), chosen.gusts),
+                )
             return judge(chosen, whole, write, side, other, map_)
 
         judged = shown("judged", Judged, flown_both_ways)
@@ -153,7 +171,9 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
 
 def _read(request: Request, paths: Sequence[Path]) -> FlightSet:
-    flights, measured = read_flights(paths, request.aircraft, request.manoeuvres, request.map_path, align=False)
+    flights, measured = read_flights(
+        paths, request.aircraft, request.manoeuvres, request.map_path, align=False
+    )
     ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
     return FlightSet(tuple(flights), tuple(measured), tuple(file_hash(p) for p in paths), ideal)
 
@@ -164,11 +184,18 @@ def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
 
 def _identity(request: Request) -> list[str]:
     """Everything that the choice depends on, the test flights not: aircraft, train flights, own effects, options, version."""
-    tables = [p for p in (request.manoeuvres, request.map_path) if p is not None and str(p) != FOUND]
+    tables = [
+        p for p in (request.manoeuvres, request.map_path) if p is not None and str(p) != FOUND
+    ]
     return [
-        __version__, content_hash(request.aircraft), *(file_hash(p) for p in (*request.train, *tables)),
-        *(p.name for p in request.train), repr(request.extra), str(request.ideal_servos), str(request.manoeuvres),
-    ]  # fmt: skip
+        __version__,
+        content_hash(request.aircraft),
+        *(file_hash(p) for p in (*request.train, *tables)),
+        *(p.name for p in request.train),
+        repr(request.extra),
+        str(request.ideal_servos),
+        str(request.manoeuvres),
+    ]
 
 
 def _side(request: Request, chosen: Found, given: FlightSet) -> Side:
@@ -183,13 +210,20 @@ def _side(request: Request, chosen: Found, given: FlightSet) -> Side:
 
 def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:
     """The aircraft with every chosen effect, as the last round flew it."""
-    effects = [Written(chosen.effects[c.key], c.value, "", chosen.slopes) for c in chosen.selection.chosen]
+    effects = [
+        Written(chosen.effects[c.key], c.value, "", chosen.slopes) for c in chosen.selection.chosen
+    ]
     return write_staged(request.aircraft, effects, folder)
 
 
 def _unnamed(
-    request: Request, document: Mapping[str, Any], judged: Judged, write: Write, map_: Processes, say: Say
-) -> dict[str, Any]:  # fmt: skip
+    request: Request,
+    document: Mapping[str, Any],
+    judged: Judged,
+    write: Write,
+    map_: Processes,
+    say: Say,
+) -> dict[str, Any]:
     """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside the refined one."""
     stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
     if (stale / request.aircraft.xml.name).is_file():
@@ -215,7 +249,12 @@ def _writer(request: Request, folder: Path) -> Write:
         estimates = estimates_of(found, names, {n: float(fdm[n]) for n in found.names})
         command = shlex.join(request.command)
         effects = [
-            Written(found.effects[c.key], c.value, remark(c, found.effects[c.key], names, command, found.limit), found.slopes)
+            Written(
+                found.effects[c.key],
+                c.value,
+                remark(c, found.effects[c.key], names, command, found.limit),
+                found.slopes,
+            )
             for c in found.selection.chosen
         ]
         return write_copy(aircraft, effects, estimates, folder / str(next(number)))
@@ -252,12 +291,14 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 def _mission(
     request: Request, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     if not request.pbox:
         return no_pbox("left out (--no-pbox)")
     lacking = [name for name in models if name not in forms]
     if lacking:
-        return no_pbox(f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals")
+        return no_pbox(
+            f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals"
+        )
     # Campaigns are much to load, and not every refinement flies one.
     from uqharness.refinement.showing.mission import fly_missions
 
@@ -266,8 +307,11 @@ def _mission(
 
 
 def _document(
-    request: Request, document: dict[str, Any], intervals: Sequence[Intervals], mission: dict[str, Any]
-) -> dict[str, Any]:  # fmt: skip
+    request: Request,
+    document: dict[str, Any],
+    intervals: Sequence[Intervals],
+    mission: dict[str, Any],
+) -> dict[str, Any]:
     gap = document["gap"]
     gap["test"] |= {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
     gap["train"] |= {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}

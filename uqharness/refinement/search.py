@@ -67,15 +67,23 @@ def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
     without = replace(start, effects={k: e for k, e in start.effects.items() if not _lone(e)})
     again = _search(without, evidence, work / "whole", say)
     # By predictions, a sensor's delay takes samples away.
-    if start.gusts is None and (not again.best.keys or again.best.merit > found.best.merit + CERTAIN_T**2):
+    if start.gusts is None and (
+        not again.best.keys or again.best.merit > found.best.merit + CERTAIN_T**2
+    ):
         return found
-    return replace(again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),))
+    return replace(
+        again, notes=(LONE.format(", ".join(f"{e.subsystem} {e.term}" for e in doubtful)),)
+    )
 
 
 def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searched:
     odds = odds_at(start, start.free, evidence)
-    first = select(evidence, start.free, odds, limit=start.limit, empirical=start.coloured, alone=OVERWHELMING)
-    bare = about = Round(start.setup, start.before, evidence, Selection(()), first, start.merit, start.gusts)
+    first = select(
+        evidence, start.free, odds, limit=start.limit, empirical=start.coloured, alone=OVERWHELMING
+    )
+    bare = about = Round(
+        start.setup, start.before, evidence, Selection(()), first, start.merit, start.gusts
+    )
     trail = [f"round 1: {line}" for line in first.trail]
     flown: list[Round] = []
     seen: set[frozenset[str]] = set()
@@ -88,7 +96,11 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
         here = folder.with_name(f"{folder.name}{number}")
         say(f"round {number}: flying with {_listed(proposal.values)}")
         proposed = flight(proposal, about, here)
-        trail += [f"round {number}: {line}" for line in proposed.again.trail] if proposed is not None else []
+        trail += (
+            [f"round {number}: {line}" for line in proposed.again.trail]
+            if proposed is not None
+            else []
+        )
         others = instead_of(start, proposed, proposal, about)[: SEVERAL - doubted]
         doubted += len(others)
         if others:
@@ -105,7 +117,9 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
             )
             break
         if now.keys != proposal.values.keys():
-            trail.append(f"round {number}: {_listed(now.keys)} flies better than {_listed(proposal.values)}")
+            trail.append(
+                f"round {number}: {_listed(now.keys)} flies better than {_listed(proposal.values)}"
+            )
         # Those that are not the best of what they judge would take the most memory.
         flown = [*(r for r in flown if r is likeliest([*flown, r])), now]
         about = now
@@ -114,22 +128,37 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
         if following in seen and following != now.keys:
             trail.append(f"round {number}: back to effects flown before; the best round stands")
             break
-    best, lines = without_weak(likeliest(flown) or bare, bare, flown, start.limit, flight, folder.with_name(f"{folder.name}-kept"))
+    best, lines = without_weak(
+        likeliest(flown) or bare,
+        bare,
+        flown,
+        start.limit,
+        flight,
+        folder.with_name(f"{folder.name}-kept"),
+    )
     if best.keys and not best.merit < bare.merit and _same_samples(best, bare.keys):
-        best, lines = bare, [*lines, "flown, the effects do not lower the error by what they must earn"]
+        best, lines = (
+            bare,
+            [*lines, "flown, the effects do not lower the error by what they must earn"],
+        )
     if best.keys and not best.standing and not lines:
         lines = ["the best of the rounds flown, not one that stands"]
     return Searched(best, (*trail, *lines))
 
 
-def instead_of(start: Start, now: Round | None, proposal: Selection, about: Round) -> list[Selection]:
+def instead_of(
+    start: Start, now: Round | None, proposal: Selection, about: Round
+) -> list[Selection]:
     """Proposals with another candidate in the place of the newest effect, where that is doubtful: no filter follows flights with it
     (now: None), it leaves moments that nothing explains, or it is overwhelming and leaves several effects to be asked for."""
     new = [c for c in proposal.chosen if c.key not in about.flown]
     if len(new) != 1:
         return []
     if now is not None:
-        several = abs(new[0].t) > OVERWHELMING and sum(c.key not in now.keys for c in now.again.chosen) >= SEVERAL
+        several = (
+            abs(new[0].t) > OVERWHELMING
+            and sum(c.key not in now.keys for c in now.again.chosen) >= SEVERAL
+        )
         if not several and (now.gusts is None or not np.any(now.gusts.moments > CERTAIN_T**2)):
             return []
     kept = [k for k in proposal.values if k != new[0].key]
@@ -139,7 +168,9 @@ def instead_of(start: Start, now: Round | None, proposal: Selection, about: Roun
     return [Selection(judged(about.evidence, start.free, [*kept, name], ())) for name in names]
 
 
-def comparable(evidence: Evidence, free: Sequence[str], candidates: Sequence[str], key: str) -> list[str]:
+def comparable(
+    evidence: Evidence, free: Sequence[str], candidates: Sequence[str], key: str
+) -> list[str]:
     """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike."""
     others = [k for k in candidates if k != key]
     own, *gains = np.nan_to_num(scores(evidence, free, [key, *others]).gain, nan=-np.inf)
@@ -162,7 +193,9 @@ def likeliest(flown: Sequence[Round]) -> Round | None:
 
 def _same_samples(found: Round, keys: frozenset[str]) -> bool:
     """Whether a round judges what one with effects ``keys`` does: by predictions, a sensor's delay takes samples away."""
-    other = (k for k in found.keys ^ keys if k.startswith("effect/sensor.") and k.endswith("/delay"))
+    other = (
+        k for k in found.keys ^ keys if k.startswith("effect/sensor.") and k.endswith("/delay")
+    )
     return not found.gusts or not any(other)
 
 
@@ -175,7 +208,9 @@ def without_weak(
     Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
     """
     if not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
-        return bare, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen]
+        return bare, [
+            f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen
+        ]
     weak = [c for c in best.selection.chosen if not abs(c.t) > limit] if not best.standing else []
     if not weak or len(weak) == len(best.selection.chosen):
         return best, []
@@ -184,13 +219,17 @@ def without_weak(
     found = min(same, key=lambda r: r.merit) if same else again(Selection(kept), best, folder)
     if found is None:
         return best, []
-    return found, [f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak]
+    return found, [
+        f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak
+    ]
 
 
 def lone_among_times(chosen: Sequence[Choice], effects: Mapping[str, Effect]) -> list[Effect]:
     """Delays of single channels and everything else that is a time or a servo's, where both were chosen; else none."""
     of = [effects[c.key] for c in chosen]
-    timed = [e for e in of if e.unit in ("s", "s/deg") or (e.subsystem or "").startswith("actuator.")]
+    timed = [
+        e for e in of if e.unit in ("s", "s/deg") or (e.subsystem or "").startswith("actuator.")
+    ]
     return timed if any(map(_lone, timed)) and len(timed) > 1 else []
 
 

@@ -41,7 +41,10 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) 
     """The catalogue less what the model estimates already, and the user's own effects."""
     surfaces = list(setup.servos)
     timed = setup.outputs if not setup.late else ()
-    sensors, parts = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)), [c for c in timed if c in SENSOR_OF]
+    sensors, parts = (
+        list(dict.fromkeys(SENSOR_OF.get(c, c) for c in timed)),
+        [c for c in timed if c in SENSOR_OF],
+    )
     every = [*extra, *catalogue(), *subsystem_effects(surfaces, setup.outputs, sensors, parts)]
     out: dict[str, Effect] = {}
     for e in every:
@@ -59,9 +62,15 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
     return found
 
 
-def column_evidence(setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None) -> Evidence:
+def column_evidence(
+    setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None
+) -> Evidence:
     """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
     columns = merged(fit.columns, extra)
-    measured, process = (setup.measured, None) if gusts is None else (in_step(setup, fit.flown.point), gusts.process)
+    measured, process = (
+        (setup.measured, None)
+        if gusts is None
+        else (in_step(setup, fit.flown.point), gusts.process)
+    )
     white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
     return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -52,7 +52,9 @@ class Stages:
         try:
             write_parts(path, dump_parts(made))
         except (BadInputError, DataFileError) as error:
-            _LOG.warning("%s: %s; if this run is interrupted, this stage is computed again", path, error)
+            _LOG.warning(
+                "%s: %s; if this run is interrupted, this stage is computed again", path, error
+            )
         return made
 
     def forget(self) -> None:
@@ -70,6 +72,8 @@ class Stages:
         """The folder, unless it is a link to another place."""
         if self.folder is None or not self.folder.is_symlink():
             return self.folder
-        _LOG.warning("%s: is a link, not a folder of this program; stages are not kept", self.folder)
+        _LOG.warning(
+            "%s: is a link, not a folder of this program; stages are not kept", self.folder
+        )
         self.folder = None
         return None

@@ -10,21 +10,40 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sysid.effects import DIFFERENT, RESOLVED_ROWS, Effect, Evidence, agreement, corrected, projected, scores, solve
+from sysid.effects import (
+    DIFFERENT,
+    RESOLVED_ROWS,
+    Effect,
+    Evidence,
+    agreement,
+    corrected,
+    projected,
+    scores,
+    solve,
+)
 from uqharness.replay import Flight
 
 CONTROLS_LATE = Effect(
-    None, "record", "delay", "controls recorded early or late", "all commands act one time later than the record says", unit="s"
-)  # fmt: skip
+    None,
+    "record",
+    "delay",
+    "controls recorded early or late",
+    "all commands act one time later than the record says",
+    unit="s",
+)
 MOST_CORRECTIONS = 4
 LEAST_LATE_ROWS = DIFFERENT * RESOLVED_ROWS
 """A time below this share of a row is within what a replay resolves."""
 
 
 def controls_late(
-    evidence: Evidence, free: Sequence[str], odds: Mapping[str, float], limit: float,
-    least_s: float, early_s: float,
-) -> tuple[float, float] | None:  # fmt: skip
+    evidence: Evidence,
+    free: Sequence[str],
+    odds: Mapping[str, float],
+    limit: float,
+    least_s: float,
+    early_s: float,
+) -> tuple[float, float] | None:
     """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
 
     evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
@@ -42,7 +61,9 @@ def controls_late(
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
     if lags and joint_gain(evidence, free, lags) > own + DIFFERENT**2:
         return None
-    if (confirming := evidence.confirming) is not None and not agreement(evidence, free, key, ~confirming)[0] > 0.0:
+    if (confirming := evidence.confirming) is not None and not agreement(
+        evidence, free, key, ~confirming
+    )[0] > 0.0:
         return None
     return value, std
 

@@ -42,12 +42,18 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
     done = _settled(about, best, train, write, map_) if best.stands_out(len(fits)) else None
     if done is None or left_in(train.setup, done.shown, about.found.gusty):
         # One state is not enough: every state times every other, in the coefficient that the best of one points to.
-        twos = [f for times in STATES for f in about.fits(about.terms(best.term.coefficient, times))]
+        twos = [
+            f for times in STATES for f in about.fits(about.terms(best.term.coefficient, times))
+        ]
         fits += twos
         second = max(twos, key=lambda f: f.merit, default=best)
         if second.merit > best.merit and second.stands_out(len(fits)):
             other = _settled(about, second, train, write, map_)
-            done = min((d for d in (done, other) if d is not None), key=lambda d: d.shown.surprise, default=None)
+            done = min(
+                (d for d in (done, other) if d is not None),
+                key=lambda d: d.shown.surprise,
+                default=None,
+            )
     if done is None:
         return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
     round_, aircraft, shown = done.round, done.aircraft, done.shown
@@ -60,23 +66,36 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
     if verdict.says == "grew":
         return f"with a {name} the gap on the hold-out flights grew"
     gap = {}
-    for key, (setup, _, before), side, after in (("train", judged.train, train, shown), ("test", judged.test, test, there)):
+    for key, (setup, _, before), side, after in (
+        ("train", judged.train, train, shown),
+        ("test", judged.test, test, there),
+    ):
         if before.replays is not None:
             after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
     instead = [k for k in judged.found.selection.values if k in round_.instead]
     return aircraft, {
-        "coefficient": term.coefficient, "state": term.state, "times": term.times, "name": name,
-        "property": property_of_table(term), "unit": term.unit, "effective_degrees_of_freedom": fit.edf,
-        "dispersion": fit.dispersion, "in_place_of": [judged.found.effects[k].name for k in instead], "tried": len(fits),
-        "p": min(1.0, done.searched.p * len(fits)), "twice_log_likelihood": done.searched.ratio,
+        "coefficient": term.coefficient,
+        "state": term.state,
+        "times": term.times,
+        "name": name,
+        "property": property_of_table(term),
+        "unit": term.unit,
+        "effective_degrees_of_freedom": fit.edf,
+        "dispersion": fit.dispersion,
+        "in_place_of": [judged.found.effects[k].name for k in instead],
+        "tried": len(fits),
+        "p": min(1.0, done.searched.p * len(fits)),
+        "twice_log_likelihood": done.searched.ratio,
         **_left_of(done, gap["train"]),
         "test": {
-            "gap": verdict.says, "change_of_twice_log_likelihood": verdict.change, "std": verdict.std,
+            "gap": verdict.says,
+            "change_of_twice_log_likelihood": verdict.change,
+            "std": verdict.std,
             "rms_over_that_of_train": verdict.far,
         },
         "gap": gap,
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True)
@@ -91,7 +110,9 @@ class _Done:
     shown: Shown
 
 
-def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done | None:
+def _settled(
+    about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes
+) -> _Done | None:
     """A term flown, and estimated once more about the flight with it, which is nearer to what was measured; None as `_flown`."""
     done = _flown(about, fit, train, write, map_)
     if done is None or about.found.gusty or not np.isfinite(done.shown.cost):
@@ -102,7 +123,9 @@ def _settled(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_
     return again if again is not None and again.shown.cost < done.shown.cost else done
 
 
-def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes) -> _Done | None:
+def _flown(
+    about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes
+) -> _Done | None:
     """The term as it flies; None where the flight that it is estimated about is so far off that its estimates are no numbers."""
     round_ = about.estimated(fit.term)
     estimates = [
@@ -114,7 +137,9 @@ def _flown(about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: 
         return None
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
-    shown = show(aircraft, train, map_, written_at(round_.found, near=round_.found.after.flown.point))
+    shown = show(
+        aircraft, train, map_, written_at(round_.found, near=round_.found.after.flown.point)
+    )
     return _Done(fit, about, round_, aircraft, shown)
 
 
@@ -123,10 +148,16 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
     of the train flights without and with it."""
     fit, term, about = done.round.fit, done.round.fit.term, done.about
     rows = gap["predictions"] or gap["channels"]
-    ratio = {c: (r["rms_before"] / r["noise_rms"], r["rms_after"] / r["noise_rms"]) for c, r in rows.items()}
+    ratio = {
+        c: (r["rms_before"] / r["noise_rms"], r["rms_after"] / r["noise_rms"])
+        for c, r in rows.items()
+    }
     channel = max(ratio, key=lambda c: ratio[c][0] - ratio[c][1])
     x = about.every[term.state]
-    near, shapes = forms_like(fit, x, about.every[term.times] if term.times else np.ones_like(x)), known_forms(term.knots)
+    near, shapes = (
+        forms_like(fit, x, about.every[term.times] if term.times else np.ones_like(x)),
+        known_forms(term.knots),
+    )
 
     def columns(v: Mapping[str, Array]) -> Inputs:
         k, by = COEFFICIENTS.index(term.coefficient), v[term.times] if term.times else 1.0
@@ -140,15 +171,24 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
         return rms(np.concatenate([r[:, list(ratio).index(channel)] for r in residual]))
 
     confirming = evidence.confirming
-    held_out = [] if confirming is None else [held_out_gain(evidence, free, fit, part) for part in (~confirming, confirming)]
+    held_out = (
+        []
+        if confirming is None
+        else [held_out_gain(evidence, free, fit, part) for part in (~confirming, confirming)]
+    )
     at = np.linspace(*term.ends, GRID)
     value, std = fit.curve(at)
     return {
         "confirmed_on_held_out_manoeuvres": min(held_out, default=None),
-        "channel": channel, "channel_on_train": ratio[channel][0], "leaves": ratio[channel][1],
+        "channel": channel,
+        "channel_on_train": ratio[channel][0],
+        "leaves": ratio[channel][1],
         "shapes": [{"form": n, "correlation": r, "leaves": leaves(f"form/{n}")} for n, r in near],
         "curve": {
-            "at": at.tolist(), "value": value.tolist(), "low": (value - Z95 * std).tolist(), "high": (value + Z95 * std).tolist(),
+            "at": at.tolist(),
+            "value": value.tolist(),
+            "low": (value - Z95 * std).tolist(),
+            "high": (value + Z95 * std).tolist(),
             "samples": np.histogram(x, np.append(at - 0.5 * (at[1] - at[0]), np.inf))[0].tolist(),
         },
-    }  # fmt: skip
+    }

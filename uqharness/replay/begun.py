@@ -19,7 +19,9 @@ _STEP_S = 1e-3
 """Longest step of an actuator, from command to command."""
 
 
-def begun(model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: Array) -> Array:
+def begun(
+    model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: Array
+) -> Array:
     """(c,) where actuators with a lag stand at the first row, in the record's units; NaN of other controls, and where no command
     before it is known. properties: values in force, of which the actuators' own count; limits (c, 2): where a command goes no
     further."""
@@ -38,7 +40,9 @@ def begun(model: ReplayModel, segment: Segment, properties: Mapping[str, float],
     return out
 
 
-@cached(LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s))
+@cached(
+    LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
+)
 def _last(servo: Actuator, commands: Array, command_s: float) -> float:
     """Where a servo at rest at the first of some commands is when the last of them has been held as long as the others."""
     step_s = command_s / max(1, math.ceil(command_s / _STEP_S - 1e-6))

@@ -34,7 +34,11 @@ WORTH_S = 120.0
 _STAGED = 8
 _AGREES = 1e-9
 """Largest difference of a position between the engines, in units of the largest."""
-_STILL = tuple(f"simulation/integrator/{what}/{kind}" for what in ("rate", "position") for kind in ("rotational", "translational"))
+_STILL = tuple(
+    f"simulation/integrator/{what}/{kind}"
+    for what in ("rate", "position")
+    for kind in ("rotational", "translational")
+)
 _staged: OrderedDict[str, tuple[Staging, Scratch]] = OrderedDict()
 _programs: LRUCache[tuple[object, ...], _Program | None] = LRUCache(_STAGED)
 
@@ -73,7 +77,11 @@ def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list
     for members in alike.values():
         some = [cut[k] for k in members]
         program = _program(asked, chain, some)
-        found = [_by_jsbsim(asked, chain, s) for s in some] if program is None else _in_lanes(program, asked, some)
+        found = (
+            [_by_jsbsim(asked, chain, s) for s in some]
+            if program is None
+            else _in_lanes(program, asked, some)
+        )
         for k, rows in zip(members, found, strict=True):
             out[k] = rows
     return out
@@ -82,11 +90,23 @@ def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list
 def _program(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> _Program | None:
     """The compiled chain for segments that are flown alike; None where JSBSim is to fly."""
     model, shape = asked.model, shape_of(asked.model, cut[0])
-    key = (chain.xml, shape.stride, tuple(asked.known.values()), model.fed()[0], tuple(model.servos), repr(set_by(model)))
+    key = (
+        chain.xml,
+        shape.stride,
+        tuple(asked.known.values()),
+        model.fed()[0],
+        tuple(model.servos),
+        repr(set_by(model)),
+    )
     if key not in _programs:
         if sum(s.time_s[-1] - s.time_s[0] for s in cut) < WORTH_S or batch.available() is not None:
             return None
-        _programs[key] = _judged(asked, chain, min(cut, key=lambda s: len(s.time_s)), _made(asked, chain, shape.dt_s, shape.stride))
+        _programs[key] = _judged(
+            asked,
+            chain,
+            min(cut, key=lambda s: len(s.time_s)),
+            _made(asked, chain, shape.dt_s, shape.stride),
+        )
     return _programs[key]
 
 
@@ -98,16 +118,27 @@ def _made(asked: Asked, chain: ControlChain, dt_s: float, stride: int) -> _Progr
     records = list(dict.fromkeys(asked.known.values()))
     root = staging.root
     try:
-        sources = batch.read_sources(batch.Files(staging.folder, staging.xml, root / "engine", root / "systems"), None)
+        sources = batch.read_sources(
+            batch.Files(staging.folder, staging.xml, root / "engine", root / "systems"), None
+        )
         names = [name for name, _ in fed]
-        made = batch.make_replay(sources, lambda: _set(staging, model, dt_s), dt_s, names, servos, records, stride)
+        made = batch.make_replay(
+            sources, lambda: _set(staging, model, dt_s), dt_s, names, servos, records, stride
+        )
     except BadInputError as error:
         _LOG.info("positions are flown by JSBSim: %s", error)
         return None
-    return _Program(made, [place for _, place in fed], servos, [records.index(name) for name in asked.known.values()])
+    return _Program(
+        made,
+        [place for _, place in fed],
+        servos,
+        [records.index(name) for name in asked.known.values()],
+    )
 
 
-def _judged(asked: Asked, chain: ControlChain, segment: Segment, program: _Program | None) -> _Program | None:
+def _judged(
+    asked: Asked, chain: ControlChain, segment: Segment, program: _Program | None
+) -> _Program | None:
     """The program, if it flies a segment as JSBSim does."""
     if program is None:
         return None
@@ -115,7 +146,10 @@ def _judged(asked: Asked, chain: ControlChain, segment: Segment, program: _Progr
     apart = np.abs(ours - theirs) / np.maximum(np.abs(theirs).max(axis=0, initial=1e-3), 1e-3)
     if bool((apart <= _AGREES).all()):
         return program
-    _LOG.info("positions are flown by JSBSim: the batch engine differs by %.1g of the largest", float(np.max(apart)))
+    _LOG.info(
+        "positions are flown by JSBSim: the batch engine differs by %.1g of the largest",
+        float(np.max(apart)),
+    )
     return None
 
 
@@ -153,9 +187,15 @@ def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> Array:
         if exists(name):
             engine.set_property(fdm, name, value)
     names, places = model.fed()
-    fed = [(engine.handle(fdm, name).set_double_value, place) for name, place in zip(names, places, strict=True) if exists(name)]
+    fed = [
+        (engine.handle(fdm, name).set_double_value, place)
+        for name, place in zip(names, places, strict=True)
+        if exists(name)
+    ]
     read = [engine.handle(fdm, name).get_double_value for name in asked.known.values()]
-    values = run_controls(model, segment, shape, asked.servos)[:, [place for _, place in fed]].tolist()
+    values = run_controls(model, segment, shape, asked.servos)[
+        :, [place for _, place in fed]
+    ].tolist()
     setters, run = [put for put, _ in fed], fdm.run
     last = values[0]
     for put, value in zip(setters, last, strict=True):

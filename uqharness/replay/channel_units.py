@@ -8,9 +8,17 @@ from collections.abc import Iterable
 from sysid.units import RAD_DEG
 
 _UNITS = {
-    "rad": ("deg", RAD_DEG), "radps": ("deg/s", RAD_DEG), "mps": ("m/s", 1.0), "mps2": ("m/s²", 1.0), "m": ("m", 1.0),
-    "deg": ("deg", 1.0), "pct": ("%", 1.0), "s": ("s", 1.0), "kgpm3": ("kg/m³", 1.0), "rpm": ("1/min", 1.0),
-}  # fmt: skip
+    "rad": ("deg", RAD_DEG),
+    "radps": ("deg/s", RAD_DEG),
+    "mps": ("m/s", 1.0),
+    "mps2": ("m/s²", 1.0),
+    "m": ("m", 1.0),
+    "deg": ("deg", 1.0),
+    "pct": ("%", 1.0),
+    "s": ("s", 1.0),
+    "kgpm3": ("kg/m³", 1.0),
+    "rpm": ("1/min", 1.0),
+}
 _CONTROLS = {"elevator": "deg", "aileron": "deg", "rudder": "deg", "throttle": "%"}
 
 

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.logs import bridge, default_cache, import_log, in_degrees, labelled, no_aeroplane, surely_late
+from sysid.logs import (
+    bridge,
+    default_cache,
+    import_log,
+    in_degrees,
+    labelled,
+    no_aeroplane,
+    surely_late,
+)
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import height_known, heights
@@ -29,10 +37,25 @@ MAX_RATE_HZ = 60.0
 """Most rows a second at which outputs are compared; controls act at the record's own."""
 LEAST_COMMAND_S = 0.005
 """Shortest time that a command is held in a replay, MAX_STEP_S of a run: those of faster records are averaged over it."""
-_NEEDED = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+_NEEDED = (
+    "V_mps",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 RUN_UP_S = 4.0
 """Time before a segment whose commands say where its actuators stand: a hundred time constants of a servo, four of a slow one."""
-_COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
+_COLUMN = {
+    "elevator": "elevator_deg",
+    "aileron": "aileron_deg",
+    "rudder": "rudder_deg",
+    "throttle": "throttle_pct",
+}
 _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder")}
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
@@ -68,7 +91,11 @@ class Flight:
     def with_commands_as_felt(self) -> Flight:
         """The flight with its commands `felt_late_s` later."""
         record, late_s = self.record, self.felt_late_s()
-        moved = {c: command_later(record[c], record["time_s"], late_s) for c in _COLUMN.values() if c in record}
+        moved = {
+            c: command_later(record[c], record["time_s"], late_s)
+            for c in _COLUMN.values()
+            if c in record
+        }
         return replace(self, record=record.with_columns(moved), commands={}, per_row=1)
 
     def with_commands_later(self, late_s: float) -> Flight:
@@ -93,7 +120,12 @@ class Flight:
             between[c] = command_later(fine, np.arange(0.0, len(fine)) * step_s, late_s)
             rows = mean_ahead(between[c], per_row) if held else between[c]
             moved[c] = rows[::per_row][: len(self.record)]
-        return replace(self, record=self.record.with_columns(moved), commands=between if per_row > 1 else {}, per_row=per_row)
+        return replace(
+            self,
+            record=self.record.with_columns(moved),
+            commands=between if per_row > 1 else {},
+            per_row=per_row,
+        )
 
     def commands_in(self, rows: slice, columns: Sequence[str]) -> Array | None:
         """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""
@@ -101,10 +133,14 @@ class Flight:
             return None
         fine = slice(rows.start * self.per_row, (rows.stop - 1) * self.per_row + 1)
         unknown = np.full(fine.stop - fine.start, np.nan)
-        return np.column_stack([self.commands[c][fine] if c in self.commands else unknown for c in columns])
+        return np.column_stack(
+            [self.commands[c][fine] if c in self.commands else unknown for c in columns]
+        )
 
 
-def read_flight(path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None) -> FlightRecord:
+def read_flight(
+    path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
+) -> FlightRecord:
     """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError."""
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
@@ -124,7 +160,9 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
         record = record.between(*record.metadata.free_flight_s[0])
     wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if wrong is not None and record.metadata.dialect == "record":
-        raise BadInputError(f"{where}: {wrong.message}; angles and rates of a flight record are in rad and rad/s")
+        raise BadInputError(
+            f"{where}: {wrong.message}; angles and rates of a flight record are in rad and rad/s"
+        )
     named = record.metadata.aircraft
     if named and named not in (aircraft.card.aircraft.name, aircraft.name):
         raise BadInputError(
@@ -137,10 +175,11 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """Surfaces whose position every record carries, but for those that are their commands."""
     return tuple(
-        name for name, column in _POSITION.items()
+        name
+        for name, column in _POSITION.items()
         if all(column in r and np.isfinite(r[column]).mean() > MAX_GAP_SHARE for r in records)
         and not all(_same(r, column, _COLUMN[name]) for r in records)
-    )  # fmt: skip
+    )
 
 
 def _same(record: FlightRecord, position: str, command: str) -> bool:
@@ -160,7 +199,12 @@ def control_columns(measured: Sequence[str]) -> tuple[str, ...]:
 
 
 def prepare(
-    name: str, record: FlightRecord, measured: Sequence[str], min_s: float = MIN_S, max_s: float = MAX_S, align: bool = True
+    name: str,
+    record: FlightRecord,
+    measured: Sequence[str],
+    min_s: float = MIN_S,
+    max_s: float = MAX_S,
+    align: bool = True,
 ) -> Flight:
     """Check, thin, align and cut a record. Raises BadInputError naming the channel that is missing and what needs it.
 
@@ -168,7 +212,9 @@ def prepare(
     do or who asks estimates it. The channels of an autopilot's log are aligned in any case.
     """
     columns = control_columns(measured)
-    missing = [c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()]
+    missing = [
+        c for c in (*_NEEDED, *columns) if c not in record or not np.isfinite(record[c]).any()
+    ]
     if missing:
         why = (
             "without the surfaces' commands or positions nothing can be replayed (import the log with --aircraft, whose card "
@@ -187,7 +233,9 @@ def prepare(
     per_row = max(1, math.ceil(1.0 / (record.dt_s * together * MAX_RATE_HZ) - 1e-6))
     between: dict[str, Array] = {}
     if (step := together * per_row) > 1:
-        notes.append(f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows")
+        notes.append(
+            f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows"
+        )
         record, between = _thinned(record, together, per_row)
     if 1.0 / record.dt_s < 9.5:
         raise BadInputError(
@@ -201,11 +249,15 @@ def prepare(
             f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))} without a gap"
             f"{_lost(record, columns)}; nothing can be replayed"
         )
-    notes.append(f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}")
+    notes.append(
+        f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s; {how}"
+    )
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
 
 
-def _thinned(record: FlightRecord, together: int, per_row: int) -> tuple[FlightRecord, dict[str, Array]]:
+def _thinned(
+    record: FlightRecord, together: int, per_row: int
+) -> tuple[FlightRecord, dict[str, Array]]:
     """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the next, each the mean of
     ``together`` of the record's own (a position: its value)."""
     mask = np.zeros(len(record), dtype=bool)
@@ -229,7 +281,11 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
     worst = max(share, key=lambda c: share[c])
     late = float(np.mean(np.diff(record["time_s"]) > 1.5 * record.dt_s))
     texts = [f"{share[worst]:.0%} of {worst} is missing"] if share[worst] > 0.0 else []
-    texts += [f"{late:.0%} of the rows come later than the usual {record.dt_s:g} s"] if late > 0.0 else []
+    texts += (
+        [f"{late:.0%} of the rows come later than the usual {record.dt_s:g} s"]
+        if late > 0.0
+        else []
+    )
     return f" ({', '.join(texts)})" if texts else ""
 
 
@@ -238,7 +294,11 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
     columns: dict[str, Array] = {}
     notes = []
     for finding in record.metadata.findings:
-        if finding.code != "delay" or finding.channel not in CHANNELS or finding.channel not in record:
+        if (
+            finding.code != "delay"
+            or finding.channel not in CHANNELS
+            or finding.channel not in record
+        ):
             continue
         late, std = (finding.numbers.get(n, math.nan) for n in ("delay_s", "std_s"))
         if not surely_late(late, std):
@@ -247,13 +307,19 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
             notes.append(f"{finding.message}, by the log's findings; it stands as recorded")
             continue
         time = record["time_s"]
-        moved = np.interp(time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan)
+        moved = np.interp(
+            time + late, time, _unwrapped(finding.channel, record[finding.channel]), right=np.nan
+        )
         columns[finding.channel] = moved % (2.0 * np.pi) if finding.channel == "psi_rad" else moved
-        notes.append(f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say")
+        notes.append(
+            f"{finding.channel} was moved {1e3 * late:.0f} ms earlier, as the log's findings say"
+        )
     return record.with_columns(columns), notes
 
 
-def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[Segment]:
+def segments(
+    flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[Segment]:
     """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
     record = flight.record
     out = []
@@ -268,11 +334,20 @@ def segments(flight: Flight, measured: Sequence[str], arm_m: tuple[float, float,
         commands = None if between is None else Commands(flight.per_row, between, asked)
         out.append(
             Segment(
-                piece.label, flight.name, grid, np.column_stack([record[c][rows] for c in control_columns(measured)]),
-                start, _altitude(record, rows, h), h, arm_m, np.column_stack([_command(record, c, rows) for c in CONTROLS]),
-                height_known(record), commands, _commands_before(flight, rows.start, control_columns(measured)),
+                piece.label,
+                flight.name,
+                grid,
+                np.column_stack([record[c][rows] for c in control_columns(measured)]),
+                start,
+                _altitude(record, rows, h),
+                h,
+                arm_m,
+                np.column_stack([_command(record, c, rows) for c in CONTROLS]),
+                height_known(record),
+                commands,
+                _commands_before(flight, rows.start, control_columns(measured)),
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -283,7 +358,11 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Arra
     gaps = np.flatnonzero(np.diff(record["time_s"][begin : first + 1]) > 1.5 * record.dt_s)
     begin += int(gaps[-1]) + 1 if len(gaps) else 0
     between = flight.commands_in(slice(begin, first + 1), columns)
-    known = np.column_stack([record[c][begin : first + 1] for c in columns]) if between is None else between
+    known = (
+        np.column_stack([record[c][begin : first + 1] for c in columns])
+        if between is None
+        else between
+    )
     lost = np.flatnonzero(~np.isfinite(known[:-1]).all(axis=1))
     known = known[lost[-1] + 1 if len(lost) else 0 : -1]
     return known if len(known) else None
@@ -343,7 +422,13 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
                 values = _unwrapped(name, values)
                 # Counted from the same turn as the start: the first logged value may lie on the other side of north.
                 first = values[np.isfinite(values)][:1]
-                values -= 2.0 * np.pi * np.rint((first - _start(flight.record, name, piece.rows)) / (2.0 * np.pi)).sum()
+                values -= (
+                    2.0
+                    * np.pi
+                    * np.rint(
+                        (first - _start(flight.record, name, piece.rows)) / (2.0 * np.pi)
+                    ).sum()
+                )
             block[:, k] = values
             if name in _JUMPING:
                 block[:before, k] = np.nan
@@ -356,7 +441,11 @@ def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
     `ground.heights` has them."""
     out = {}
     for name in CHANNELS:
-        values = np.array(flight.record[name][piece.rows], dtype=float) if name in flight.record else np.zeros(0)
+        values = (
+            np.array(flight.record[name][piece.rows], dtype=float)
+            if name in flight.record
+            else np.zeros(0)
+        )
         good = np.isfinite(values)
         if not good.any():
             values = np.zeros(piece.rows.stop - piece.rows.start)
@@ -379,9 +468,14 @@ def renamed(names: Sequence[str]) -> list[str]:
 
 
 def read_flights(
-    paths: Sequence[Path], aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None,
-    min_s: float = MIN_S, max_s: float = MAX_S, align: bool = True,
-) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
+    paths: Sequence[Path],
+    aircraft: Aircraft,
+    manoeuvres: Path | None = None,
+    map_path: Path | None = None,
+    min_s: float = MIN_S,
+    max_s: float = MAX_S,
+    align: bool = True,
+) -> tuple[list[Flight], tuple[str, ...]]:
     """Flights ready for replay, and the surfaces whose measured positions are used; align: as `prepare` has it. Raises
     BadInputError."""
     refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
@@ -391,15 +485,23 @@ def read_flights(
 
 def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
     """BadInputError for a flight that is given twice; ``names`` say which, ``hashes`` are of their content."""
-    twice = next((name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None)
+    twice = next(
+        (name for name, digest in zip(names, hashes, strict=True) if hashes.count(digest) > 1), None
+    )
     if twice is not None:
-        raise BadInputError(f"flight {twice} is given more than once: its noise would count as if it were measured anew")
+        raise BadInputError(
+            f"flight {twice} is given more than once: its noise would count as if it were measured anew"
+        )
 
 
 def prepare_together(
-    names: Sequence[str], records: Sequence[FlightRecord], aircraft: Aircraft, min_s: float = MIN_S, max_s: float = MAX_S,
+    names: Sequence[str],
+    records: Sequence[FlightRecord],
+    aircraft: Aircraft,
+    min_s: float = MIN_S,
+    max_s: float = MAX_S,
     align: bool = True,
-) -> tuple[list[Flight], tuple[str, ...]]:  # fmt: skip
+) -> tuple[list[Flight], tuple[str, ...]]:
     """Records used together, ready for replay, and the surfaces whose measured positions are used. Raises BadInputError."""
     measured = tuple(n for n in measured_surfaces(records) if n in aircraft.card.inputs)
     placed = [with_start_altitude(record, aircraft.folder) for record in records]
@@ -407,5 +509,9 @@ def prepare_together(
     for name, (record, said) in zip(renamed(names), placed, strict=True):
         driven, how = with_throttle(record, aircraft, name)
         flight = prepare(name, driven, measured, min_s, max_s, align)
-        flights.append(replace(flight, notes=(*(f"{name}: {text}" for text in (said, how) if text), *flight.notes)))
+        flights.append(
+            replace(
+                flight, notes=(*(f"{name}: {text}" for text in (said, how) if text), *flight.notes)
+            )
+        )
     return flights, measured

@@ -45,7 +45,9 @@ class ForcedModel:
     def coefficients(self) -> Array:
         """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
         pressure = self.qbar[:, None] * self.mass.S
-        return np.hstack([self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)])
+        return np.hstack(
+            [self.aero_force / pressure, self.aero_moment / (pressure * self.mass.lengths)]
+        )
 
 
 @dataclass(frozen=True)
@@ -67,15 +69,22 @@ class StatesOf:
 
 
 def force_states(
-    model: ReplayModel, segment: Segment, states: Mapping[str, Array], controls: Array, properties: Mapping[str, float],
+    model: ReplayModel,
+    segment: Segment,
+    states: Mapping[str, Array],
+    controls: Array,
+    properties: Mapping[str, float],
     altitude_m: Array | None = None,
-) -> ForcedModel:  # fmt: skip
+) -> ForcedModel:
     """`force_all` of one segment's states."""
     return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
 
 
 def force_all(
-    model: ReplayModel, parts: Sequence[StatesOf], properties: Mapping[str, float], map_: Processes = ALONE
+    model: ReplayModel,
+    parts: Sequence[StatesOf],
+    properties: Mapping[str, float],
+    map_: Processes = ALONE,
 ) -> list[ForcedModel]:
     """What the model says of several sets of states, those of one time step asked for at once. Where JSBSim answers, ``map_``
     spreads the sets.
@@ -88,19 +97,29 @@ def force_all(
     steps = [round(part.segment.dt_s, 9) for part in parts]
     for dt_s in dict.fromkeys(steps):
         places = [k for k, step in enumerate(steps) if step == dt_s]
-        out |= zip(places, _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_), strict=True)
+        out |= zip(
+            places,
+            _of_step(model, [parts[k].asked(model) for k in places], dt_s, properties, map_),
+            strict=True,
+        )
     return [out[k] for k in range(len(parts))]
 
 
 def _of_step(
-    model: ReplayModel, every: Sequence[States], dt_s: float, properties: Mapping[str, float], map_: Processes
+    model: ReplayModel,
+    every: Sequence[States],
+    dt_s: float,
+    properties: Mapping[str, float],
+    map_: Processes,
 ) -> list[ForcedModel]:
     def by_jsbsim(some: States) -> Array:
         return _by_jsbsim((model, dt_s, properties, some))
 
     raw = by_batch(model, States.of(every), dt_s, properties, _RECORDS, by_jsbsim)
     if raw is None:
-        raw = np.concatenate(list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every])))
+        raw = np.concatenate(
+            list(map_(_by_jsbsim, [(model, dt_s, properties, states) for states in every]))
+        )
     mass = _mass_of(model, dt_s, properties)
     edges = np.cumsum([0, *(len(part.controls) for part in every)])
     return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
@@ -114,7 +133,9 @@ def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> A
 def _said(raw: Array, mass: MassProperties) -> ForcedModel:
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
-    return ForcedModel(aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass)
+    return ForcedModel(
+        aero, total - aero, aero_moment, total_moment - aero_moment, raw[:, 12] * PSF_PA, mass
+    )
 
 
 def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> Any:
@@ -124,7 +145,10 @@ def _opened(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) ->
     return fdm
 
 
-@cached(LRUCache(_WEIGHED), key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())))
+@cached(
+    LRUCache(_WEIGHED),
+    key=lambda model, dt_s, properties: (model.identity, *sorted(properties.items())),
+)
 def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -> MassProperties:
     """Mass properties of a model."""
     fdm = _opened(model, dt_s, properties)
@@ -154,17 +178,29 @@ def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:
     )
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
     get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
-    rates = [engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")]
+    rates = [
+        engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")
+    ]
     raw, states = np.empty((len(asked.controls), len(get))), asked.motion
     for k in range(len(raw)):
         for handles, value in zip(setters, asked.controls[k], strict=True):
             for setter in handles:
                 setter(float(value))
-        u, v, w = body_velocity(float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k]))
+        u, v, w = body_velocity(
+            float(states["V_mps"][k]), float(states["alpha_rad"][k]), float(states["beta_rad"][k])
+        )
         state = (
-            asked.altitude_m[k] / FT_M, states["phi_rad"][k], states["theta_rad"][k], 0.0, u / FT_M, v / FT_M, w / FT_M,
-            states["p_radps"][k], states["q_radps"][k], states["r_radps"][k],
-        )  # fmt: skip
+            asked.altitude_m[k] / FT_M,
+            states["phi_rad"][k],
+            states["theta_rad"][k],
+            0.0,
+            u / FT_M,
+            v / FT_M,
+            w / FT_M,
+            states["p_radps"][k],
+            states["q_radps"][k],
+            states["r_radps"][k],
+        )
         terrain(float(asked.terrain_m[k]) / FT_M)
         for setter, value in zip(put, state, strict=True):
             setter(float(value))
@@ -200,8 +236,9 @@ def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
     inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
     reference = model.card.reference
     return MassProperties(
-        float(get("inertia/mass-slugs")) * SLUG_KG, inertia,
+        float(get("inertia/mass-slugs")) * SLUG_KG,
+        inertia,
         reference.S_m2 or get("metrics/Sw-sqft") * FT_M**2,
         reference.b_m or get("metrics/bw-ft") * FT_M,
         reference.c_m or get("metrics/cbarw-ft") * FT_M,
-    )  # fmt: skip
+    )

@@ -51,9 +51,16 @@ class States:
         """Several sets of states as one."""
         if len(parts) == 1:
             return parts[0]
-        motion = {name: np.concatenate([np.asarray(p.motion[name], dtype=float) for p in parts]) for name in parts[0].motion}
-        controls, altitude, terrain = ([getattr(p, name) for p in parts] for name in ("controls", "altitude_m", "terrain_m"))
-        return States(motion, np.concatenate(controls), np.concatenate(altitude), np.concatenate(terrain))
+        motion = {
+            name: np.concatenate([np.asarray(p.motion[name], dtype=float) for p in parts])
+            for name in parts[0].motion
+        }
+        controls, altitude, terrain = (
+            [getattr(p, name) for p in parts] for name in ("controls", "altitude_m", "terrain_m")
+        )
+        return States(
+            motion, np.concatenate(controls), np.concatenate(altitude), np.concatenate(terrain)
+        )
 
 
 @dataclass
@@ -68,36 +75,58 @@ _known: LRUCache[str, _Known] = LRUCache(_KEPT)
 
 
 def by_batch(
-    model: ReplayModel, asked: States, dt_s: float, properties: Mapping[str, float], records: Sequence[str],
+    model: ReplayModel,
+    asked: States,
+    dt_s: float,
+    properties: Mapping[str, float],
+    records: Sequence[str],
     by_jsbsim: Callable[[States], Array],
-) -> Array | None:  # fmt: skip
+) -> Array | None:
     """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
     known = _known.setdefault(model.identity, _Known())
     if known.refused or len(asked.controls) < WORTH_ROWS:
         return None
     names = {*properties, *(known.program.given if known.program is not None else ())}
     if known.program is None or not names <= set(known.program.given):
-        known.program = _judged(model, asked, dt_s, properties, by_jsbsim, _made(model, dt_s, names, records))
+        known.program = _judged(
+            model, asked, dt_s, properties, by_jsbsim, _made(model, dt_s, names, records)
+        )
         known.refused = known.program is None
-    return None if known.program is None else _answered(known.program, model, asked, dt_s, properties)
+    return (
+        None if known.program is None else _answered(known.program, model, asked, dt_s, properties)
+    )
 
 
-def _made(model: ReplayModel, dt_s: float, names: set[str], records: Sequence[str]) -> StateProgram | None:
+def _made(
+    model: ReplayModel, dt_s: float, names: set[str], records: Sequence[str]
+) -> StateProgram | None:
     if batch.available() is not None:
         return None
     controls = [model.card.inputs[name].property for name in model.controls]
     inputs = sorted(names | set(model.varied))
     try:
-        return batch.make_states(sources_of(model), lambda: model.open(dt_s), dt_s, controls, inputs, records, model.by_rates)
+        return batch.make_states(
+            sources_of(model),
+            lambda: model.open(dt_s),
+            dt_s,
+            controls,
+            inputs,
+            records,
+            model.by_rates,
+        )
     except BadInputError as error:
         _LOG.info("states are forced upon JSBSim: %s", error)
         return None
 
 
 def _judged(
-    model: ReplayModel, asked: States, dt_s: float, properties: Mapping[str, float], by_jsbsim: Callable[[States], Array],
+    model: ReplayModel,
+    asked: States,
+    dt_s: float,
+    properties: Mapping[str, float],
+    by_jsbsim: Callable[[States], Array],
     program: StateProgram | None,
-) -> StateProgram | None:  # fmt: skip
+) -> StateProgram | None:
     """The program, if it answers as JSBSim does."""
     if program is None:
         return None
@@ -106,21 +135,40 @@ def _judged(
     apart = float(np.max(np.abs(ours - theirs) / np.maximum(np.abs(theirs).max(axis=0), 1e-3)))
     if apart <= AGREES:
         return program
-    _LOG.warning("states are forced upon JSBSim: the batch engine differs by %.1g of a force's size", apart)
+    _LOG.warning(
+        "states are forced upon JSBSim: the batch engine differs by %.1g of a force's size", apart
+    )
     return None
 
 
-def _answered(program: StateProgram, model: ReplayModel, asked: States, dt_s: float, properties: Mapping[str, float]) -> Array:
-    V, alpha, beta = (np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad"))
+def _answered(
+    program: StateProgram,
+    model: ReplayModel,
+    asked: States,
+    dt_s: float,
+    properties: Mapping[str, float],
+) -> Array:
+    V, alpha, beta = (
+        np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
+    )
     n = len(V)
     # At one latitude geodetic height goes with height above sea level in a straight line, to 1e-9 of it below 3 km.
     (latitude, at_sea), (_, at_top) = (level_of(model, level) for level in (0.0, _LEVEL_M))
     height = at_sea + (at_top - at_sea) / _LEVEL_M * asked.altitude_m
     conditions = {
-        "ic/lat-geod-rad": np.full(n, latitude), "ic/long-gc-rad": np.zeros(n), "ic/geod-alt-ft": height,
-        "ic/phi-rad": asked.motion["phi_rad"], "ic/theta-rad": asked.motion["theta_rad"], "ic/psi-true-rad": np.zeros(n),
-        "ic/u-fps": V * np.cos(alpha) * np.cos(beta) / FT_M, "ic/v-fps": V * np.sin(beta) / FT_M,
+        "ic/lat-geod-rad": np.full(n, latitude),
+        "ic/long-gc-rad": np.zeros(n),
+        "ic/geod-alt-ft": height,
+        "ic/phi-rad": asked.motion["phi_rad"],
+        "ic/theta-rad": asked.motion["theta_rad"],
+        "ic/psi-true-rad": np.zeros(n),
+        "ic/u-fps": V * np.cos(alpha) * np.cos(beta) / FT_M,
+        "ic/v-fps": V * np.sin(beta) / FT_M,
         "ic/w-fps": V * np.sin(alpha) * np.cos(beta) / FT_M,
-        "ic/p-rad_sec": asked.motion["p_radps"], "ic/q-rad_sec": asked.motion["q_radps"], "ic/r-rad_sec": asked.motion["r_radps"],
-    }  # fmt: skip
-    return batch.at_states(program, conditions, asked.terrain_m / FT_M, dt_s, asked.controls, properties)
+        "ic/p-rad_sec": asked.motion["p_radps"],
+        "ic/q-rad_sec": asked.motion["q_radps"],
+        "ic/r-rad_sec": asked.motion["r_radps"],
+    }
+    return batch.at_states(
+        program, conditions, asked.terrain_m / FT_M, dt_s, asked.controls, properties
+    )

@@ -27,7 +27,11 @@ _ABOUT_S = 4.0
 
 def height_known(record: FlightRecord) -> bool:
     """Whether a record's heights are above the ground: it starts elsewhere than at its zero, or at rest."""
-    if "h_m" not in record or not np.isfinite(record["h_m"]).any() or not np.nanmedian(record["h_m"]) > 0.0:
+    if (
+        "h_m" not in record
+        or not np.isfinite(record["h_m"]).any()
+        or not np.nanmedian(record["h_m"]) > 0.0
+    ):
         return False
     begun = slice(0, max(1, round(_BEGINNING_S / record.dt_s)))
     first = {c: np.array(record[c][begun]) for c in ("h_m", "V_mps") if c in record}
@@ -39,7 +43,9 @@ def heights(channels: Mapping[str, Array], dt_s: float) -> Array:
     """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make (Stevens and Lewis, rate of climb),
     and what the recorded heights are above it, by a straight line through those about each row. channels: of the stretch,
     without gaps."""
-    V, a, b, phi, theta, h = (channels[n] for n in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m"))
+    V, a, b, phi, theta, h = (
+        channels[n] for n in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m")
+    )
     across = np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)
     climb = V * (np.cos(a) * np.cos(b) * np.sin(theta) - across * np.cos(theta))
     path = dt_s * np.concatenate([[0.0], np.cumsum(0.5 * (climb[1:] + climb[:-1]))])
@@ -51,7 +57,9 @@ def _on_lines(values: Array, half: int) -> Array:
     n = len(values)
     at = np.arange(n)
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, n)
-    sums = np.cumsum(np.pad(np.stack([np.ones(n), at, at**2, values, at * values]), ((0, 0), (1, 0))), axis=1)
+    sums = np.cumsum(
+        np.pad(np.stack([np.ones(n), at, at**2, values, at * values]), ((0, 0), (1, 0))), axis=1
+    )
     count, x, xx, y, xy = sums[:, last] - sums[:, first]
     spread = count * xx - x**2
     slope = np.divide(count * xy - x * y, spread, out=np.zeros(n), where=spread > 0.0)
@@ -65,7 +73,9 @@ def terrain_m(model: ReplayModel, segment: Segment) -> float:
 
 def altitudes(model: ReplayModel, segment: Segment, h_m: Array) -> Array:
     """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground does not count."""
-    return segment.altitude_m + (h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m)))
+    return segment.altitude_m + (
+        h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m))
+    )
 
 
 def _counts(model: ReplayModel, segment: Segment) -> bool:

@@ -39,17 +39,23 @@ class History:
         return f"{self.flight}, {self.manoeuvre}, from {self.time_s[0]:.1f} s"
 
 
-def columns_of(names: Sequence[str], blocks: Sequence[Array], suffix: str = "") -> dict[str, list[Array]]:
+def columns_of(
+    names: Sequence[str], blocks: Sequence[Array], suffix: str = ""
+) -> dict[str, list[Array]]:
     """Columns by name, one array a segment, from blocks (n, m) whose columns have ``names``."""
     return {f"{name}{suffix}": [block[:, k] for block in blocks] for k, name in enumerate(names)}
 
 
-def write_histories(folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[Array]]) -> None:
+def write_histories(
+    folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[Array]]
+) -> None:
     """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them. Same input, same bytes."""
     write_pieces(folder / HISTORIES, [(s.flight, s.label, s.time_s) for s in segments], columns)
 
 
-def write_pieces(path: Path, pieces: Sequence[tuple[str, str, Array]], columns: Mapping[str, Sequence[Array]]) -> None:
+def write_pieces(
+    path: Path, pieces: Sequence[tuple[str, str, Array]], columns: Mapping[str, Sequence[Array]]
+) -> None:
     """The same for pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
     counts = [len(time_s) for _, _, time_s in pieces]
     number = np.repeat(np.arange(len(pieces)), counts)
@@ -88,18 +94,23 @@ def read_histories(path: Path) -> list[History]:
     rows_of = [np.flatnonzero(number == k) for k in np.unique(number)]
     return [
         History(
-            int(number[rows[0]]), flights[rows[0]].as_py(), manoeuvres[rows[0]].as_py(), time_s[rows],
+            int(number[rows[0]]),
+            flights[rows[0]].as_py(),
+            manoeuvres[rows[0]].as_py(),
+            time_s[rows],
             {name: value[rows] for name, value in values.items()},
         )
         for rows in rows_of
-    ]  # fmt: skip
+    ]
 
 
 def _values(column: pa.ChunkedArray) -> NDArray[Any]:
     """(n,) numbers of a column, NaN where there is none."""
     whole = column.combine_chunks()
     # to_numpy would load pandas; what this program wrote has no gaps.
-    return np.asarray(whole.to_numpy(zero_copy_only=False) if whole.null_count else np.from_dlpack(whole))
+    return np.asarray(
+        whole.to_numpy(zero_copy_only=False) if whole.null_count else np.from_dlpack(whole)
+    )
 
 
 def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
@@ -107,7 +118,12 @@ def have(pieces: Sequence[History], names: Iterable[str]) -> bool:
     return bool(pieces) and set(names) <= set(pieces[0].columns)
 
 
-_KEYS = {"segment": pa.int64(), "flight": pa.string(), "manoeuvre": pa.string(), "time_s": pa.float64()}
+_KEYS = {
+    "segment": pa.int64(),
+    "flight": pa.string(),
+    "manoeuvre": pa.string(),
+    "time_s": pa.float64(),
+}
 
 
 def _checked(table: pa.Table, path: Path) -> pa.Table:
@@ -116,8 +132,14 @@ def _checked(table: pa.Table, path: Path) -> pa.Table:
     for name in (*_KEYS, *names):
         wanted = _KEYS.get(name, pa.float64())
         if names.count(name) != 1 or table.column(name).type != wanted:
-            found = f"{table.column(name).type}" if names.count(name) == 1 else f"there {names.count(name)} times"
-            raise BadInputError(f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again")
+            found = (
+                f"{table.column(name).type}"
+                if names.count(name) == 1
+                else f"there {names.count(name)} times"
+            )
+            raise BadInputError(
+                f"{path}: column {name} is {found}, it must be there once, of type {wanted}; run its command again"
+            )
         if name in _KEYS and table.column(name).null_count:
             raise BadInputError(f"{path}: column {name} has gaps; run its command again")
     return table

@@ -66,7 +66,16 @@ Map = Callable[[Callable[[ReplayJob], Array], Sequence[ReplayJob]], Iterable[Arr
 
 def by_jsbsim(job: ReplayJob) -> Array:
     """Fly one replay in JSBSim."""
-    return fly_segment(job.model, job.segment, job.properties, job.start, job.extra, job.late_s, job.between, job.unseen)
+    return fly_segment(
+        job.model,
+        job.segment,
+        job.properties,
+        job.start,
+        job.extra,
+        job.late_s,
+        job.between,
+        job.unseen,
+    )
 
 
 def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
@@ -137,7 +146,13 @@ def _made(job: ReplayJob, names: frozenset[str]) -> _Program | None:
         extra = tuple(dict.fromkeys((*_stood(job), *job.extra)))
         records = [*RAW, *extra]
         made = batch.make_replay(
-            sources, lambda: _started(model, shape.dt_s), shape.dt_s, properties, sorted(names), records, shape.stride
+            sources,
+            lambda: _started(model, shape.dt_s),
+            shape.dt_s,
+            properties,
+            sorted(names),
+            records,
+            shape.stride,
         )
     except BadInputError as error:
         _LOG.info("replays are flown by JSBSim: %s", error)
@@ -158,23 +173,34 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
     and tumbles is elsewhere by rounding alone."""
     if program is None:
         return None
-    (ours, off), theirs = _in_lanes(program, [job, replace(job, start=job.start + _OFF)]), by_jsbsim(job)
+    (ours, off), theirs = (
+        _in_lanes(program, [job, replace(job, start=job.start + _OFF)]),
+        by_jsbsim(job),
+    )
     alike = np.isfinite(ours) == np.isfinite(off)
-    spread = np.maximum.accumulate(np.where(alike, np.nan_to_num(np.abs(off - ours)), np.inf), axis=0)
+    spread = np.maximum.accumulate(
+        np.where(alike, np.nan_to_num(np.abs(off - ours)), np.inf), axis=0
+    )
     said = np.max(spread, axis=1) < _GROWN * _OFF
     size = np.nanmax(np.abs(theirs[said]), axis=0, initial=1e-3)
     apart = np.abs(ours - theirs)[said] / size
     same = np.isfinite(ours[said]) == np.isfinite(theirs[said])
     if said[0] and bool(same.all()) and not (apart > _AGREES + spread[said] / size).any():
         return program
-    _LOG.warning("replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size", np.nanmax(apart, initial=0.0))
+    _LOG.warning(
+        "replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size",
+        np.nanmax(apart, initial=0.0),
+    )
     return None
 
 
 def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     lanes = [_lane(job, shape) for job, shape in zip(jobs, shapes, strict=True)]
-    found = {k: _outputs(program, rows, jobs[k], shapes[k]) for k, rows in batch.fly_replays(program.replay, lanes)}
+    found = {
+        k: _outputs(program, rows, jobs[k], shapes[k])
+        for k, rows in batch.fly_replays(program.replay, lanes)
+    }
     return [found[k] for k in range(len(jobs))]
 
 
@@ -182,7 +208,14 @@ def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
     segment = job.segment
     content = (segment.at_commands().controlled, segment.dt_s, segment.per_row, shape)
     servos = tuple(job.properties.get(name) for name in job.model.servos)
-    return (job.model.identity, frozenset(job.model.measured), content, servos, job.late_s, job.unseen)
+    return (
+        job.model.identity,
+        frozenset(job.model.measured),
+        content,
+        servos,
+        job.late_s,
+        job.unseen,
+    )
 
 
 @cached(LRUCache(_TIMINGS), key=_content)
@@ -190,7 +223,9 @@ def _controls_of(job: ReplayJob, shape: Shape) -> Array:
     """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
     estimate, by segments cut anew."""
     _, places = job.model.fed()
-    return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[:, places]
+    return run_controls(job.model, job.segment, shape, job.properties, job.late_s, job.unseen)[
+        :, places
+    ]
 
 
 def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
@@ -198,19 +233,32 @@ def _lane(job: ReplayJob, shape: Shape) -> ReplayLane:
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in job.start)
     u, v, w = body_velocity(V, alpha, beta)
     conditions = {
-        "ic/lat-geod-rad": latitude, "ic/long-gc-rad": 0.0, "ic/geod-alt-ft": height,
-        "ic/phi-rad": phi, "ic/theta-rad": theta, "ic/psi-true-rad": psi % (2.0 * math.pi),
-        "ic/u-fps": u / FT_M, "ic/v-fps": v / FT_M, "ic/w-fps": w / FT_M,
-        "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
-    }  # fmt: skip
+        "ic/lat-geod-rad": latitude,
+        "ic/long-gc-rad": 0.0,
+        "ic/geod-alt-ft": height,
+        "ic/phi-rad": phi,
+        "ic/theta-rad": theta,
+        "ic/psi-true-rad": psi % (2.0 * math.pi),
+        "ic/u-fps": u / FT_M,
+        "ic/v-fps": v / FT_M,
+        "ic/w-fps": w / FT_M,
+        "ic/p-rad_sec": p,
+        "ic/q-rad_sec": q,
+        "ic/r-rad_sec": r,
+    }
     terrain = terrain_m(job.model, job.segment) / FT_M
-    return batch.ReplayLane(job.properties, conditions, terrain, _controls_of(job, shape), shape.dt_s)
+    return batch.ReplayLane(
+        job.properties, conditions, terrain, _controls_of(job, shape), shape.dt_s
+    )
 
 
 def sources_of(model: ReplayModel) -> batch.Sources:
     """The aircraft's XML as the batch engine reads it. Raises BadInputError."""
     root = model.staging.root
-    return batch.read_sources(batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"), None)
+    return batch.read_sources(
+        batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems"),
+        None,
+    )
 
 
 @cached(LRUCache(_LEVELS), key=lambda model, altitude_m: (model.identity, altitude_m))

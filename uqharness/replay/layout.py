@@ -10,7 +10,16 @@ from uqharness.replay.flights import Flight
 from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF, UNSEEN
 from uqharness.replay.segments import Segment
 
-_FREE_STARTS = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+_FREE_STARTS = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+)
 _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
@@ -29,9 +38,14 @@ class Layout:
 
 
 def nuisance_layout(
-    names: Sequence[str], limits: Sequence[tuple[float, float]], cut: Sequence[Segment], biases: Sequence[str],
-    outputs: Sequence[str], late: Mapping[str, Sequence[str]], jumping: Sequence[str] = (),
-) -> Layout:  # fmt: skip
+    names: Sequence[str],
+    limits: Sequence[tuple[float, float]],
+    cut: Sequence[Segment],
+    biases: Sequence[str],
+    outputs: Sequence[str],
+    late: Mapping[str, Sequence[str]],
+    jumping: Sequence[str] = (),
+) -> Layout:
     """Parameters, one bias a flight and channel, the delays ``late`` (flight -> channels), what the accelerometers have not seen of
     the jumps in flights ``jumping``, start states of every segment."""
     extra, bounds = [], list(limits)
@@ -55,7 +69,9 @@ def nuisance_layout(
     return Layout((*names, *extra), bounds)
 
 
-def delayed(flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None) -> dict[str, list[str]]:
+def delayed(
+    flights: Sequence[Flight], outputs: Sequence[str], asked: Sequence[str] | None
+) -> dict[str, list[str]]:
     """Flight -> what is late, of which delays are estimated: the controls (CONTROL_DELAY) and sensors.
 
     By default the controls, in every flight: a command is held for a sample, and whatever carried it out began somewhere in
@@ -84,7 +100,9 @@ def late_limit_s(flight: Flight, dt_s: float) -> float:
     return math.inf if flight.record.metadata.native_hz else max(LATE_ROWS * dt_s, _LEAST_LATE_S)
 
 
-def misplaced(flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]) -> list[str]:
+def misplaced(
+    flights: Sequence[Flight], cut: Sequence[Segment], nuisance: Mapping[str, tuple[float, float]]
+) -> list[str]:
     """A sentence for every flight whose controls, by the estimate in ``nuisance``, act when its record says they do not."""
     said = []
     for flight in flights:

@@ -21,7 +21,9 @@ def mean_ahead(command: Array, step: int) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, step).mean(axis=1))
 
 
-def with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[FlightRecord, list[str], float]:
+def with_steps_placed(
+    record: FlightRecord, columns: Sequence[str]
+) -> tuple[FlightRecord, list[str], float]:
     """Commands logged more slowly than the record's rows, their steps where the gyro saw them act, and by how much the gyro is
     late [s]: the mean over the steps that are placed, 0 where there are none."""
     found: dict[str, Array] = {}
@@ -33,7 +35,9 @@ def with_steps_placed(record: FlightRecord, columns: Sequence[str]) -> tuple[Fli
             continue
         command = np.asarray(record[column], dtype=float)
         noise = white_noise([record[rate]])
-        placed = place_steps(command, logged_rows(command, stride), record[rate], noise, record.dt_s)
+        placed = place_steps(
+            command, logged_rows(command, stride), record[rate], noise, record.dt_s
+        )
         found[column] = placed.command
         if placed.steps:
             late, steps = late + placed.steps * placed.late_s, steps + placed.steps

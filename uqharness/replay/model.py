@@ -20,7 +20,17 @@ from numpy.typing import NDArray
 from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft, Card, Staging, check_loadable, content_hash, engine, parse_xml, position_factor, stage
+from uqharness.simulator import (
+    Aircraft,
+    Card,
+    Staging,
+    check_loadable,
+    content_hash,
+    engine,
+    parse_xml,
+    position_factor,
+    stage,
+)
 from uqharness.xml import declared_in
 
 THROTTLE = "fcs/throttle-cmd-norm"
@@ -31,7 +41,12 @@ _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
 _RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
 _INTEGRATORS = tuple(
     f"simulation/integrator/{part}"
-    for part in ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+    for part in (
+        "rate/rotational",
+        "rate/translational",
+        "position/rotational",
+        "position/translational",
+    )
 )
 _THIRD_ORDER = 4.0
 """JSBSim's number of Adams-Bashforth's rule of third order. One of second order would add 0.08 % to a mode of 8.5 rad/s in runs of
@@ -144,27 +159,51 @@ class ReplayFolder:
         copy, card = staging.folder, aircraft.card
         lagging, servos = _edit(copy, aircraft.xml.name, card, (*measured, *ideal))
         self.model = ReplayModel(
-            staging, card, tuple(controls), tuple(measured),
-            tuple(_factor(card, name) for name in controls), tuple(c for c in controls if card.inputs[c].position in lagging),
+            staging,
+            card,
+            tuple(controls),
+            tuple(measured),
+            tuple(_factor(card, name) for name in controls),
+            tuple(c for c in controls if card.inputs[c].position in lagging),
             {c: lagging[p] for c in controls if (p := card.inputs[c].position) in lagging},
-            dict(settings or {}), near_ground=_asks_for(_HEIGHT, copy), by_rates=_asks_for(_RATES, copy),
-            identity=repr((content_hash(aircraft), tuple(controls), tuple(measured), tuple(ideal), dict(settings or {}))),
-            varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")), servos=servos,
-        )  # fmt: skip
+            dict(settings or {}),
+            near_ground=_asks_for(_HEIGHT, copy),
+            by_rates=_asks_for(_RATES, copy),
+            identity=repr(
+                (
+                    content_hash(aircraft),
+                    tuple(controls),
+                    tuple(measured),
+                    tuple(ideal),
+                    dict(settings or {}),
+                )
+            ),
+            varied=(*declared_in(copy, "aero/"), *declared_in(copy, "effect/")),
+            servos=servos,
+        )
         engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
         self.model = replace(self.model, engines=engines)
-        self.model = replace(self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s))
+        self.model = replace(
+            self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s)
+        )
 
     def __enter__(self) -> ReplayModel:
         return self.model
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._scratch.close()
 
 
 def _asks_for(names: re.Pattern[str], folder: Path) -> bool:
     """Whether any XML of an aircraft's folder has one of such property names."""
-    texts = (p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml")))
+    texts = (
+        p.read_bytes().decode("utf-8", errors="replace") for p in sorted(folder.rglob("*.xml"))
+    )
     return any(names.search(text) is not None for text in texts)
 
 
@@ -192,7 +231,12 @@ def _throws(
     found: list[tuple[tuple[float, ...], tuple[float, ...]] | None] = []
     for control in model.controls:
         card = model.card.inputs[control]
-        if control not in direct or control == "throttle" or card.unit != "norm" or card.position is None:
+        if (
+            control not in direct
+            or control == "throttle"
+            or card.unit != "norm"
+            or card.position is None
+        ):
             found.append(None)
             continue
         commands = np.linspace(*card.limits, 41)
@@ -219,7 +263,7 @@ def _throws(
 
 def _edit(
     folder: Path, main: str, card: Card, direct: Sequence[str]
-) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:  # fmt: skip
+) -> tuple[dict[str | None, tuple[str, str]], tuple[str, ...]]:
     """Take idle systems out of the main file, dynamics out of the actuators of ``direct`` in every file.
 
     An actuator moves a control if its name or an output is the card's position, be it in another unit. Returns the positions whose
@@ -227,7 +271,11 @@ def _edit(
     """
     lagging: dict[str | None, tuple[str, str]] = {}
     read: set[str] = set()
-    surfaces = {_surface(position): position for entry in card.inputs.values() if (position := entry.position) is not None}
+    surfaces = {
+        _surface(position): position
+        for entry in card.inputs.values()
+        if (position := entry.position) is not None
+    }
     positions = {card.inputs[name].position for name in direct} - {None}
     for path in sorted(folder.rglob("*.xml")):
         tree = parse_xml(path)
@@ -239,7 +287,10 @@ def _edit(
                     root.remove(system)
                     changed = True
         for actuator in root.iter("actuator"):
-            moved = [str(actuator.get("name")), *((o.text or "").strip() for o in actuator.findall("output"))]
+            moved = [
+                str(actuator.get("name")),
+                *((o.text or "").strip() for o in actuator.findall("output")),
+            ]
             known = {surfaces[_surface(name)] for name in moved if _surface(name) in surfaces}
             if known & positions:
                 for kind in _ACTUATOR_DYNAMICS:
@@ -249,8 +300,15 @@ def _edit(
             if actuator.find("lag") is not None:
                 # A rate limit counts in the unit of the actuator's own output.
                 texts = [(actuator.findtext(kind) or "").strip() for kind in ("lag", "rate_limit")]
-                lagging |= {position: (texts[0], texts[1] if position in moved else "") for position in known}
-            numbers = ((e.text or "").strip() for kind in _ACTUATOR_DYNAMICS for e in actuator.findall(kind))
+                lagging |= {
+                    position: (texts[0], texts[1] if position in moved else "")
+                    for position in known
+                }
+            numbers = (
+                (e.text or "").strip()
+                for kind in _ACTUATOR_DYNAMICS
+                for e in actuator.findall(kind)
+            )
             read |= {text for text in numbers if "/" in text}
         if changed:
             tree.write(str(path), encoding="UTF-8", xml_declaration=True)
@@ -276,7 +334,10 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     system = etree.Element("system", name="left out of the replay")
     for name in names:
         etree.SubElement(system, "property", value="0").text = name
-    first = next((e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")), None)
+    first = next(
+        (e for e in root if e.tag in ("system", "autopilot", "flight_control", "aerodynamics")),
+        None,
+    )
     if first is None:
         root.append(system)
     else:
@@ -293,6 +354,8 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
         handles = [engine.handle(fdm, prop).set_double_value]
         if prop == THROTTLE:
             engines = fdm.get_propulsion().get_num_engines()
-            handles += [engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)]
+            handles += [
+                engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)
+            ]
         found.append(handles)
     return found

@@ -21,12 +21,18 @@ def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
 
     def spread(function: Callable[[Array], Any], points: Any) -> Iterable[Any]:
         replay = getattr(function, "simulate", None)
-        return _read(function, replay, list(points), map_) if isinstance(replay, Replay) else map(function, list(points))
+        return (
+            _read(function, replay, list(points), map_)
+            if isinstance(replay, Replay)
+            else map(function, list(points))
+        )
 
     return spread
 
 
-def _read(function: Callable[[Array], Any], replay: Replay, points: list[Array], map_: Callable[..., Any]) -> Iterator[Any]:
+def _read(
+    function: Callable[[Array], Any], replay: Replay, points: list[Array], map_: Callable[..., Any]
+) -> Iterator[Any]:
     yield from map(function, replay.fetched(points, map_))
     replay.rest()
 

@@ -40,9 +40,12 @@ _chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_CHAINS)
 
 
 def surface_positions(
-    model: ReplayModel, cut: Sequence[Segment], names: Sequence[str], properties: Mapping[str, float] | None = None,
+    model: ReplayModel,
+    cut: Sequence[Segment],
+    names: Sequence[str],
+    properties: Mapping[str, float] | None = None,
     worth_s: float = WORTH_S,
-) -> list[Array]:  # fmt: skip
+) -> list[Array]:
     """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
     of them.
 
@@ -76,17 +79,40 @@ def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[ob
         return (asked.model.identity, controls, *began, asked.names, *asked.servos.items())
     model = asked.model
     servos = [(name, value) for name, value in asked.servos.items() if name in chain.reads]
-    feeding = repr((model.controls, model.measured, model.lagging, model.factor, model.throws, set_by(model)))
-    limits = repr([(model.card.inputs[c].limits, model.card.inputs[c].position, model.card.inputs[c].unit) for c in model.controls])
-    return (chain.xml, controls, shape_of(model, segment), segment.per_row, asked.names, *servos, feeding, limits)
+    feeding = repr(
+        (model.controls, model.measured, model.lagging, model.factor, model.throws, set_by(model))
+    )
+    limits = repr(
+        [
+            (model.card.inputs[c].limits, model.card.inputs[c].position, model.card.inputs[c].unit)
+            for c in model.controls
+        ]
+    )
+    return (
+        chain.xml,
+        controls,
+        shape_of(model, segment),
+        segment.per_row,
+        asked.names,
+        *servos,
+        feeding,
+        limits,
+    )
 
 
 def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
     """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
     if not asked.known or not cut:
         return [np.empty((len(segment.time_s), 0)) for segment in cut]
-    jobs = [ReplayJob(asked.model, s, asked.servos, s.start, extra=tuple(asked.known.values())) for s in cut]
-    flown = fly_all(jobs) if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s else map(by_jsbsim, jobs)
+    jobs = [
+        ReplayJob(asked.model, s, asked.servos, s.start, extra=tuple(asked.known.values()))
+        for s in cut
+    ]
+    flown = (
+        fly_all(jobs)
+        if sum(s.time_s[-1] - s.time_s[0] for s in cut) > worth_s
+        else map(by_jsbsim, jobs)
+    )
     return [rows[:, len(CHANNELS) :] for rows in flown]
 
 
@@ -108,7 +134,11 @@ def _chain_of(asked: Asked, cut: Sequence[Segment]) -> ControlChain | None:
     key = (model.identity, tuple(asked.known.values()))
     if key not in _chains:
         chain = _found(asked)
-        _chains[key] = chain if chain is None or _agrees(asked, chain, min(cut, key=lambda s: len(s.time_s))) else None
+        _chains[key] = (
+            chain
+            if chain is None or _agrees(asked, chain, min(cut, key=lambda s: len(s.time_s)))
+            else None
+        )
     return _chains[key]
 
 
@@ -118,11 +148,24 @@ def _found(asked: Asked) -> ControlChain | None:
         sources = sources_of(model)
     except BadInputError:
         return None
-    parts = (sources.aerodynamics, sources.external, sources.propulsion, sources.ground, sources.mass, *sources.included.values())
-    documents = [sources.document, *(s.document for s in sources.systems), *(part[0] for part in parts if part is not None)]
+    parts = (
+        sources.aerodynamics,
+        sources.external,
+        sources.propulsion,
+        sources.ground,
+        sources.mass,
+        *sources.included.values(),
+    )
+    documents = [
+        sources.document,
+        *(s.document for s in sources.systems),
+        *(part[0] for part in parts if part is not None),
+    ]
     once = {id(document): document for document in documents}
     fed, _ = model.fed()
-    files = ControlFiles([system.node for system in sources.systems], list(once.values()), model.engines > 0)
+    files = ControlFiles(
+        [system.node for system in sources.systems], list(once.values()), model.engines > 0
+    )
     return control_chain(files, asked.known.values(), (*fed, *model.servos))
 
 
@@ -131,7 +174,9 @@ def _agrees(asked: Asked, chain: ControlChain, segment: Segment) -> bool:
     """Whether the beginning of a segment comes out alike; compared once for aircraft that share a chain."""
     short = _beginning(segment)
     extra = tuple(asked.known.values())
-    theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[:, len(CHANNELS) :]
+    theirs = by_jsbsim(ReplayJob(asked.model, short, asked.servos, short.start, extra=extra))[
+        :, len(CHANNELS) :
+    ]
     flew = np.isfinite(theirs).all(axis=1)
     size = np.maximum(np.abs(theirs[flew]).max(axis=0, initial=1e-3), 1e-3)
     try:
@@ -148,5 +193,8 @@ def _beginning(segment: Segment) -> Segment:
     own = segment.at_commands()
     rows = slice(0, _TRIED_ROWS)
     return replace(
-        own, time_s=own.time_s[rows], controls=own.controls[rows], targets=None if own.targets is None else own.targets[rows]
+        own,
+        time_s=own.time_s[rows],
+        controls=own.controls[rows],
+        targets=None if own.targets is None else own.targets[rows],
     )

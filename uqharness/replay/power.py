@@ -41,7 +41,9 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     V, wanted = record["V_mps"], record[column]
     height = record["h_m"] if _has(record, "h_m") else np.zeros(1)
     altitude = float(record.metadata.start.get("alt_m", 0.0)) + float(np.nanmedian(height))
-    speeds = np.linspace(float(np.nanmin(V)), max(float(np.nanmax(V)), float(np.nanmin(V)) + 1.0), _SPEEDS)
+    speeds = np.linspace(
+        float(np.nanmin(V)), max(float(np.nanmax(V)), float(np.nanmin(V)) + 1.0), _SPEEDS
+    )
     throttles = np.linspace(0.0, 100.0, _THROTTLES)
     curves = engine_map(aircraft, column, speeds, throttles, altitude)
     what, unit = SOURCES[column]
@@ -78,24 +80,35 @@ def throttle_at(V: Array, wanted: Array, speeds: Array, throttles: Array, curves
     return out
 
 
-def engine_map(aircraft: Aircraft, column: str, speeds_mps: Array, throttles_pct: Array, altitude_m: float) -> Array:
+def engine_map(
+    aircraft: Aircraft, column: str, speeds_mps: Array, throttles_pct: Array, altitude_m: float
+) -> Array:
     """(speeds, throttles) what the model's engines have in level, straight flight in their steady state: ``thrust_N``, the force
     along x that is not aerodynamic, or ``rpm``, of the first engine. Raises BadInputError for an aircraft without propeller."""
     out = np.empty((len(speeds_mps), len(throttles_pct)))
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fdm = model.open(aircraft.dt_s)
-        read = [engine.handle(fdm, name).get_double_value for name in ("forces/fbx-total-lbs", "forces/fbx-aero-lbs")]
+        read = [
+            engine.handle(fdm, name).get_double_value
+            for name in ("forces/fbx-total-lbs", "forces/fbx-aero-lbs")
+        ]
         turning = aircraft.card.outputs.get("rpm", "propulsion/engine/propeller-rpm")
         if column == "rpm":
             if not fdm.get_property_manager().hasNode(turning):
-                raise BadInputError(f"the record has rpm, and {aircraft.name} has no propeller whose speed it could be")
+                raise BadInputError(
+                    f"the record has rpm, and {aircraft.name} has no propeller whose speed it could be"
+                )
             read = [engine.handle(fdm, turning).get_double_value]
         setters = control_setters(fdm, model)[CONTROLS.index("throttle")]
         fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
         fdm["ic/terrain-elevation-ft"] = (altitude_m - _CLEARANCE_M) / FT_M
         for i, speed in enumerate(speeds_mps):
             for k, percent in enumerate(throttles_pct):
-                value = float(model.to_property(np.array([0.0, 0.0, 0.0, percent]))[CONTROLS.index("throttle")])
+                value = float(
+                    model.to_property(np.array([0.0, 0.0, 0.0, percent]))[
+                        CONTROLS.index("throttle")
+                    ]
+                )
                 fdm["ic/h-sl-ft"] = altitude_m / FT_M
                 for axis, part in zip("uvw", (speed, 0.0, 0.0), strict=True):
                     fdm[f"ic/{axis}-fps"] = float(part) / FT_M

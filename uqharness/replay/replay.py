@@ -30,17 +30,44 @@ from uqharness.simulator import STANDARD, TRIM_LATITUDE_DEG, body_velocity, engi
 
 Array = NDArray[np.float64]
 CHANNELS = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad",
-    "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2", "h_m",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "psi_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+    "h_m",
+)
 """Columns of a replay, in this order."""
-STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps")
+STATES = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "psi_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+)
 """Start state, in this order; the altitude comes besides."""
 SENSOR_OF = {
-    "phi_rad": "attitude", "theta_rad": "attitude", "psi_rad": "attitude",
-    "p_radps": "rates", "q_radps": "rates", "r_radps": "rates",
-    "ax_mps2": "accelerations", "ay_mps2": "accelerations", "az_mps2": "accelerations",
-}  # fmt: skip
+    "phi_rad": "attitude",
+    "theta_rad": "attitude",
+    "psi_rad": "attitude",
+    "p_radps": "rates",
+    "q_radps": "rates",
+    "r_radps": "rates",
+    "ax_mps2": "accelerations",
+    "ay_mps2": "accelerations",
+    "az_mps2": "accelerations",
+}
 """Channels that come from one sensor and share its delay; the others stand for themselves."""
 CONTROL_DELAY = "controls"
 """What a delay is called by which the controls act late, all of them."""
@@ -65,7 +92,11 @@ _KINK = 1.0 / 12.0
 """Of a line's change of direction: what sums over runs have too little."""
 _REMEMBERED = 64
 """Segments whose controls are remembered by runs."""
-_ANGULAR = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
+_ANGULAR = (
+    "accelerations/pdot-rad_sec2",
+    "accelerations/qdot-rad_sec2",
+    "accelerations/rdot-rad_sec2",
+)
 RAW = (*(STANDARD[c].property for c in CHANNELS), "inertia/mass-slugs", *_ANGULAR)
 """Properties that the channels are made of."""
 _FACTORS = np.array([STANDARD[c].factor for c in CHANNELS])
@@ -91,15 +122,24 @@ def shape_of(model: ReplayModel, segment: Segment, between: bool = False) -> Sha
     runs = per_row * runs_per_row(command_s, longest_s)
     outputs = per_row * math.ceil(command_s / BETWEEN_S - 1e-6) if between else 1
     runs = outputs * math.ceil(runs / outputs)
-    return Shape(segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1)
+    return Shape(
+        segment.dt_s / runs, runs, runs // outputs, (len(segment.time_s) - 1) * outputs + 1
+    )
 
 
 def run_controls(
-    model: ReplayModel, segment: Segment, shape: Shape, properties: Mapping[str, float], late_s: float = 0.0, unseen: float = 0.0
-) -> Array:  # fmt: skip
+    model: ReplayModel,
+    segment: Segment,
+    shape: Shape,
+    properties: Mapping[str, float],
+    late_s: float = 0.0,
+    unseen: float = 0.0,
+) -> Array:
     """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising. properties: values in
     force, of which the actuators' own count."""
-    measured, lagging = ([name in kind for name in model.controls] for kind in (model.measured, model.lagging))
+    measured, lagging = (
+        [name in kind for name in model.controls] for kind in (model.measured, model.lagging)
+    )
     seen = 1.0 - unseen if shape.stride == shape.runs else None
     late = late_s / segment.dt_s * shape.runs
     limits = [
@@ -108,13 +148,17 @@ def run_controls(
     ]
     runs, ends = shape.runs // segment.per_row, np.sort(limits)
     stood = begun(model, segment, properties, ends)
-    return model.to_property(by_run(segment.at_commands(), runs, measured, lagging, late, seen, ends, stood))
+    return model.to_property(
+        by_run(segment.at_commands(), runs, measured, lagging, late, seen, ends, stood)
+    )
 
 
 def runs_per_row(dt_s: float, longest_s: float | None = None) -> int:
     """JSBSim runs from one row to the next, none longer than ``longest_s`` (MAX_STEP_S): at least two, and four, as many as the
     values around a step take, unless they were shorter than SHORT_STEP_S."""
-    whole, short = (math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S))
+    whole, short = (
+        math.ceil(dt_s / step - 1e-6) for step in (longest_s or MAX_STEP_S, SHORT_STEP_S)
+    )
     return max(MIN_RUNS, whole, min(len(_RETURN), short))
 
 
@@ -142,7 +186,14 @@ def fly_segment(
         engine.set_property(fdm, name, value)
     setters = control_setters(fdm, model)
     controls = run_controls(model, segment, shape, properties, late_s, unseen)
-    _initialise(fdm, segment, segment.start if start is None else start, setters, model, controls[0].tolist())
+    _initialise(
+        fdm,
+        segment,
+        segment.start if start is None else start,
+        setters,
+        model,
+        controls[0].tolist(),
+    )
     read = _reader(fdm, extra)
     rows = _advance(fdm, controls, setters, read, shape.stride)
     return outputs_of(np.array(rows), segment, len(extra), shape.rows)
@@ -159,10 +210,19 @@ def late_rows(between: Array, n: int, late: float) -> Array:
     Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
     """
     at = np.arange(len(between), dtype=float)
-    return np.asarray(np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between))
+    return np.asarray(
+        np.interp(at_rows(at, n) - late * ((len(between) - 1) // (n - 1)), at, between)
+    )
 
 
-def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any]], model: ReplayModel, first: list[float]) -> None:
+def _initialise(
+    fdm: Any,
+    segment: Segment,
+    start: Array,
+    setters: list[list[Any]],
+    model: ReplayModel,
+    first: list[float],
+) -> None:
     """Start states and the controls' ``first`` values: those of the first run, which commands that act early may have moved."""
     _put(setters, first)
     V, alpha, beta, phi, theta, psi, p, q, r = (float(x) for x in start)
@@ -170,7 +230,11 @@ def _initialise(fdm: Any, segment: Segment, start: Array, setters: list[list[Any
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = terrain_m(model, segment) / FT_M
     fdm["ic/h-sl-ft"] = segment.altitude_m / FT_M
-    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = phi, theta, psi % (2.0 * math.pi)
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
+        phi,
+        theta,
+        psi % (2.0 * math.pi),
+    )
     fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = u / FT_M, v / FT_M, w / FT_M
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = p, q, r
     engines = fdm.get_propulsion().get_num_engines()
@@ -194,9 +258,15 @@ def _reader(fdm: Any, extra: Sequence[str]) -> Any:
 
 
 def by_run(
-    segment: Segment, runs: int, measured: Sequence[bool], lagging: Sequence[bool], late: float = 0.0,
-    seen: float | None = 1.0, limits: Array | None = None, stood: Array | None = None,
-) -> Array:  # fmt: skip
+    segment: Segment,
+    runs: int,
+    measured: Sequence[bool],
+    lagging: Sequence[bool],
+    late: float = 0.0,
+    seen: float | None = 1.0,
+    limits: Array | None = None,
+    stood: Array | None = None,
+) -> Array:
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
     A command is held. The values of the runs around its step are such that Adams-Bashforth's sums have the step's own area, mean
@@ -241,7 +311,12 @@ def _later(values: Array, late: float) -> Array:
 
 
 def _content(
-    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None, stood: Array | None
+    segment: Segment,
+    runs: int,
+    held: NDArray[np.bool_],
+    lags: NDArray[np.bool_],
+    limits: Array | None,
+    stood: Array | None,
 ) -> tuple[object, ...]:
     asked = (segment.controls, segment.targets, limits, held, lags, stood)
     return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
@@ -249,7 +324,12 @@ def _content(
 
 @cached(LRUCache(_REMEMBERED), key=_content)
 def _on_time(
-    segment: Segment, runs: int, held: NDArray[np.bool_], lags: NDArray[np.bool_], limits: Array | None, stood: Array | None
+    segment: Segment,
+    runs: int,
+    held: NDArray[np.bool_],
+    lags: NDArray[np.bool_],
+    limits: Array | None,
+    stood: Array | None,
 ) -> Array:
     """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
     remembered: a segment's are wanted with every lateness that an estimator tries."""
@@ -263,7 +343,9 @@ def _on_time(
     beyond = _beyond(before, now, _BEYOND if fits else 0.5, limits)
     values[:, 1, lags] += beyond[:, lags]
     if fits:
-        values[:, 2, lags] += np.where(np.abs(beyond) < 0.25 * np.abs(now - before), beyond, 0.5 * (now - before) - beyond)[:, lags]
+        values[:, 2, lags] += np.where(
+            np.abs(beyond) < 0.25 * np.abs(now - before), beyond, 0.5 * (now - before) - beyond
+        )[:, lags]
     share = (np.arange(runs) / runs)[None, :, None]
     straight = now[:, None, :] + share * (then - now)[:, None, :]
     if segment.targets is not None:
@@ -271,7 +353,10 @@ def _on_time(
         with np.errstate(invalid="ignore", divide="ignore"):
             decay = later / away
             lag = (decay > 1e-3) & (decay < 1.0) & (np.abs(away) > 1e-6)
-            bent = segment.targets[:-1, None, :] + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+            bent = (
+                segment.targets[:-1, None, :]
+                + away[:, None, :] * np.where(lag, decay, 1.0)[:, None, :] ** share
+            )
         straight = np.where(lag[:, None, :], bent, straight)
     values = np.where(held[None, None, :], values, straight)
     out = np.vstack([values.reshape(-1, now.shape[1]), segment.controls[-1:]])
@@ -295,10 +380,15 @@ def _beyond(before: Array, now: Array, steps: float, limits: Array | None) -> Ar
 def _spread(values: Array, shares: Sequence[float]) -> Array:
     """Values each of which begins bit by bit, in as many runs as there are shares; before the first they were as there."""
     held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
-    return sum((share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)), np.zeros_like(values))
+    return sum(
+        (share * held[len(shares) - 1 - k : len(held) - k] for k, share in enumerate(shares)),
+        np.zeros_like(values),
+    )
 
 
-def _advance(fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int) -> list[list[float]]:
+def _advance(
+    fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int
+) -> list[list[float]]:
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
     values = controls.tolist()
     run = fdm.run

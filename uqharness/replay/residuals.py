@@ -10,7 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Cutoffs, Model, Piece, Prediction, Residuals, cut, residual_coefficients, steady_airspeed
+from sysid.aerodynamics import (
+    Cutoffs,
+    Model,
+    Piece,
+    Prediction,
+    Residuals,
+    cut,
+    residual_coefficients,
+    steady_airspeed,
+)
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
@@ -23,9 +32,18 @@ from uqharness.simulator import Aircraft
 
 Array = NDArray[np.float64]
 NEEDED = (
-    "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2",
-)  # fmt: skip
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 """Channels without which there is no residual; none of them is bridged across a gap."""
 ANSWERED = ("coefficients", "other_force", "other_moment", "qbar")
 """What a model says of each row."""
@@ -56,26 +74,47 @@ class JsbsimPrediction:
         out = []
         for part, said in zip(parts, force_all(self.straight, parts, self.values), strict=True):
             positions = {n: part.controls[:, k] for n, k in zip(names, columns, strict=True)}
-            out.append(Prediction(said.coefficients, said.other_force, said.other_moment, said.qbar, said.mass, positions))
+            out.append(
+                Prediction(
+                    said.coefficients,
+                    said.other_force,
+                    said.other_moment,
+                    said.qbar,
+                    said.mass,
+                    positions,
+                )
+            )
         return out
 
     def _states(self, record: FlightRecord, piece: Piece, every: int) -> StatesOf:
         rows = piece.rows
-        segment, controls = self.segments[rows.start, rows.stop], self.positions[rows.start, rows.stop]
+        segment, controls = (
+            self.segments[rows.start, rows.stop],
+            self.positions[rows.start, rows.stop],
+        )
         altitude = np.full(rows.stop - rows.start, segment.altitude_m)
         if "h_m" in record and np.isfinite(record["h_m"][rows]).all():
             # Below the ground's reach its height must be what the terrain was laid for.
-            height = heights({c: np.array(record[c][rows], dtype=float) for c in (*NEEDED, "h_m")}, record.dt_s)
+            height = heights(
+                {c: np.array(record[c][rows], dtype=float) for c in (*NEEDED, "h_m")}, record.dt_s
+            )
             altitude += height - (segment.h_m if self.model.near_ground else np.median(height))
         some = asked_rows(len(controls), every)
         return StatesOf(
-            segment, {c: np.asarray(record[c][rows], dtype=float)[some] for c in NEEDED}, controls[some], altitude[some]
+            segment,
+            {c: np.asarray(record[c][rows], dtype=float)[some] for c in NEEDED},
+            controls[some],
+            altitude[some],
         )
 
     def _prepare(self, pieces: Sequence[Piece]) -> None:
         """Segments, and where the controls stood. Actuators run up before the piece: where one stands at its start follows from
         before."""
-        missing = {(p.rows.start, p.rows.stop): p for p in pieces if (p.rows.start, p.rows.stop) not in self.positions}
+        missing = {
+            (p.rows.start, p.rows.stop): p
+            for p in pieces
+            if (p.rows.start, p.rows.stop) not in self.positions
+        }
         if not missing:
             return
         record = self.flight.record
@@ -85,8 +124,13 @@ class JsbsimPrediction:
         for (start, stop), piece in missing.items():
             whole = next(s for s in record.segments(needed) if s.start <= start < s.stop)
             first = max(whole.start, start - run_up)
-            longer.append(replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first])))
-        own, before = (segments(replace(self.flight, pieces=tuple(some)), self.measured) for some in (missing.values(), longer))
+            longer.append(
+                replace(piece, rows=slice(first, stop), start_s=float(record["time_s"][first]))
+            )
+        own, before = (
+            segments(replace(self.flight, pieces=tuple(some)), self.measured)
+            for some in (missing.values(), longer)
+        )
         self.segments.update(zip(missing, own, strict=True))
         flown = surface_positions(self.model, before, CONTROLS, self.values, WORTH_ONCE_S)
         for rows, piece, stood in zip(missing, longer, flown, strict=True):
@@ -115,7 +159,10 @@ def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
 
 @contextmanager
 def prediction_of(
-    aircraft: Aircraft, measured: Sequence[str], ideal_servos: bool = False, values: Mapping[str, float] | None = None
+    aircraft: Aircraft,
+    measured: Sequence[str],
+    ideal_servos: bool = False,
+    values: Mapping[str, float] | None = None,
 ) -> Iterator[ReplayPair]:
     """The aircraft opened twice: with its actuators, and with controls passed straight through. values: of properties that are
     not to be as in its XML."""
@@ -159,14 +206,24 @@ class ReplayPair:
 
         return near
 
-    def ahead(self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece], every: int = 1) -> None:
+    def ahead(
+        self,
+        flight: Flight,
+        records: Sequence[FlightRecord],
+        pieces: Sequence[Piece],
+        every: int = 1,
+    ) -> None:
         """Ask for all states of some records at once, at every so many rows: piece by piece an answer takes many times as long."""
         asked = {self._key(flight, r, p, every): (r, p, every) for r in records for p in pieces}
         missing = {key: one for key, one in asked.items() if key not in self.said}
         if missing:
-            self.said.update(zip(missing, self._model(flight).all(list(missing.values())), strict=True))
+            self.said.update(
+                zip(missing, self._model(flight).all(list(missing.values())), strict=True)
+            )
 
-    def ahead_near(self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece]) -> None:
+    def ahead_near(
+        self, flight: Flight, records: Sequence[FlightRecord], pieces: Sequence[Piece]
+    ) -> None:
         """The same for states near a piece's own, which `around` is asked for."""
         self.ahead(flight, records, pieces, _EVERY)
 
@@ -179,7 +236,9 @@ class ReplayPair:
     def _model(self, flight: Flight) -> JsbsimPrediction:
         found = self.models.get(id(flight))
         if found is None or found.flight is not flight:
-            found = self.models[id(flight)] = JsbsimPrediction(self.model, self.straight, flight, self.measured, self.values)
+            found = self.models[id(flight)] = JsbsimPrediction(
+                self.model, self.straight, flight, self.measured, self.values
+            )
         return found
 
     @staticmethod
@@ -189,7 +248,10 @@ class ReplayPair:
 
 
 def read_bounds_flights(
-    paths: Sequence[Path], aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
+    paths: Sequence[Path],
+    aircraft: Aircraft,
+    manoeuvres: Path | None = None,
+    map_path: Path | None = None,
 ) -> tuple[list[Flight], tuple[str, ...]]:
     """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions. Raises BadInputError."""
     flights, measured = read_flights(paths, aircraft, manoeuvres, map_path)
@@ -198,7 +260,9 @@ def read_bounds_flights(
 
 def recut(flight: Flight, measured: Sequence[str]) -> Flight:
     """The flight cut where every channel of NEEDED is there. Raises BadInputError."""
-    missing = [c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()]
+    missing = [
+        c for c in NEEDED if c not in flight.record or not np.isfinite(flight.record[c]).any()
+    ]
     if missing:
         raise BadInputError(
             f"{flight.name}: the record has no {', '.join(missing)}; residual coefficients need {', '.join(NEEDED)}. "
@@ -206,15 +270,20 @@ def recut(flight: Flight, measured: Sequence[str]) -> Flight:
         )
     pieces, how = cut(flight.record, (*NEEDED, *control_columns(measured)))
     if not pieces:
-        raise BadInputError(f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap")
+        raise BadInputError(
+            f"{flight.name}: no stretch of two seconds has all of {', '.join(NEEDED)} without a gap"
+        )
     seconds = sum(p.end_s - p.start_s for p in pieces)
     return replace(
-        flight, pieces=tuple(pieces),
+        flight,
+        pieces=tuple(pieces),
         notes=(*flight.notes[:-1], f"{flight.name}: {len(pieces)} pieces, {seconds:.0f} s; {how}"),
-    )  # fmt: skip
+    )
 
 
-def flight_residuals(pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs) -> Residuals:
+def flight_residuals(
+    pair: ReplayPair, flight: Flight, arm_m: Sequence[float], cutoffs: Cutoffs
+) -> Residuals:
     """A flight's residual coefficients. Raises BadInputError."""
     try:
         pair.ahead(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)

@@ -84,11 +84,15 @@ class Segment:
         own = self.commands
         assert own is not None
         time_s = np.linspace(self.time_s[0], self.time_s[-1], len(own.controls))
-        return replace(self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None)
+        return replace(
+            self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None
+        )
 
     def on_rows(self, values: Array) -> Array:
         """(n,) values at the rows of what is known at each command (N,): their straight lines have the same area."""
         k = self.per_row
         hat = np.append(np.arange(1, k + 1), np.arange(k - 1, 0, -1)) / k**2
-        padded = np.concatenate([np.repeat(values[:1], k - 1), values, np.repeat(values[-1:], k - 1)])
+        padded = np.concatenate(
+            [np.repeat(values[:1], k - 1), values, np.repeat(values[-1:], k - 1)]
+        )
         return np.asarray(np.convolve(padded, hat, mode="valid")[::k])

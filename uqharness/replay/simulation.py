@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from uqharness.replay.in_lanes import ReplayJob, as_flown, fly_all
 from uqharness.replay.model import ReplayModel
-from uqharness.replay.replay import CHANNELS, CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN, at_rows, late_rows, shape_of
+from uqharness.replay.replay import (
+    CHANNELS,
+    CONTROL_DELAY,
+    SENSOR_OF,
+    STATES,
+    UNSEEN,
+    at_rows,
+    late_rows,
+    shape_of,
+)
 from uqharness.replay.segments import Segment
 
 Array = NDArray[np.float64]
@@ -36,15 +45,25 @@ class Replay:
     """
 
     def __init__(
-        self, model: ReplayModel, segments: Sequence[Segment], names: Sequence[str], channels: Sequence[str],
-        token: str, base: Mapping[str, float] | None = None, late_s: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        model: ReplayModel,
+        segments: Sequence[Segment],
+        names: Sequence[str],
+        channels: Sequence[str],
+        token: str,
+        base: Mapping[str, float] | None = None,
+        late_s: Mapping[str, float] | None = None,
+    ) -> None:
         self.model, self.segments, self.names = model, tuple(segments), tuple(names)
         self.channels, self.token = tuple(channels), token
         self.base = dict(base or {})
         self._late_s = {self.channels.index(c): s for c, s in (late_s or {}).items() if s != 0.0}
         self._columns = [CHANNELS.index(c) for c in channels]
-        self._properties = [(i, n) for i, n in enumerate(names) if not n.startswith(("bias/", "delay/", "start/", f"{UNSEEN}/"))]
+        self._properties = [
+            (i, n)
+            for i, n in enumerate(names)
+            if not n.startswith(("bias/", "delay/", "start/", f"{UNSEEN}/"))
+        ]
         self._biases: dict[str, list[tuple[int, int]]] = {}
         self._delays: dict[str, list[tuple[int, int]]] = {}
         self._starts: dict[int, list[tuple[int, int]]] = {}
@@ -67,7 +86,9 @@ class Replay:
             elif kind == "start":
                 self._starts.setdefault(int(where), []).append((i, STATES.index(what)))
         for segment in self.segments:
-            rows = shape_of(model, segment, segment.flight in self._delays or bool(self._late_s)).rows
+            rows = shape_of(
+                model, segment, segment.flight in self._delays or bool(self._late_s)
+            ).rows
             self._sizes.append(rows * len(CHANNELS) * 8)
 
     def moved(self, index: int) -> tuple[int, ...] | None:
@@ -75,8 +96,18 @@ class Replay:
         kind, _, rest = self.names[index].partition("/")
         if kind == "start":
             return (int(rest.partition("/")[0]),)
-        flight = rest if kind == UNSEEN else rest.rpartition("/")[0] if kind in ("bias", "delay") else None
-        return None if flight is None else tuple(k for k, s in enumerate(self.segments) if s.flight == flight)
+        flight = (
+            rest
+            if kind == UNSEEN
+            else rest.rpartition("/")[0]
+            if kind in ("bias", "delay")
+            else None
+        )
+        return (
+            None
+            if flight is None
+            else tuple(k for k, s in enumerate(self.segments) if s.flight == flight)
+        )
 
     def starts_at(self, theta: Array) -> list[Start]:
         """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
@@ -85,13 +116,18 @@ class Replay:
             start = segment.start.copy()
             for i, k in self._starts.get(number, ()):
                 start[k] += theta[i]
-            late, unseen = (float(theta[of[segment.flight]]) if segment.flight in of else 0.0 for of in (self._late, self._unseen))
+            late, unseen = (
+                float(theta[of[segment.flight]]) if segment.flight in of else 0.0
+                for of in (self._late, self._unseen)
+            )
             starts.append((start, late, unseen))
         return starts
 
     def _conditions(self, theta: Array) -> tuple[dict[str, float], list[Start]]:
         """Properties, and every segment's start state and timing of the controls, at theta."""
-        return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(theta)
+        return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(
+            theta
+        )
 
     def __call__(self, theta: Array) -> list[Array]:
         """[(n, m)] outputs, one array a segment."""
@@ -102,7 +138,9 @@ class Replay:
             for number, (segment, start) in enumerate(zip(self.segments, starts, strict=True))
         ]
 
-    def _sensed(self, segment: Segment, number: int, theta: Array, pieces: Mapping[_Key, ReplayJob]) -> Array:
+    def _sensed(
+        self, segment: Segment, number: int, theta: Array, pieces: Mapping[_Key, ReplayJob]
+    ) -> Array:
         """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
@@ -133,13 +171,18 @@ class Replay:
             _flown.move_to_end(key)
         return found
 
-    def _pieces(self, number: int, segment: Segment, properties: Mapping[str, float], conditions: Start) -> dict[_Key, ReplayJob]:
+    def _pieces(
+        self, number: int, segment: Segment, properties: Mapping[str, float], conditions: Start
+    ) -> dict[_Key, ReplayJob]:
         """Replays of one segment by what makes them, as `as_flown` has them."""
         start, late_s, unseen = conditions
         between = segment.flight in self._delays or bool(self._late_s)
         late = {*self._late_s, *(k for _, k in self._delays.get(segment.flight, ()))}
         on_time = [c for k, c in enumerate(self.channels) if k not in late]
-        jobs = as_flown(ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen), on_time)
+        jobs = as_flown(
+            ReplayJob(self.model, segment, dict(properties), start, late_s, between, unseen=unseen),
+            on_time,
+        )
         made = (self.token, number, np.array(list(properties.values())).tobytes(), start.tobytes())
         return {(*made, late_s, job.unseen, job.between): job for job in jobs}
 
@@ -160,7 +203,9 @@ class Replay:
         """Let go of most pieces: those asked for last stay."""
         _shrink(_RESTING_BYTES)
 
-    def fetched(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> Iterator[Array]:
+    def fetched(
+        self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]
+    ) -> Iterator[Array]:
         """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
         are asked for."""
         jobs: dict[_Key, ReplayJob] = {}

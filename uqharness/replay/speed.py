@@ -36,7 +36,10 @@ def bare_rate(model: ReplayModel, segment: Segment) -> float:
     """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
     dt_s = segment.dt_s / runs_per_row(segment.dt_s)
     fdm = model.open(dt_s)
-    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (segment.altitude_m + 500.0) / FT_M, float(segment.start[0]) / FT_M
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (
+        (segment.altitude_m + 500.0) / FT_M,
+        float(segment.start[0]) / FT_M,
+    )
     engine.run_ic(fdm)
     run = fdm.run
     begun = time.perf_counter()

@@ -22,7 +22,13 @@ from uqharness.campaign import (
     samples,
 )
 from uqharness.campaign.conditions import conditions
-from uqharness.campaign.folder import CheckRow, read_cases, read_check, read_complete, read_decisions
+from uqharness.campaign.folder import (
+    CheckRow,
+    read_cases,
+    read_check,
+    read_complete,
+    read_decisions,
+)
 from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
 from uqharness.report import statements as report_statements
@@ -32,8 +38,11 @@ from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
 
 _QUANTITIES = (
-    ("cross_track", "cross-track", "m"), ("altitude", "altitude", "m"), ("speed", "speed", "mps"), ("heading", "heading", "deg"),
-)  # fmt: skip
+    ("cross_track", "cross-track", "m"),
+    ("altitude", "altitude", "m"),
+    ("speed", "speed", "mps"),
+    ("heading", "heading", "deg"),
+)
 _UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
 # Medians of the published flight (Hale 2016, section 3.9), measured by its own sensors; 3 m/s wind, moderate to severe.
 _PUBLISHED = {"cross_track": 9.41, "altitude": 2.16, "speed": 0.61}
@@ -103,7 +112,12 @@ def read_found(folder: Path) -> CampaignFound:
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
     check = tuple(read_check(folder))
-    asked = " ".join([_asked(frame, campaign), *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest))])
+    asked = " ".join(
+        [
+            _asked(frame, campaign),
+            *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest)),
+        ]
+    )
     return CampaignFound(folder, manifest, frame, findings, signed, asked, verdict, check)
 
 
@@ -116,12 +130,27 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
             for measured in (True, False):
                 metric = f"{quantity}_median_{unit}" + ("_measured" if measured else "")
                 corners = samples(rows, metric) if metric in rows else []
-                if (measured and not campaign["aleatory"]["sensor_noise"]) or not any(c.values.size for c in corners):
+                if (measured and not campaign["aleatory"]["sensor_noise"]) or not any(
+                    c.values.size for c in corners
+                ):
                     continue
                 box = pbox(corners, band_confidence(campaign, CONFIDENCE))
                 published = _published(campaign, condition, quantity) if measured else None
                 grown = _widened(corners)
-                found.append(Finding(metric, quantity, words, _UNITS[unit], measured, condition, box, corners, published, grown))
+                found.append(
+                    Finding(
+                        metric,
+                        quantity,
+                        words,
+                        _UNITS[unit],
+                        measured,
+                        condition,
+                        box,
+                        corners,
+                        published,
+                        grown,
+                    )
+                )
     return found
 
 
@@ -155,7 +184,11 @@ def _asked(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
     }[epistemic["method"]]
     if epistemic["method"] == "walk":
         rates = epistemic["walk_rate_per_sqrt_s"]
-        samples_text += " at " + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items()) + " per square root of a second"
+        samples_text += (
+            " at "
+            + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items())
+            + " per square root of a second"
+        )
     if "parameters" in epistemic:
         samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
     winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
@@ -172,7 +205,10 @@ _ANSWER_LEVELS: Mapping[str, Level] = {YES: "good", NO: "bad", OPEN: "warn"}
 
 
 def _verdict(
-    frame: pd.DataFrame, campaign: Mapping[str, Any], findings: Sequence[Finding], signed: Sequence[Statement]
+    frame: pd.DataFrame,
+    campaign: Mapping[str, Any],
+    findings: Sequence[Finding],
+    signed: Sequence[Statement],
 ) -> list[Say]:
     """The answer in words with numbers: the hardest condition, its excursions, its medians, and what failed."""
     kind = kind_of(campaign["epistemic"])
@@ -181,15 +217,27 @@ def _verdict(
     said = [Say(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(Say(called(report_statements.sentence(statement), kind), answer_level(statement)))
+            said.append(
+                Say(called(report_statements.sentence(statement), kind), answer_level(statement))
+            )
     if UNCOMMANDED_METRICS[0] in frame:
-        said.append(Say("No path was commanded: errors are deviations from the state in which scoring began."))
+        said.append(
+            Say(
+                "No path was commanded: errors are deviations from the state in which scoring began."
+            )
+        )
     for quantity, _, _ in _QUANTITIES:
-        both = [item for item in findings if item.condition == hardest and item.quantity == quantity]
+        both = [
+            item for item in findings if item.condition == hardest and item.quantity == quantity
+        ]
         if both:
             said.append(Say(called(_median_sentence(both, duration), kind)))
     failed = int((frame["status"] != "ok").sum())
-    counted = f"{failed} failed; they are bounded at the worst, not dropped" if failed else "all ended as planned"
+    counted = (
+        f"{failed} failed; they are bounded at the worst, not dropped"
+        if failed
+        else "all ended as planned"
+    )
     said.append(Say(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
     losses = int(frame["loss_of_control"].fillna(0).sum())
     lost = f"{losses} of them lost control." if losses else "No scored flight lost control."
@@ -216,12 +264,20 @@ def _median_sentence(both: Sequence[Finding], duration_s: float) -> str:
     parts = []
     for item in sorted(both, key=lambda finding: finding.measured):
         low, high = item.box.quantile(0.5)
-        parts.append(f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}")
+        parts.append(
+            f"{span(low, high)} {item.unit} {'as measured' if item.measured else 'in truth'}"
+        )
     text = f"Median {both[0].words} error of a typical {duration_s:g} s flight, best to worst corner: {', '.join(parts)}"
     for item in both:
         if item.published is not None:
             low, high = item.box.value[0], item.box.value[-1]
-            where = "within" if low <= item.published <= high else "below" if item.published < low else "above"
+            where = (
+                "within"
+                if low <= item.published <= high
+                else "below"
+                if item.published < low
+                else "above"
+            )
             text += f"; the published flight's {item.published:g} {item.unit} lies {where} the range measured by single flights, "
             text += f"{low:.3g} to {high:.3g} {item.unit}"
     return text + "."

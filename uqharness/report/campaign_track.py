@@ -27,17 +27,29 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     """
     if _WORST not in frame or not frame[_WORST].notna().any():
         return ()
-    rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(["far", "case_id"], ascending=[False, True])
+    rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(
+        ["far", "case_id"], ascending=[False, True]
+    )
     found: list[Figure] = []
     said: list[Block] = []
-    kept = {path.parent.name: path for path in (folder / "rerun").glob("*/record.parquet") if path.is_file()}
+    kept = {
+        path.parent.name: path
+        for path in (folder / "rerun").glob("*/record.parquet")
+        if path.is_file()
+    }
     rows = rows[rows["case_id"].astype(str).isin(list(kept))]
-    for case_id, epistemic_id, wind, air in rows[["case_id", "epistemic_id", "wind_mps", "turbulence"]].itertuples(index=False):
+    for case_id, epistemic_id, wind, air in rows[
+        ["case_id", "epistemic_id", "wind_mps", "turbulence"]
+    ].itertuples(index=False):
         if len(found) == MOST_TRACKS:
             break
         path = kept[str(case_id)]
         try:
-            figure = _track(path, f"{prefix}track-{case_id}", f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.")
+            figure = _track(
+                path,
+                f"{prefix}track-{case_id}",
+                f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.",
+            )
         except BadInputError as error:
             said.append(Words(str(error)))
             continue
@@ -45,12 +57,17 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
             found.append(figure)
     if found:
         text = "Flights of the campaign that were flown again, the largest median cross-track error first."
-        return (Section("Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))),)
+        return (
+            Section(
+                "Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))
+            ),
+        )
     worst = worst_case(frame)
-    text = (
-        "No record of a flight stands in this folder. The worst flight of the hardest condition is flown again, and drawn here, by:"
+    text = "No record of a flight stands in this folder. The worst flight of the hardest condition is flown again, and drawn here, by:"
+    commands = (
+        ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
+        ("Report", "uqharness campaign report DIR"),
     )
-    commands = (("Fly", f"uqharness campaign rerun DIR --case {worst}"), ("Report", "uqharness campaign report DIR"))
     return (Section("Ground track", (*said, Words(text, note=True), Facts(commands))),)
 
 
@@ -61,7 +78,11 @@ def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
         return ()
     rows = in_condition(frame, hardest_of(conditions(frame)))
     known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
-    return tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]])) if len(known) else ()
+    return (
+        tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]]))
+        if len(known)
+        else ()
+    )
 
 
 def worst_case(frame: pd.DataFrame) -> str:

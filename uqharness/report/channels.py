@@ -23,15 +23,30 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "Air data": ("V_mps", "alpha_rad", "beta_rad", "rho_kgpm3"),
     "Attitude and rates": ("phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps"),
     "Specific force": ("ax_mps2", "ay_mps2", "az_mps2"),
-    "Controls and engine": ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct", "rpm", "thrust_N"),
+    "Controls and engine": (
+        "elevator_deg",
+        "aileron_deg",
+        "rudder_deg",
+        "throttle_pct",
+        "rpm",
+        "thrust_N",
+    ),
     "Path": ("h_m", "north_m", "east_m", "cross_track_m", "vn_mps", "ve_mps", "vd_mps"),
 }
 _BESIDE: Mapping[str, tuple[str, str]] = {
-    "V_mps": ("V_demand_mps", "demand"), "h_m": ("h_demand_m", "demand"), "elevator_deg": ("elevator_pos_deg", "position"),
-    "aileron_deg": ("aileron_pos_deg", "position"), "rudder_deg": ("rudder_pos_deg", "position"),
-}  # fmt: skip
+    "V_mps": ("V_demand_mps", "demand"),
+    "h_m": ("h_demand_m", "demand"),
+    "elevator_deg": ("elevator_pos_deg", "position"),
+    "aileron_deg": ("aileron_pos_deg", "position"),
+    "rudder_deg": ("rudder_pos_deg", "position"),
+}
 """What is drawn into another channel's chart, and as what."""
-_UNITS = {"rad": ("deg", RAD_DEG), "rad/s": ("deg/s", RAD_DEG), "m/s2": ("m/s²", 1.0), "kg/m3": ("kg/m³", 1.0)}
+_UNITS = {
+    "rad": ("deg", RAD_DEG),
+    "rad/s": ("deg/s", RAD_DEG),
+    "m/s2": ("m/s²", 1.0),
+    "kg/m3": ("kg/m³", 1.0),
+}
 _OTHER = "Other channels"
 _STILL = 1e-3
 """Least height of an axis, as a share of the channel's own size: rounding of what stands still is not drawn large."""
@@ -65,7 +80,13 @@ def named_stretches(time_s: Array, labels: NDArray[Any]) -> list[tuple[float, fl
     out = []
     for first, last in pairwise(edges):
         if isinstance(labels[first], str) and labels[first]:
-            out.append((float(time_s[first]), float(time_s[min(last, len(labels) - 1)]), str(labels[first])))
+            out.append(
+                (
+                    float(time_s[first]),
+                    float(time_s[min(last, len(labels) - 1)]),
+                    str(labels[first]),
+                )
+            )
     return out
 
 
@@ -78,22 +99,42 @@ def shown_signal(name: str) -> tuple[str, str, float]:
 
 
 def channel_sections(
-    columns: Columns, shades: Sequence[Shade], flags: Mapping[str, Sequence[Flag]], legend: Sequence[tuple[str, str]]
+    columns: Columns,
+    shades: Sequence[Shade],
+    flags: Mapping[str, Sequence[Flag]],
+    legend: Sequence[tuple[str, str]],
 ) -> list[Section]:
     """A section for each group of channels that ``columns`` (name -> (n,), ``time_s`` among them) has."""
-    known = [n for n in columns if n != "time_s" and n not in LABELS and np.asarray(columns[n]).dtype.kind in "fiub"]
-    taken = {name for group in GROUPS.values() for name in group} | {other for name, (other, _) in _BESIDE.items() if name in known}
+    known = [
+        n
+        for n in columns
+        if n != "time_s" and n not in LABELS and np.asarray(columns[n]).dtype.kind in "fiub"
+    ]
+    taken = {name for group in GROUPS.values() for name in group} | {
+        other for name, (other, _) in _BESIDE.items() if name in known
+    }
     groups = {**GROUPS, _OTHER: tuple(n for n in known if n not in taken)}
     sections = []
     for title, names in groups.items():
         figures = tuple(_channel(name, columns, shades, flags) for name in names if name in known)
         if figures:
             drawn = (("first", "as recorded; commands as steps"), *legend)
-            sections.append(Section(title, (Figures(figures, drawn, narrow=True, file=re.sub(r"\W+", "-", title.lower())),)))
+            sections.append(
+                Section(
+                    title,
+                    (
+                        Figures(
+                            figures, drawn, narrow=True, file=re.sub(r"\W+", "-", title.lower())
+                        ),
+                    ),
+                )
+            )
     return sections
 
 
-def _channel(name: str, columns: Columns, shades: Sequence[Shade], flags: Mapping[str, Sequence[Flag]]) -> Figure:
+def _channel(
+    name: str, columns: Columns, shades: Sequence[Shade], flags: Mapping[str, Sequence[Flag]]
+) -> Figure:
     quantity, unit, factor = shown_signal(name)
     time_s = np.asarray(columns["time_s"], dtype=float)
     values = factor * np.asarray(columns[name], dtype=float)
@@ -107,23 +148,38 @@ def _channel(name: str, columns: Columns, shades: Sequence[Shade], flags: Mappin
         said += [f"{f.words} of the {words}" for f in flags.get(other, ())]
     told = f" Findings: {', '.join(said)}." if said else ""
     x = Scale("time [s]", float(time_s[0]), float(time_s[-1]))
-    chart = Chart(f"channel-{name}", f"{quantity} [{unit}] over time [s]: {meaning}.{told}", x, y, 170)
+    chart = Chart(
+        f"channel-{name}", f"{quantity} [{unit}] over time [s]: {meaning}.{told}", x, y, 170
+    )
     _shade(chart, shades)
     for flag in found:
         for start, end in flag.spans:
             # A gap of a few samples in an hour would be thinner than a hair.
             reach = 0.5 * max(0.0, 0.004 * (x.high - x.low) - (end - start))
-            chart.band(np.array([start - reach, end + reach]), np.full(2, y.low), np.full(2, y.high), "fillbad")
+            chart.band(
+                np.array([start - reach, end + reach]),
+                np.full(2, y.low),
+                np.full(2, y.high),
+                "fillbad",
+            )
     steps = name in SIGNALS and SIGNALS[name].kind == "command"
     drawn = ("command" if steps else "recorded") if beside is not None else ""
     if name in SIGNALS and SIGNALS[name].kind == "heading":
         # A line would cross the chart wherever the heading passes north.
-        few = np.unique(np.linspace(0, values.size - 1, min(values.size, _MOST_DOTS)).round().astype(int))
+        few = np.unique(
+            np.linspace(0, values.size - 1, min(values.size, _MOST_DOTS)).round().astype(int)
+        )
         chart.dots(time_s[few], values[few], "dotfirst", radius=0.7)
     else:
         chart.line(time_s, values, "first thin", drawn, steps=steps)
     if beside is not None:
-        chart.line(time_s, beside, "second thin", words, steps=other in SIGNALS and SIGNALS[other].kind == "command")
+        chart.line(
+            time_s,
+            beside,
+            "second thin",
+            words,
+            steps=other in SIGNALS and SIGNALS[other].kind == "command",
+        )
     if not np.isfinite(values).any():
         told = " No finite value." + told
     return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{told}")
@@ -145,5 +201,10 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
         chart.band(ends, np.full(2, chart.y.low), np.full(2, chart.y.high), shade.kind)
         left, _, width, _ = chart.plot
         (u, v) = (float(w) for w in chart.at(ends, np.zeros(2))[0])
-        if shade.mark and v - u >= _NUMBER_WIDTH * len(shade.mark) + 1 and left <= u and v <= left + width + 1:
+        if (
+            shade.mark
+            and v - u >= _NUMBER_WIDTH * len(shade.mark) + 1
+            and left <= u
+            and v <= left + width + 1
+        ):
             chart.text(float(ends.mean()), chart.y.high, shade.mark, "middle", (0.0, 10.0))

@@ -29,16 +29,24 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "channels": {
             c: finite(
                 {
-                    "rms": g.rms, "noise": g.noise, "ratio": g.ratio, "judged": g.judged, "delay_s": g.allowed_s + g.shift.seconds,
-                    "delay_std_s": g.shift.std, "theil_u": g.theil.u, "theil_bias": g.theil.bias,
-                    "theil_variance": g.theil.variance, "theil_covariance": g.theil.covariance,
+                    "rms": g.rms,
+                    "noise": g.noise,
+                    "ratio": g.ratio,
+                    "judged": g.judged,
+                    "delay_s": g.allowed_s + g.shift.seconds,
+                    "delay_std_s": g.shift.std,
+                    "theil_u": g.theil.u,
+                    "theil_bias": g.theil.bias,
+                    "theil_variance": g.theil.variance,
+                    "theil_covariance": g.theil.covariance,
                 }
             )
             | {"slip": g.slip, "delay_undefined": g.undefined}
             for c, g in found.channels.items()
         },
         "coefficients": {
-            c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean}) for c, g in found.coefficients.items()
+            c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean})
+            for c, g in found.coefficients.items()
         },
         "manoeuvres": {
             m: {"channels": finite(row), "coefficients": finite(found.manoeuvre_coefficients[m])}
@@ -47,7 +55,7 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "moments": [finite(vars(m)) for m in found.moments],
         "biases": {n: v for n, v in found.nuisance.items() if n.startswith("bias/")},
         "notes": list(found.notes),
-    }  # fmt: skip
+    }
 
 
 def channel_rows(found: Comparison) -> list[dict[str, str]]:
@@ -58,7 +66,9 @@ def channel_rows(found: Comparison) -> list[dict[str, str]]:
             "rms": f"{g.rms:.4g}",
             "noise": f"{g.noise:.4g}",
             "ratio": f"{g.ratio:.2f}",
-            "verdict": ("at the noise" if g.ratio <= LIMIT else "above") if g.judged else "not judged",
+            "verdict": ("at the noise" if g.ratio <= LIMIT else "above")
+            if g.judged
+            else "not judged",
             "delay [ms]": _delay(g),
             "Theil U": f"{g.theil.u:.3f}",
             "bias": f"{g.theil.bias:.2f}",
@@ -130,11 +140,13 @@ def write_tables(found: Comparison, document: dict[str, Any], out: Path) -> None
         out,
         found.segments,
         {
-            **columns_of(found.outputs, found.measured), **columns_of(found.outputs, found.modelled, "_model"),
+            **columns_of(found.outputs, found.measured),
+            **columns_of(found.outputs, found.modelled, "_model"),
             **columns_of(CONTROLS, [s.controls for s in found.segments]),
-            **columns_of(COEFFICIENTS, found.demanded, "_flight"), **columns_of(COEFFICIENTS, found.predicted, "_model"),
+            **columns_of(COEFFICIENTS, found.demanded, "_flight"),
+            **columns_of(COEFFICIENTS, found.predicted, "_model"),
         },
-    )  # fmt: skip
+    )
     write_json(out / "compare.json", document)
 
 

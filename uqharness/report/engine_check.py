@@ -39,7 +39,13 @@ def _tables(rows: Sequence[CheckRow]) -> list[Block]:
     if not by_metric:
         return []
     head = ("Metric", "Flights", "Largest difference over spread", "Excused")
-    return [Table("The batch engine against JSBSim.", head, tuple(_row(name, found) for name, found in by_metric.items()))]
+    return [
+        Table(
+            "The batch engine against JSBSim.",
+            head,
+            tuple(_row(name, found) for name, found in by_metric.items()),
+        )
+    ]
 
 
 def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:

@@ -33,10 +33,16 @@ def channels_of(finding: Finding, record: FlightRecord) -> tuple[str, ...]:
     if name in _GROUPS:
         return tuple(n for n in _GROUPS[name] if n in record)
     sources = record.metadata.channels
-    return tuple(n for n in record.columns if name and re.split(r"[\W]", sources.get(n, ""), maxsplit=1)[0] == name)
+    return tuple(
+        n
+        for n in record.columns
+        if name and re.split(r"[\W]", sources.get(n, ""), maxsplit=1)[0] == name
+    )
 
 
-def spans_of(finding: Finding, channel: str, record: FlightRecord) -> tuple[tuple[float, float], ...]:
+def spans_of(
+    finding: Finding, channel: str, record: FlightRecord
+) -> tuple[tuple[float, float], ...]:
     """Stretches [s] in which a finding holds for a channel; none where it holds throughout or the log does not say."""
     numbers = finding.numbers
     if "start_s" in numbers and "end_s" in numbers:
@@ -61,7 +67,9 @@ def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
         if finding.code in _WHOLE:
             continue
         for channel in channels_of(finding, record):
-            words = finding.code if finding.severity == "info" else f"{finding.severity} {finding.code}"
+            words = (
+                finding.code if finding.severity == "info" else f"{finding.severity} {finding.code}"
+            )
             found = out.setdefault(channel, [])
             if words not in [flag.words for flag in found]:
                 found.append(Flag(words, spans_of(finding, channel, record)))

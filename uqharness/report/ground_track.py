@@ -26,9 +26,11 @@ _LEAST_M = 1.0
 _WIDEST = 3.0
 """Largest radius of a circle that is drawn, in lengths of the track."""
 _KINDS: Mapping[tuple[str, str], str] = {
-    ("before", "nominal"): "second thin", ("before", "worst corner"): "second",
-    ("after", "nominal"): "first thin", ("after", "worst corner"): "first",
-}  # fmt: skip
+    ("before", "nominal"): "second thin",
+    ("before", "worst corner"): "second",
+    ("after", "nominal"): "first thin",
+    ("after", "worst corner"): "first",
+}
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,11 @@ def circle_of(north_m: Array, east_m: Array, distance_m: Array) -> Circle | None
         return None
     rows = np.column_stack([2.0 * n, 2.0 * e, 2.0 * d, np.ones(n.size)])
     (cn, ce, radius, _), _, rank, _ = np.linalg.lstsq(rows, n**2 + e**2 - d**2, rcond=1e-10)
-    if rank < 4 or not radius > 0.0 or np.abs(np.hypot(n - cn, e - ce) - radius - d).max() > _NEAR_M:
+    if (
+        rank < 4
+        or not radius > 0.0
+        or np.abs(np.hypot(n - cn, e - ce) - radius - d).max() > _NEAR_M
+    ):
         return None
     return Circle(float(cn), float(ce), float(radius))
 
@@ -59,10 +65,15 @@ def circle_of(north_m: Array, east_m: Array, distance_m: Array) -> Circle | None
 def equal_scales(east: Array, north: Array, height: int) -> tuple[Scale, Scale]:
     """Axes east and north [m] of a chart that high around the points: one metre is as long to the east as to the north."""
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
-    blank = Chart("blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), height)
+    blank = Chart(
+        "blank", "", Scale("", 0.0, 1.0), Scale("", middle[1] - 1e3, middle[1] + 1e3), height
+    )
     _, _, across, down = blank.plot
     metres = 1.1 * max(float(np.ptp(east)) / across, float(np.ptp(north)) / down, 1e-3)
-    ends = [(m - 0.5 * metres * size, m + 0.5 * metres * size) for m, size in zip(middle, (across, down), strict=True)]
+    ends = [
+        (m - 0.5 * metres * size, m + 0.5 * metres * size)
+        for m, size in zip(middle, (across, down), strict=True)
+    ]
     return Scale("east [m]", *ends[0]), Scale("north [m]", *ends[1])
 
 
@@ -95,15 +106,31 @@ def lap_of(flown: pd.DataFrame) -> Lap | None:
 
     flown: tracks.parquet of a study. None without a worst corner whose distance from a path is known.
     """
-    tracks = {(str(when), str(model)): rows for (when, model), rows in flown.groupby(["when", "model"], sort=False)}
-    judged = next((key for key in reversed(list(tracks)) if key[1] != "nominal" and tracks[key]["distance_m"].notna().any()), None)
+    tracks = {
+        (str(when), str(model)): rows
+        for (when, model), rows in flown.groupby(["when", "model"], sort=False)
+    }
+    judged = next(
+        (
+            key
+            for key in reversed(list(tracks))
+            if key[1] != "nominal" and tracks[key]["distance_m"].notna().any()
+        ),
+        None,
+    )
     if judged is None:
         return None
-    time_s, north, east, distance = (tracks[judged][c].to_numpy(dtype=float) for c in ("time_s", "north_m", "east_m", "distance_m"))
+    time_s, north, east, distance = (
+        tracks[judged][c].to_numpy(dtype=float)
+        for c in ("time_s", "north_m", "east_m", "distance_m")
+    )
     apart = _apart(time_s, list(tracks.values()))
     at = int(np.argmax(apart)) if apart.max() > _APART_M else int(np.nanargmax(np.abs(distance)))
     begin, end = _turn(time_s, north, east, at)
-    shown = {key: rows[(rows["time_s"] >= begin) & (rows["time_s"] <= end)] for key, rows in tracks.items()}
+    shown = {
+        key: rows[(rows["time_s"] >= begin) & (rows["time_s"] <= end)]
+        for key, rows in tracks.items()
+    }
     largest, circle = float(np.nanmax(np.abs(distance))), circle_of(north, east, distance)
     return Lap(shown, begin, end, float(time_s[at]), float(apart[at]), judged, largest, circle)
 
@@ -111,19 +138,32 @@ def lap_of(flown: pd.DataFrame) -> Lap | None:
 def ground_track(name: str, lap: Lap, radius_m: float, condition: str) -> Figure:
     """The track of each flight with the path, where that is a circle, and the radius asked about [m] around it."""
     rings = list(_rings(lap.circle, radius_m)) if lap.circle else []
-    east = np.concatenate([*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)])
-    north = np.concatenate([*(rows["north_m"] for rows in lap.tracks.values()), *(ring[1] for ring in rings)])
+    east = np.concatenate(
+        [*(rows["east_m"] for rows in lap.tracks.values()), *(ring[0] for ring in rings)]
+    )
+    north = np.concatenate(
+        [*(rows["north_m"] for rows in lap.tracks.values()), *(ring[1] for ring in rings)]
+    )
     x, y = equal_scales(east, north, _LAP_HEIGHT)
     label = f"Ground track of one lap, north [m] over east [m], {condition}; {_largest(lap)}."
     chart = Chart(name, label, x, y, _LAP_HEIGHT)
-    for (ring_east, ring_north, kind), words in zip(rings, ("commanded path", f"{radius_m:g} m from it", ""), strict=False):
+    for (ring_east, ring_north, kind), words in zip(
+        rings, ("commanded path", f"{radius_m:g} m from it", ""), strict=False
+    ):
         chart.path(ring_east, ring_north, kind, words)
     for key, rows in _in_order(lap):
-        chart.path(rows["east_m"].to_numpy(dtype=float), rows["north_m"].to_numpy(dtype=float), _KINDS[key], lap.called(key))
-    why = f"the lines are {lap.apart_m:.2g} m apart" if lap.apart_m > _APART_M else "the worst corner is farthest from its path"
-    caption = (
-        f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}. {_sentence(condition)}, one air for all lines."
+        chart.path(
+            rows["east_m"].to_numpy(dtype=float),
+            rows["north_m"].to_numpy(dtype=float),
+            _KINDS[key],
+            lap.called(key),
+        )
+    why = (
+        f"the lines are {lap.apart_m:.2g} m apart"
+        if lap.apart_m > _APART_M
+        else "the worst corner is farthest from its path"
     )
+    caption = f"Ground track of the lap ({lap.end_s - lap.begin_s:.0f} s) in which {why}. {_sentence(condition)}, one air for all lines."
     return Figure(name, chart.svg(), caption)
 
 
@@ -136,19 +176,32 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
     quantity = "distance from the path [m]" + (", outside positive" if lap.circle else "")
     y = scale(quantity, [known, np.array([0.0, *limits])])
     x = Scale("time in the lap [s]", 0.0, lap.end_s - lap.begin_s)
-    chart = Chart(name, f"{quantity[0].upper()}{quantity[1:]}, over time in the lap [s]; {_largest(lap)}.", x, y, _LAP_HEIGHT)
+    chart = Chart(
+        name,
+        f"{quantity[0].upper()}{quantity[1:]}, over time in the lap [s]; {_largest(lap)}.",
+        x,
+        y,
+        _LAP_HEIGHT,
+    )
     chart.level(0.0, "third", "commanded path")
     for limit in limits:
         chart.level(limit, "limit", f"{radius_m:g} m from it")
     for key, rows in _in_order(lap):
-        chart.line(rows["time_s"].to_numpy(dtype=float) - lap.begin_s, sides[key], _KINDS[key], lap.called(key))
+        chart.line(
+            rows["time_s"].to_numpy(dtype=float) - lap.begin_s,
+            sides[key],
+            _KINDS[key],
+            lap.called(key),
+        )
     caption = f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m ({lap.called(lap.judged)})."
     return Figure(name, chart.svg(), caption)
 
 
 def _in_order(lap: Lap) -> list[tuple[tuple[str, str], pd.DataFrame]]:
     """Worst corners below, the dashed lines of before above the others: a line stays visible where two coincide."""
-    return sorted(lap.tracks.items(), key=lambda item: (item[0][1] == "nominal", item[0][0] == "before"))
+    return sorted(
+        lap.tracks.items(), key=lambda item: (item[0][1] == "nominal", item[0][0] == "before")
+    )
 
 
 def _largest(lap: Lap) -> str:
@@ -176,7 +229,9 @@ def _apart(time_s: Array, tracks: Sequence[pd.DataFrame]) -> Array:
     return np.nan_to_num(spread)
 
 
-def flown_track(name: str, columns: Mapping[str, Array], words: str = "", circles: Sequence[Circle] = ()) -> Figure | None:
+def flown_track(
+    name: str, columns: Mapping[str, Array], words: str = "", circles: Sequence[Circle] = ()
+) -> Figure | None:
     """The whole track of a flight with its start and end, and the circles it was to keep.
 
     Without ``circles`` the one is drawn that its cross-track error tells of, if any.
@@ -191,18 +246,32 @@ def flown_track(name: str, columns: Mapping[str, Array], words: str = "", circle
     known = np.isfinite(north) & np.isfinite(east)
     kept = list(circles) or _commanded(north, east, columns)
     rings = [next(_rings(circle, 0.0)) for circle in kept]
-    ends = [np.concatenate([v[known], *(ring[k] for ring in rings)]) for k, v in enumerate((east, north))]
+    ends = [
+        np.concatenate([v[known], *(ring[k] for ring in rings)])
+        for k, v in enumerate((east, north))
+    ]
     x, y = equal_scales(ends[0], ends[1], _HEIGHT)
     of = f", commanded circle of {kept[0].radius_m:.4g} m" if kept else ""
     chart = Chart(name, f"Ground track, north [m] over east [m]{of}.", x, y, _HEIGHT)
     for k, (ring_east, ring_north, kind) in enumerate(rings):
-        chart.path(ring_east, ring_north, kind, "" if k else f"commanded circle, radius {kept[0].radius_m:.4g} m")
+        chart.path(
+            ring_east,
+            ring_north,
+            kind,
+            "" if k else f"commanded circle, radius {kept[0].radius_m:.4g} m",
+        )
     few = max(1, math.ceil(len(east) / _MOST_POINTS))
     chart.path(east[::few], north[::few], "first thin", "flown")
     at = np.flatnonzero(known)
     for k, shape, what in ((at[0], "disc", "start"), (at[-1], "square", "end")):
         chart.marker(float(east[k]), float(north[k]), "second", shape, what)
-    return Figure(name, chart.svg(), " ".join(["Ground track; one metre is as long to the east as to the north.", words]).strip())
+    return Figure(
+        name,
+        chart.svg(),
+        " ".join(
+            ["Ground track; one metre is as long to the east as to the north.", words]
+        ).strip(),
+    )
 
 
 def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
@@ -212,7 +281,9 @@ def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
     elif {"vn_mps", "ve_mps", "time_s"} <= set(columns):
         time_s = np.asarray(columns["time_s"], dtype=float)
         step = np.diff(time_s, append=time_s[-1])
-        north, east = (np.nancumsum(np.asarray(columns[n], dtype=float) * step) for n in ("vn_mps", "ve_mps"))
+        north, east = (
+            np.nancumsum(np.asarray(columns[n], dtype=float) * step) for n in ("vn_mps", "ve_mps")
+        )
     else:
         return None
     known = np.isfinite(north) & np.isfinite(east)
@@ -235,16 +306,25 @@ def _turn(time_s: Array, north: Array, east: Array, at: int) -> tuple[float, flo
     """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the flight has one."""
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
-    near = np.abs(course - (min(max(course[at], low), high) if low < high else course[at])) <= math.pi
+    near = (
+        np.abs(course - (min(max(course[at], low), high) if low < high else course[at])) <= math.pi
+    )
     first = at - int(np.argmin(near[: at + 1][::-1])) + 1 if not near[: at + 1].all() else 0
     last = at + int(np.argmin(near[at:])) - 1 if not near[at:].all() else len(near) - 1
-    begin, end = max(time_s[first], time_s[at] - 0.5 * _LONGEST_S), min(time_s[last], time_s[at] + 0.5 * _LONGEST_S)
+    begin, end = (
+        max(time_s[first], time_s[at] - 0.5 * _LONGEST_S),
+        min(time_s[last], time_s[at] + 0.5 * _LONGEST_S),
+    )
     return float(begin), float(end)
 
 
 def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[Array, Array, str]]:
     """East and north of the path and of what lies ``radius_m`` outside and inside it."""
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
-    for size, kind in ((circle.radius_m, "third"), (circle.radius_m + radius_m, "limit"), (circle.radius_m - radius_m, "limit")):
+    for size, kind in (
+        (circle.radius_m, "third"),
+        (circle.radius_m + radius_m, "limit"),
+        (circle.radius_m - radius_m, "limit"),
+    ):
         if size > 0.0:
             yield circle.east_m + size * np.sin(angle), circle.north_m + size * np.cos(angle), kind

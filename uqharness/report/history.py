@@ -36,9 +36,14 @@ class Model:
 
 
 def history_section(
-    found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], title: str, prefix: str = "",
-    most: int | None = MOST_SEGMENTS, file: Callable[[int, History], str | None] = lambda rank, history: None,
-) -> tuple[Section, ...]:  # fmt: skip
+    found: Sequence[History],
+    noise: Mapping[str, float | None],
+    models: Sequence[Model],
+    title: str,
+    prefix: str = "",
+    most: int | None = MOST_SEGMENTS,
+    file: Callable[[int, History], str | None] = lambda rank, history: None,
+) -> tuple[Section, ...]:
     """The segments in which the first model is farthest from the log, each channel against all models; none without histories.
 
     noise: channel -> standard deviation, in the channel's own unit, None where it is not known (then no band is drawn).
@@ -55,31 +60,49 @@ def history_section(
         f"{which}, the worst first; every segment stands in histories.parquet. The band is the model{last} plus and minus 1.96 "
         "times the noise of the channel: with a right model 95 % of the samples lie inside."
     )
-    legend = (("dot", "log"), *((m.kind, m.words) for m in models), ("fill1", "95 % band of the noise"))
-    parts = tuple(_segment(h, noise, models, legend, prefix, file(rank, h)) for rank, h in enumerate(ranked))
+    legend = (
+        ("dot", "log"),
+        *((m.kind, m.words) for m in models),
+        ("fill1", "95 % band of the noise"),
+    )
+    parts = tuple(
+        _segment(h, noise, models, legend, prefix, file(rank, h)) for rank, h in enumerate(ranked)
+    )
     return (Section(title, (Words(text, note=True),), parts),)
 
 
 def farthest_figure(
     found: Sequence[History], noise: Mapping[str, float | None], models: Sequence[Model], name: str
-) -> Figure | None:  # fmt: skip
+) -> Figure | None:
     """The one channel in the one segment in which the first model is farthest from the log; None where nothing is judged."""
     ratio, channel, history = max(
-        ((*_worst(h, noise, models[0]), h) for h in found), key=lambda item: item[0], default=(-math.inf, "", None)
+        ((*_worst(h, noise, models[0]), h) for h in found),
+        key=lambda item: item[0],
+        default=(-math.inf, "", None),
     )
     if history is None or not math.isfinite(ratio):
         return None
     drawn = _channel(history, channel, noise[channel], models, f"{name}-", legend=True)
     ratios = [(m.words, _ratio(history, channel, noise[channel], m)) for m in models]
     told = ", ".join(f"{words} {value:.2f}" for words, value in ratios if value is not None)
-    return Figure(drawn.name, drawn.svg, f"{history.title}; rms of log minus model in sigma of the sensor: {told}.")
+    return Figure(
+        drawn.name,
+        drawn.svg,
+        f"{history.title}; rms of log minus model in sigma of the sensor: {told}.",
+    )
 
 
 def _segment(
-    history: History, noise: Mapping[str, float | None], models: Sequence[Model], legend: tuple[tuple[str, str], ...], prefix: str,
+    history: History,
+    noise: Mapping[str, float | None],
+    models: Sequence[Model],
+    legend: tuple[tuple[str, str], ...],
+    prefix: str,
     file: str | None,
-) -> Section:  # fmt: skip
-    figures = [_channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns]
+) -> Section:
+    figures = [
+        _channel(history, c, noise[c], models, prefix) for c in noise if c in history.columns
+    ]
     for control in _CONTROLS:
         if control in history.columns:
             figures.append(_control(history, control, prefix))
@@ -87,17 +110,30 @@ def _segment(
     when = f" {models[0].words}" if len(models) > 1 else ""
     blocks: list[Block] = []
     if math.isfinite(ratio):
-        blocks.append(Words(f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."))
+        blocks.append(
+            Words(
+                f"Farthest in {shown_channel(channel)[0]}: rms of log minus model{when} {ratio:.2f} times the noise."
+            )
+        )
     return Section(history.title, (*blocks, Figures(tuple(figures), legend, True, file)))
 
 
 def _channel(
-    history: History, name: str, noise: float | None, models: Sequence[Model], prefix: str, legend: bool = False
-) -> Figure:  # fmt: skip
+    history: History,
+    name: str,
+    noise: float | None,
+    models: Sequence[Model],
+    prefix: str,
+    legend: bool = False,
+) -> Figure:
     """``legend``: the chart has its own."""
     quantity, unit, factor = shown_channel(name)
     measured = factor * history.columns[name]
-    drawn = [(m, factor * history.columns[f"{name}{m.suffix}"]) for m in models if f"{name}{m.suffix}" in history.columns]
+    drawn = [
+        (m, factor * history.columns[f"{name}{m.suffix}"])
+        for m in models
+        if f"{name}{m.suffix}" in history.columns
+    ]
     band = None if noise is None or not drawn else Z95 * factor * noise
     shown = [measured, *(y for _, y in drawn)]
     if band is not None:
@@ -105,10 +141,22 @@ def _channel(
     label = f"{quantity} [{unit}] against time [s], {history.title}: log and {', '.join(m.words for m, _ in drawn)}."
     if not np.isfinite(measured).any():
         label += " The log has no value of it here."
-    chart = Chart(f"{prefix}history-{history.number}-{name}", label, _time(history), scale(axis_label(name), shown), height=180)
+    chart = Chart(
+        f"{prefix}history-{history.number}-{name}",
+        label,
+        _time(history),
+        scale(axis_label(name), shown),
+        height=180,
+    )
     if band is not None:
         last = drawn[-1][1]
-        chart.band(history.time_s, last - band, last + band, "fill1", "95 % band of the noise" if legend else "")
+        chart.band(
+            history.time_s,
+            last - band,
+            last + band,
+            "fill1",
+            "95 % band of the noise" if legend else "",
+        )
     few = np.unique(np.linspace(0, measured.size - 1, min(measured.size, 250)).round().astype(int))
     chart.dots(history.time_s[few], measured[few], "dot", "log" if legend else "")
     for model, y in drawn:
@@ -126,7 +174,9 @@ def _control(history: History, name: str, prefix: str) -> Figure:
     if axis.high - axis.low < _LEAST_CONTROL:
         middle = 0.5 * (axis.low + axis.high)
         axis = Scale(axis.label, middle - 0.5 * _LEAST_CONTROL, middle + 0.5 * _LEAST_CONTROL)
-    chart = Chart(f"{prefix}history-{history.number}-{name}", label, _time(history), axis, height=150)
+    chart = Chart(
+        f"{prefix}history-{history.number}-{name}", label, _time(history), axis, height=150
+    )
     chart.line(history.time_s, y, "plain", steps=True)
     return Figure(chart.name, chart.svg(), f"{name}, as commanded or as its actuator stood")
 
@@ -138,7 +188,9 @@ def _time(history: History) -> Scale:
 def _worst(history: History, noise: Mapping[str, float | None], model: Model) -> tuple[float, str]:
     """Largest rms over noise of log minus model, and its channel; minus infinity where nothing can be compared."""
     found = {name: _ratio(history, name, std, model) for name, std in noise.items()}
-    return max([(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)])
+    return max(
+        [(-math.inf, ""), *((ratio, name) for name, ratio in found.items() if ratio is not None)]
+    )
 
 
 def _ratio(history: History, name: str, std: float | None, model: Model) -> float | None:
@@ -152,10 +204,15 @@ def _ratio(history: History, name: str, std: float | None, model: Model) -> floa
 
 
 def end_to_end(
-    found: Sequence[History], name: str, series: Sequence[tuple[str, str, str]],
+    found: Sequence[History],
+    name: str,
+    series: Sequence[tuple[str, str, str]],
     band: tuple[Sequence[Array], Sequence[Array], str] | None,
-    label: str, axis: str, caption: str, outside: bool = False,
-) -> Figure:  # fmt: skip
+    label: str,
+    axis: str,
+    caption: str,
+    outside: bool = False,
+) -> Figure:
     """Columns (name, class, words) of all pieces, one after the other with a gap; ``band``: lower and upper by piece, and words.
 
     outside: samples of the first column beyond the band are marked.
@@ -164,7 +221,9 @@ def end_to_end(
     for h in found:
         at.append(start + h.time_s - h.time_s[0])
         start = float(at[-1][-1]) + 0.5
-    shown = [h.columns[c] for h in found for c, _, _ in series] + ([*band[0], *band[1]] if band else [])
+    shown = [h.columns[c] for h in found for c, _, _ in series] + (
+        [*band[0], *band[1]] if band else []
+    )
     x = Scale("pieces end to end [s]", 0.0, max(start - 0.5, 1e-3))
     chart = Chart(name, label, x, scale(axis, shown), height=190)
     if band:

@@ -20,11 +20,16 @@ from uqharness.text_tables import csv_text
 
 
 def fit_document(
-    found: Identification, flights: Sequence[str], command: Sequence[str], hashes: Sequence[str] = ()
+    found: Identification,
+    flights: Sequence[str],
+    command: Sequence[str],
+    hashes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """fit.json as a dictionary (docs/identification.md describes it); figures that are not finite are null."""
     names = found.identified
-    residual = [np.concatenate([block[:, k] for block in found.residual]) for k in range(len(found.outputs))]
+    residual = [
+        np.concatenate([block[:, k] for block in found.residual]) for k in range(len(found.outputs))
+    ]
     tint = colour(list(found.residual), list(found.modelled))
     fit = {}
     for k, channel in enumerate(found.outputs):
@@ -53,9 +58,16 @@ def fit_document(
         "cov": [[float(v) for v in row] for row in found.cov],
         "warnings": list(found.warnings),
         "fit": fit,
-        "nuisance": {n: {"value": finite(v), "std": finite(s)} for n, (v, s) in found.nuisance.items()},
+        "nuisance": {
+            n: {"value": finite(v), "std": finite(s)} for n, (v, s) in found.nuisance.items()
+        },
         "segments": [
-            {"flight": s.flight, "label": s.label, "start_s": float(s.time_s[0]), "end_s": float(s.time_s[-1])}
+            {
+                "flight": s.flight,
+                "label": s.label,
+                "start_s": float(s.time_s[0]),
+                "end_s": float(s.time_s[-1]),
+            }
             for s in found.segments
         ],
         "flights": list(flights),
@@ -64,7 +76,9 @@ def fit_document(
         "command": shlex.join(command),
         "simulations": found.simulations,
         "seconds": round(found.seconds, 2),
-        "speed": None if found.speed is None else {k: round(v, 1) for k, v in asdict(found.speed).items()},
+        "speed": None
+        if found.speed is None
+        else {k: round(v, 1) for k, v in asdict(found.speed).items()},
     }
 
 
@@ -88,9 +102,13 @@ def parameter_rows(found: Identification) -> list[dict[str, str]]:
 
 
 def write_results(
-    found: Identification, aircraft: Aircraft, flights: Sequence[str], command: Sequence[str], out: Path,
+    found: Identification,
+    aircraft: Aircraft,
+    flights: Sequence[str],
+    command: Sequence[str],
+    out: Path,
     hashes: Sequence[str] = (),
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """fit.json, parameters.csv, histories.parquet and aircraft/ in ``out``; the document. Raises BadInputError.
 
     hashes: SHA-256 of the flights' files, by which bounds know a flight that the model was identified from.
@@ -114,9 +132,10 @@ def write_results(
         out,
         found.segments,
         {
-            **columns_of(found.outputs, found.measured), **columns_of(found.outputs, found.modelled, "_model"),
+            **columns_of(found.outputs, found.measured),
+            **columns_of(found.outputs, found.modelled, "_model"),
             **columns_of(CONTROLS, [s.controls for s in found.segments]),
         },
-    )  # fmt: skip
+    )
     write_json(out / "fit.json", document)
     return document

@@ -11,7 +11,14 @@ from sysid.aerodynamics import Residuals, term_name
 from sysid.distributions import normal_quantile
 from sysid.model_form import ModelForm, Parts, measured_bounds
 from uqharness.files import finite
-from uqharness.identification import CutoffRow, MadeBounds, Validation, failed, mean_left_out, verdicts
+from uqharness.identification import (
+    CutoffRow,
+    MadeBounds,
+    Validation,
+    failed,
+    mean_left_out,
+    verdicts,
+)
 from uqharness.replay import write_pieces
 from uqharness.report.pages.model_form import RESIDUALS
 
@@ -30,13 +37,20 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
         noise = found.noise.get(c, math.nan)
         rows[c] = finite(
             {
-                "states": list(b.states), "terms": [term_name(t, b.states) for t in b.terms],
-                "n": b.n, "n_effective": b.n_effective,
-                "s": math.sqrt(b.s2), "mean_width": found.widths[c], "noise_width": forced_width(noise, b.confidence),
-                "left_out_share": kept.get(c, math.nan), "walk_rate": b.walk_rate, "walk_sigma": found.variations[c].sigma,
-                "noise_std": noise, **({} if b.parts is None else _parts(b.parts)),
+                "states": list(b.states),
+                "terms": [term_name(t, b.states) for t in b.terms],
+                "n": b.n,
+                "n_effective": b.n_effective,
+                "s": math.sqrt(b.s2),
+                "mean_width": found.widths[c],
+                "noise_width": forced_width(noise, b.confidence),
+                "left_out_share": kept.get(c, math.nan),
+                "walk_rate": b.walk_rate,
+                "walk_sigma": found.variations[c].sigma,
+                "noise_std": noise,
+                **({} if b.parts is None else _parts(b.parts)),
             }
-        )  # fmt: skip
+        )
     return {
         "aircraft": form.aircraft.name,
         "flights": [f.name for f in form.flights],
@@ -52,10 +66,15 @@ def bounds_document(found: MadeBounds) -> dict[str, Any]:
 
 def _parts(parts: Parts) -> dict[str, float]:
     return {
-        "persistent": parts.persistent, "transient": parts.transient, "transient_half_width": parts.transient_half_width,
-        "transient_time_s": parts.transient_time_s, "flight": parts.flight, "noise_scale": parts.noise_scale,
-        "not_above": parts.not_above, "found": parts.found,
-    }  # fmt: skip
+        "persistent": parts.persistent,
+        "transient": parts.transient,
+        "transient_half_width": parts.transient_half_width,
+        "transient_time_s": parts.transient_time_s,
+        "flight": parts.flight,
+        "noise_scale": parts.noise_scale,
+        "not_above": parts.not_above,
+        "found": parts.found,
+    }
 
 
 def _cutoff(row: CutoffRow) -> dict[str, Any]:
@@ -68,25 +87,39 @@ def validation_document(found: Validation) -> dict[str, Any]:
     return {
         "coverage": {
             c: {
-                "0.95": row.share[0.95], "0.68": row.share[0.68], "n_effective": row.n_effective, "mean_width": row.mean_width,
+                "0.95": row.share[0.95],
+                "0.68": row.share[0.68],
+                "n_effective": row.n_effective,
+                "mean_width": row.mean_width,
             }
             for c, row in found.coverage.items()
         },
-        "errors": {c: {str(k): v for k, v in row.error.items()} for c, row in found.coverage.items()},
+        "errors": {
+            c: {str(k): v for k, v in row.error.items()} for c, row in found.coverage.items()
+        },
         "outside_data": {c: row.outside for c, row in found.coverage.items()},
         "manoeuvres": {
-            m: {c: {str(k): v for k, v in row.manoeuvres[m].items()} for c, row in found.coverage.items()}
+            m: {
+                c: {str(k): v for k, v in row.manoeuvres[m].items()}
+                for c, row in found.coverage.items()
+            }
             for m in found.residuals.labels
         },
         "by_speed": _bins(found, "speeds", "V_mps"),
         "by_incidence": _bins(found, "incidences", "alpha_rad"),
-        "conformal": {c: asdict(row.conformal) for c, row in found.coverage.items() if row.conformal is not None},
+        "conformal": {
+            c: asdict(row.conformal)
+            for c, row in found.coverage.items()
+            if row.conformal is not None
+        },
         "verdicts": dict(verdicts(found)),
-        "flight_variance": {c: finite({"std": found.flight_std.get(c, math.nan)})["std"] for c in found.coverage},
+        "flight_variance": {
+            c: finite({"std": found.flight_std.get(c, math.nan)})["std"] for c in found.coverage
+        },
         "failed": list(failed(found)),
         "warnings": list(found.warnings),
         "notes": list(found.notes),
-    }  # fmt: skip
+    }
 
 
 def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
@@ -95,7 +128,15 @@ def _bins(found: Validation, kind: str, state: str) -> list[dict[str, Any]]:
     for c, row in found.coverage.items():
         for k, item in enumerate(getattr(row, kind)):
             if k == len(out):
-                out.append({"state": state, "from": item.low, "to": item.high, "samples": item.n, "share": {}})
+                out.append(
+                    {
+                        "state": state,
+                        "from": item.low,
+                        "to": item.high,
+                        "samples": item.n,
+                        "share": {},
+                    }
+                )
             out[k]["share"] |= finite({c: item.share})
     return out
 
@@ -108,9 +149,23 @@ def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Pa
     columns = {state: [piece.states[state] for piece in residuals.pieces] for state in form.states}
     for name, bounds in form.coefficients.items():
         columns[name] = residuals.columns(name)
-        samples = [measured_bounds(bounds, name, piece, None, form.outside) for piece in residuals.pieces]
-        columns[f"{name}_lower"], columns[f"{name}_upper"] = [low for low, _ in samples], [high for _, high in samples]
+        samples = [
+            measured_bounds(bounds, name, piece, None, form.outside) for piece in residuals.pieces
+        ]
+        columns[f"{name}_lower"], columns[f"{name}_upper"] = (
+            [low for low, _ in samples],
+            [high for _, high in samples],
+        )
         if bounds.parts is not None:
-            model = [bounds.bounds(piece.states, outside=form.outside) for piece in residuals.pieces]
-            columns[f"{name}_model_lower"], columns[f"{name}_model_upper"] = [low for low, _ in model], [high for _, high in model]
-    write_pieces(out / RESIDUALS, [(flights, piece.label, piece.time_s) for piece in residuals.pieces], columns)
+            model = [
+                bounds.bounds(piece.states, outside=form.outside) for piece in residuals.pieces
+            ]
+            columns[f"{name}_model_lower"], columns[f"{name}_model_upper"] = (
+                [low for low, _ in model],
+                [high for _, high in model],
+            )
+    write_pieces(
+        out / RESIDUALS,
+        [(flights, piece.label, piece.time_s) for piece in residuals.pieces],
+        columns,
+    )

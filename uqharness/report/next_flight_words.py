@@ -13,12 +13,16 @@ MOST = 0.9
 """Share of a flight's gain that its few most telling points have together."""
 
 
-def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None) -> list[str]:
+def words(
+    found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None
+) -> list[str]:
     """The answer in sentences."""
     c, p = found.coefficient, found.prospect
     low, high = (100.0 * s for s in winner.share)
     sure = "certain" if winner.certain else "not certain"
-    out = [f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."]
+    out = [
+        f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
+    ]
     out.append(
         f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
         f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
@@ -41,7 +45,11 @@ def words(found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | No
     if not found.worth_flying:
         out.append(_why_not(found, p))
     out += _of_form(found, missing)
-    others = [f"{name} {_percent(o.narrowing)}" for name, o in found.prospects.items() if name != c and o.narrowing >= WORTH]
+    others = [
+        f"{name} {_percent(o.narrowing)}"
+        for name, o in found.prospects.items()
+        if name != c and o.narrowing >= WORTH
+    ]
     if others:
         out.append(f"The same flight narrows {', '.join(others)}.")
     return out
@@ -60,7 +68,9 @@ def _first_points(found: NextFlight) -> list[str]:
         return []
     numbers = ", ".join(str(k + 1) for k in sorted(few))
     what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
-    return [f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."]
+    return [
+        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
+    ]
 
 
 def _why_not(found: NextFlight, p: Prospect) -> str:
@@ -78,11 +88,13 @@ def _why_not(found: NextFlight, p: Prospect) -> str:
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
     if ratio > SENSORS:
         return (
-            text + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
+            text
+            + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
             "missing, or the air was rougher than simulated (--turbulence)."
         )
     return (
-        text + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
+        text
+        + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
         "better sensors or a lower --cutoff-hz of the bounds narrow it, no manoeuvre does."
     )
 
@@ -93,9 +105,13 @@ def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[s
     if missing is None:
         if found.worth_flying and not found.form_is_short:
             return []
-        return ["Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."]
+        return [
+            "Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."
+        ]
     if not missing:
-        return [f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."]
+        return [
+            f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."
+        ]
     listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
     states = ",".join(dict.fromkeys(s for m in missing for s in m.states))
     text = f"Of what scatters in the flights given, this is explained by terms that the bounds of {c} lack: {listed}. More flying "

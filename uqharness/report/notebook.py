@@ -17,15 +17,35 @@ if TYPE_CHECKING:
 
 _MOST_CHARTS = 4
 """Conditions whose p-box is drawn; ``pboxes()`` has all."""
-_STATEMENT_COLUMNS = ("condition", "radius_m", "distance", "hours", "best_per_h", "worst_per_h", "worst_upper_per_h", "answer")
+_STATEMENT_COLUMNS = (
+    "condition",
+    "radius_m",
+    "distance",
+    "hours",
+    "best_per_h",
+    "worst_per_h",
+    "worst_upper_per_h",
+    "answer",
+)
 
 
-def campaign_view(folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame) -> str:
+def campaign_view(
+    folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame
+) -> str:
     """Aircraft and size, statements, and the p-box of the first metric in the first conditions."""
     failed = int((cases["status"] != "ok").sum())
-    facts = {"aircraft": manifest["campaign"]["campaign"]["aircraft"], "flights": len(cases), "failed or aborted": failed}
+    facts = {
+        "aircraft": manifest["campaign"]["campaign"]["aircraft"],
+        "flights": len(cases),
+        "failed or aborted": failed,
+    }
     shown = [name for name in _STATEMENT_COLUMNS if name in statements]
-    return view(f"Campaign in {folder}", frame_table(statements[shown]), _charts(manifest, cases), facts=facts)
+    return view(
+        f"Campaign in {folder}",
+        frame_table(statements[shown]),
+        _charts(manifest, cases),
+        facts=facts,
+    )
 
 
 def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
@@ -37,7 +57,9 @@ def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
             break
         quantity, _, unit = metric_label(metric).rpartition(" [")
         drawn = DrawnBox("", box, samples(in_condition(cases, condition), metric), {})
-        figure = pbox_figure(f"notebook-{len(charts)}", quantity, unit.removesuffix("]"), [drawn], condition.words)
+        figure = pbox_figure(
+            f"notebook-{len(charts)}", quantity, unit.removesuffix("]"), [drawn], condition.words
+        )
         charts.append((figure.svg, f"{quantity}, {condition.words}"))
     if not charts:
         return ""

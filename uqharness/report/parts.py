@@ -179,10 +179,17 @@ def _template() -> jinja2.Template:
 
 def render(page: Page) -> str:
     """The page as one HTML file that needs no other. Same page, same bytes."""
-    blocks = (*page.first, *(block for section in every_section(page.sections) for block in section.blocks))
-    cursors = any(figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items)
+    blocks = (
+        *page.first,
+        *(block for section in every_section(page.sections) for block in section.blocks),
+    )
+    cursors = any(
+        figure.cursor for block in blocks if isinstance(block, Figures) for figure in block.items
+    )
     sheets = [_text(name) for name in ("figure.css", "page.css")]
-    rendered = _template().render(page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else "")
+    rendered = _template().render(
+        page=page, style=Markup("".join(sheets)), script=Markup(_text("page.js")) if cursors else ""
+    )
     # A control character in a file's or a flight's name has no meaning on a page.
     return visible(rendered)
 
@@ -199,8 +206,14 @@ def first_lines(page: Page) -> list[str]:
     lines = [item.text for item in page.verdict]
     for block in (block for section in every_section(page.sections) for block in section.blocks):
         if isinstance(block, Table) and block.key and block.rows:
-            cells = [[f"{c.text} ({c.small})" if c.small else c.text for c in row] for row in block.cells]
-            lines += ["", block.caption, *text_table([dict(zip(block.head, row, strict=True)) for row in cells])]
+            cells = [
+                [f"{c.text} ({c.small})" if c.small else c.text for c in row] for row in block.cells
+            ]
+            lines += [
+                "",
+                block.caption,
+                *text_table([dict(zip(block.head, row, strict=True)) for row in cells]),
+            ]
         elif isinstance(block, Bullets) and block.key:
             lines += ["", *block.items]
     return lines
@@ -208,7 +221,11 @@ def first_lines(page: Page) -> list[str]:
 
 @cache
 def _text(name: str) -> str:
-    return resources.files("uqharness.report").joinpath(f"templates/{name}").read_text(encoding="utf-8")
+    return (
+        resources.files("uqharness.report")
+        .joinpath(f"templates/{name}")
+        .read_text(encoding="utf-8")
+    )
 
 
 def shown(value: float | None, form: str = ".3g") -> str:
@@ -223,7 +240,9 @@ def percent(value: float | None, form: str = ".3g") -> str:
     return shown(None if value is None else 100.0 * value, form)
 
 
-def remarks(document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")) -> tuple[Section, ...]:
+def remarks(
+    document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
+) -> tuple[Section, ...]:
     """The section of a document's warnings and notes, none where there are none; a terminal shows those named in ``key``."""
     said = {name: tuple(document.get(name, ())) for name in ("warnings", "notes")}
     blocks = tuple(Bullets(items, name in key) for name, items in said.items() if items)

@@ -43,7 +43,12 @@ class DrawnBox:
 
 
 def pbox_figure(
-    name: str, quantity: str, unit: str, boxes: Sequence[DrawnBox], caption: str, mark: tuple[float, str] | None = None
+    name: str,
+    quantity: str,
+    unit: str,
+    boxes: Sequence[DrawnBox],
+    caption: str,
+    mark: tuple[float, str] | None = None,
 ) -> Figure:
     """One p-box (corners thin, envelope bold, band dashed) or two over each other (filled); ``mark``: a value to mark.
 
@@ -55,7 +60,12 @@ def pbox_figure(
     halves = "; ".join(f"{b.title + ': ' if b.title else ''}{_half(b.box, unit)}" for b in boxes)
     label = f"P-box{'es' if not alone else ''} of {quantity} [{unit}]. Half of the flights stay below {halves}."
     chart = Chart(name, label, x, Scale(PROBABILITY, -0.01, 1.01), height=250)
-    read = [smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS)) if b.smooth else b.box for b in boxes]
+    read = [
+        smooth_pbox(b.samples, b.box, np.linspace(x.low, x.high, _SMOOTH_POINTS))
+        if b.smooth
+        else b.box
+        for b in boxes
+    ]
     for number, (drawn, box, (line, fill)) in enumerate(zip(boxes, read, _DRAWN, strict=False)):
         steps = not drawn.smooth
         if alone and len(drawn.samples) > 1:
@@ -75,8 +85,14 @@ def pbox_figure(
         chart.upright(mark[0], "mark", mark[1])
     away = [farthest(b.samples, box) for b, box in zip(boxes, read, strict=True) if b.smooth]
     if away:
-        caption += f" Curves are smoothed: within {100.0 * max(away):.0f} % of the flights' own steps."
-    cursor = {"quantity": quantity, "unit": unit, "boxes": [_cursor(k, b, read[k], alone) for k, b in enumerate(boxes)]}
+        caption += (
+            f" Curves are smoothed: within {100.0 * max(away):.0f} % of the flights' own steps."
+        )
+    cursor = {
+        "quantity": quantity,
+        "unit": unit,
+        "boxes": [_cursor(k, b, read[k], alone) for k, b in enumerate(boxes)],
+    }
     return Figure(name, chart.svg(), caption, cursor)
 
 
@@ -87,7 +103,11 @@ def _draw_samples(chart: Chart, drawn: DrawnBox, box: PBox, number: int) -> None
     few = len(shown_samples) < len(drawn.samples)
     every = f"{len(shown_samples)} of {len(drawn.samples)} samples" if few else "one sample each"
     for sample in shown_samples:
-        data = f' data-corner="{number}.{place[sample.epistemic_id]}"' if sample.epistemic_id in place else ""
+        data = (
+            f' data-corner="{number}.{place[sample.epistemic_id]}"'
+            if sample.epistemic_id in place
+            else ""
+        )
         if drawn.smooth:
             share = smooth_share(sample.values, box.value) * (sample.values.size / sample.size)
             chart.line(box.value, share, "corner", every, data=data)
@@ -101,7 +121,11 @@ def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[Array, Array, Array]:
         return box.value, box.lower, box.upper
     # Unknown flights may lie below every value that was seen.
     unseen = max(sample.unknown / sample.size for sample in drawn.samples)
-    return np.concatenate([[x.low], box.value, [x.high]]), _between(0.0, box.lower), _between(unseen, box.upper)
+    return (
+        np.concatenate([[x.low], box.value, [x.high]]),
+        _between(0.0, box.lower),
+        _between(unseen, box.upper),
+    )
 
 
 def smooth_share(values: Array, at: Array) -> Array:
@@ -114,7 +138,9 @@ def smooth_share(values: Array, at: Array) -> Array:
     """
     width = float(values.std(ddof=1)) * values.size ** (-1.0 / 3.0) if values.size > 1 else 0.0
     if not width > 0.0:
-        return np.asarray(np.searchsorted(np.sort(values), at, side="right") / max(values.size, 1), dtype=float)
+        return np.asarray(
+            np.searchsorted(np.sort(values), at, side="right") / max(values.size, 1), dtype=float
+        )
 
     middles = values
     if values.size > _MOST_KERNELS:
@@ -136,7 +162,15 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: Array) -> PBox:
     unknown = np.array([s.unknown / s.size for s in samples])[:, None]
     lower, upper = shares.min(axis=0), (shares + unknown).max(axis=0)
     names = np.array([s.epistemic_id for s in samples])
-    curve = PBox(at, lower, upper, lower, upper, names[shares.argmin(axis=0)], names[(shares + unknown).argmax(axis=0)])
+    curve = PBox(
+        at,
+        lower,
+        upper,
+        lower,
+        upper,
+        names[shares.argmin(axis=0)],
+        names[(shares + unknown).argmax(axis=0)],
+    )
     half = max(float((box.lower - box.band_lower).max()), float((box.band_upper - box.upper).max()))
     half += farthest(samples, curve)
     band = (np.clip(lower - half, 0.0, 1.0), np.clip(upper + half, 0.0, 1.0))
@@ -146,15 +180,25 @@ def smooth_pbox(samples: Sequence[Sample], box: PBox, at: Array) -> PBox:
 def farthest(samples: Sequence[Sample], curve: PBox) -> float:
     """Largest difference in probability between the sides of ``curve`` and those that the samples' steps make."""
     ends = envelope(samples, curve.value)
-    return max(float(np.abs(found - wanted).max()) for found, wanted in zip((curve.lower, curve.upper), ends, strict=True))
+    return max(
+        float(np.abs(found - wanted).max())
+        for found, wanted in zip((curve.lower, curve.upper), ends, strict=True)
+    )
 
 
 def metric_label(metric: str) -> str:
     """A column of cases.parquet as the label of an axis: quantity and unit."""
-    name, measured = metric.removesuffix("_measured"), ", measured" if metric.endswith("_measured") else ""
+    name, measured = (
+        metric.removesuffix("_measured"),
+        ", measured" if metric.endswith("_measured") else "",
+    )
     quantity, _, unit = name.rpartition("_")
     known = {"m": "m", "mps": "m/s", "deg": "deg", "s": "s"}.get(unit)
-    return f"{quantity.replace('_', ' ')}{measured} [{known}]" if quantity and known else f"{metric} [-]"
+    return (
+        f"{quantity.replace('_', ' ')}{measured} [{known}]"
+        if quantity and known
+        else f"{metric} [-]"
+    )
 
 
 def corner_words(frame: pd.DataFrame) -> dict[str, str]:
@@ -162,11 +206,15 @@ def corner_words(frame: pd.DataFrame) -> dict[str, str]:
 
     Ids whose levels do not stand still (walks) or that have none stay as they are.
     """
-    columns = [name for name in frame if str(name).startswith("level_") and frame[name].notna().any()]
+    columns = [
+        name for name in frame if str(name).startswith("level_") and frame[name].notna().any()
+    ]
     out = {}
     for row in frame[["epistemic_id", *columns]].drop_duplicates("epistemic_id").to_dict("records"):
         levels = {str(c).removeprefix("level_"): float(row[c]) for c in columns if pd.notna(row[c])}
-        words = " ".join(f"{c}{'−' if v == 0.0 else '+' if v == 1.0 else f'={v:.3g}'}" for c, v in levels.items())
+        words = " ".join(
+            f"{c}{'−' if v == 0.0 else '+' if v == 1.0 else f'={v:.3g}'}" for c, v in levels.items()
+        )
         out[str(row["epistemic_id"])] = words or f"sample {row['epistemic_id']}"
     return out
 
@@ -180,7 +228,12 @@ def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, A
     """What the page's script reads out; without the samples' names where smooth curves lie over each other."""
     names = _behind(box) if alone or not drawn.smooth else []
     place = {name: k for k, name in enumerate(names)}
-    sides = {"lower": box.lower, "upper": box.upper, "band_lower": box.band_lower, "band_upper": box.band_upper}
+    sides = {
+        "lower": box.lower,
+        "upper": box.upper,
+        "band_lower": box.band_lower,
+        "band_upper": box.band_upper,
+    }
     return {
         "name": drawn.title,
         "tag": f"{number}.",
@@ -196,7 +249,9 @@ def _cursor(number: int, drawn: DrawnBox, box: PBox, alone: bool) -> dict[str, A
 
 def _behind(box: PBox) -> list[str]:
     """Ids of the samples that set a side somewhere, in order of appearance."""
-    return list(dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side))
+    return list(
+        dict.fromkeys(str(name) for side in (box.corner_lower, box.corner_upper) for name in side)
+    )
 
 
 def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
@@ -205,7 +260,9 @@ def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
         return list(drawn.samples)
     wanted = set(_behind(box)[: _MOST_CURVES // 2])
     others = [sample for sample in drawn.samples if sample.epistemic_id not in wanted]
-    places = np.unique(np.linspace(0, len(others) - 1, _MOST_CURVES - len(wanted)).round().astype(int))
+    places = np.unique(
+        np.linspace(0, len(others) - 1, _MOST_CURVES - len(wanted)).round().astype(int)
+    )
     wanted |= {others[k].epistemic_id for k in places}
     return [sample for sample in drawn.samples if sample.epistemic_id in wanted]
 
@@ -215,9 +272,13 @@ def _steps(sample: Sample, x: Scale) -> tuple[Array, Array]:
     values = np.sort(sample.values)
     if not values.size:
         return np.empty(0), np.empty(0)
-    keep = np.unique(np.linspace(0, values.size - 1, min(values.size, _CURVE_POINTS)).round().astype(int))
+    keep = np.unique(
+        np.linspace(0, values.size - 1, min(values.size, _CURVE_POINTS)).round().astype(int)
+    )
     share = (keep + 1) / sample.size
-    return np.concatenate([[x.low], values[keep], [x.high]]), np.concatenate([[0.0], share, share[-1:]])
+    return np.concatenate([[x.low], values[keep], [x.high]]), np.concatenate(
+        [[0.0], share, share[-1:]]
+    )
 
 
 def _between(first: float, steps: Array) -> Array:

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 _FIRST, _SECOND, _SOFT = "#00639c", "#b34700", "#595f66"
 
 
-def plot_pbox(box: PBox, ax: Axes | None = None, label: str = "value [-]", name: str = "p-box") -> Axes:
+def plot_pbox(
+    box: PBox, ax: Axes | None = None, label: str = "value [-]", name: str = "p-box"
+) -> Axes:
     """Draw a p-box: its two sides, the area between them, and the band that a finite number of flights leaves open.
 
     Parameters
@@ -71,15 +73,20 @@ def plot_pbox(box: PBox, ax: Axes | None = None, label: str = "value [-]", name:
     lower, upper, low_band, high_band = (
         np.concatenate([[first], side, side[-1:]])
         for first, side in (
-            (0.0, box.lower), (0.0, box.upper), (0.0, box.band_lower), (float(box.band_upper[0]), box.band_upper),
+            (0.0, box.lower),
+            (0.0, box.upper),
+            (0.0, box.band_lower),
+            (float(box.band_upper[0]), box.band_upper),
         )
-    )  # fmt: skip
+    )
     (line,) = ax.step(x, upper, where="post", label=name)
     colour = line.get_color()
     ax.step(x, lower, where="post", color=colour)
     ax.fill_between(x, lower, upper, step="post", color=colour, alpha=0.15, linewidth=0)
     for side, words in ((low_band, "band of chance"), (high_band, "")):
-        ax.step(x, side, where="post", color=_SOFT, linestyle="--", linewidth=0.9, label=words or None)
+        ax.step(
+            x, side, where="post", color=_SOFT, linestyle="--", linewidth=0.9, label=words or None
+        )
     ax.set(xlabel=label, ylabel=PROBABILITY, xlim=(x[0], x[-1]), ylim=(-0.01, 1.01))
     ax.legend()
     return ax
@@ -114,7 +121,11 @@ def plot_history(record: FlightRecord, channel: str, ax: Axes | None = None) -> 
 
 
 def plot_overlay(
-    history: History, channel: str, ax: Axes | None = None, noise: float | None = None, suffixes: Sequence[str] = ("_model",)
+    history: History,
+    channel: str,
+    ax: Axes | None = None,
+    noise: float | None = None,
+    suffixes: Sequence[str] = ("_model",),
 ) -> Axes:
     """Draw what a log measured in one segment and what models made of it.
 
@@ -143,12 +154,27 @@ def plot_overlay(
         The segment has no such channel, or no such model.
     """
     ax, factor = _axes(ax), shown_channel(channel)[2]
-    ax.plot(history.time_s, factor * history.columns[channel], ".", color=_SOFT, markersize=3, label="log")
+    ax.plot(
+        history.time_s,
+        factor * history.columns[channel],
+        ".",
+        color=_SOFT,
+        markersize=3,
+        label="log",
+    )
     for suffix in suffixes:
         ax.plot(history.time_s, factor * history.columns[channel + suffix], label=suffix.strip("_"))
     if noise is not None and suffixes:
         last, half = factor * history.columns[channel + suffixes[-1]], Z95 * factor * noise
-        ax.fill_between(history.time_s, last - half, last + half, color=_FIRST, alpha=0.15, linewidth=0, label="95 % of the noise")
+        ax.fill_between(
+            history.time_s,
+            last - half,
+            last + half,
+            color=_FIRST,
+            alpha=0.15,
+            linewidth=0,
+            label="95 % of the noise",
+        )
     ax.set(xlabel="time of the log [s]", ylabel=axis_label(channel), title=history.title)
     ax.legend()
     return ax
@@ -171,24 +197,52 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     """
     ax = _axes(ax)
     rows: list[tuple[str, Any]] = sorted(
-        found.result.indices.items(), key=lambda row: np.nan_to_num(row[1].minimum.value + row[1].maximum.value)
+        found.result.indices.items(),
+        key=lambda row: np.nan_to_num(row[1].minimum.value + row[1].maximum.value),
     )
     for k, (_, index) in enumerate(rows):
         low, high = index.minimum.value, index.maximum.value
-        ends = [inner if np.isnan(outer) else outer for outer, inner in ((index.minimum.low, low), (index.maximum.high, high))]
+        ends = [
+            inner if np.isnan(outer) else outer
+            for outer, inner in ((index.minimum.low, low), (index.maximum.high, high))
+        ]
         first = k == 0
-        ax.plot(ends, [k, k], color=_FIRST, alpha=0.3, linewidth=8, solid_capstyle="butt", label="95 % interval" if first else None)
-        ax.plot([low, high], [k, k], "|-", color=_FIRST, linewidth=4, markersize=9, label="share" if first else None)
+        ax.plot(
+            ends,
+            [k, k],
+            color=_FIRST,
+            alpha=0.3,
+            linewidth=8,
+            solid_capstyle="butt",
+            label="95 % interval" if first else None,
+        )
+        ax.plot(
+            [low, high],
+            [k, k],
+            "|-",
+            color=_FIRST,
+            linewidth=4,
+            markersize=9,
+            label="share" if first else None,
+        )
     ax.set_yticks(range(len(rows)), [name for name, _ in rows])
-    ax.set(xlabel="share of the p-box's width [-]", xlim=(0.0, 1.0), title=f"{metric_label(found.metric)}, {found.condition.label}")
+    ax.set(
+        xlabel="share of the p-box's width [-]",
+        xlim=(0.0, 1.0),
+        title=f"{metric_label(found.metric)}, {found.condition.label}",
+    )
     ax.legend()
     return ax
 
 
 def plot_model_form(
-    bounds: CoefficientBounds, state: str, ax: Axes | None = None, coefficient: str = "coefficient",
-    residuals: Residuals | None = None, outside: Outside = "grow",
-) -> Axes:  # fmt: skip
+    bounds: CoefficientBounds,
+    state: str,
+    ax: Axes | None = None,
+    coefficient: str = "coefficient",
+    residuals: Residuals | None = None,
+    outside: Outside = "grow",
+) -> Axes:
     """Draw a coefficient's bounds along one state, the others at the medians of the data; the range of the data shaded.
 
     Parameters
@@ -217,7 +271,9 @@ def plot_model_form(
         The bounds do not depend on the state.
     """
     if state not in bounds.states:
-        raise ValueError(f"the bounds depend on {', '.join(bounds.states)}, not on {state}; choose one of them")
+        raise ValueError(
+            f"the bounds depend on {', '.join(bounds.states)}, not on {state}; choose one of them"
+        )
     ax, factor = _axes(ax), shown_channel(state)[2]
     k = bounds.states.index(state)
     low, high = float(bounds.hull.low[k]), float(bounds.hull.high[k])
@@ -227,12 +283,25 @@ def plot_model_form(
     if residuals is not None:
         near = near_slice(bounds, state, residuals.states)
         values = np.concatenate(residuals.columns(coefficient))
-        ax.plot(factor * residuals.states[state][near], values[near], ".", color=_SOFT, markersize=3, label="flight minus model")
+        ax.plot(
+            factor * residuals.states[state][near],
+            values[near],
+            ".",
+            color=_SOFT,
+            markersize=3,
+            label="flight minus model",
+        )
     for confidence, colour, style in ((bounds.confidence, _FIRST, "-"), (0.68, _SECOND, ":")):
-        for number, end in enumerate(bounds.bounds(slice_states(bounds, state, at), confidence, outside)):
+        for number, end in enumerate(
+            bounds.bounds(slice_states(bounds, state, at), confidence, outside)
+        ):
             words = f"{100 * confidence:g} % bounds" if number == 0 else None
             ax.plot(factor * at, end, style, color=colour, label=words)
-    ax.set(xlabel=axis_label(state), ylabel=f"flight minus model, {coefficient} [-]", xlim=(factor * at[0], factor * at[-1]))
+    ax.set(
+        xlabel=axis_label(state),
+        ylabel=f"flight minus model, {coefficient} [-]",
+        xlim=(factor * at[0], factor * at[-1]),
+    )
     ax.legend()
     return ax
 

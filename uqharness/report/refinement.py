@@ -10,7 +10,15 @@ from uqharness.files import finite, write_bytes, write_json
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 
-FIGURES = ("gap.svg", "history.svg", "intervals.svg", "pbox.svg", "candidates.svg", "coefficients.svg", "unnamed.svg")
+FIGURES = (
+    "gap.svg",
+    "history.svg",
+    "intervals.svg",
+    "pbox.svg",
+    "candidates.svg",
+    "coefficients.svg",
+    "unnamed.svg",
+)
 """Figures of a refinement: those of an earlier run are not left beside a later one's."""
 
 
@@ -24,7 +32,9 @@ def write_results(done: Refinement, out: Path) -> None:
         (out / "figures" / name).unlink(missing_ok=True)
     setup, before, after = done.judged.test
     models = {"_before": before, "_after": after}
-    columns = columns_of(setup.outputs, setup.measured) | columns_of(CONTROLS, [s.controls for s in setup.segments])
+    columns = columns_of(setup.outputs, setup.measured) | columns_of(
+        CONTROLS, [s.controls for s in setup.segments]
+    )
     for suffix, shown in models.items():
         modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
         columns |= columns_of(setup.outputs, modelled, suffix)
@@ -39,7 +49,10 @@ def model_diff(done: Refinement) -> str:
     out: list[str] = []
     for name in names:
         a, b = (
-            (f / name).read_bytes().decode("utf-8", errors="surrogateescape").splitlines(keepends=True)
+            (f / name)
+            .read_bytes()
+            .decode("utf-8", errors="surrogateescape")
+            .splitlines(keepends=True)
             if (f / name).is_file()
             else []
             for f in (old, new)

@@ -15,7 +15,9 @@ NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk"
 
 def kind_of(epistemic: Mapping[str, Any]) -> str:
     """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
-    mixed = epistemic["method"] == "corners" and (epistemic.get("interior") or epistemic["set"] != "box")
+    mixed = epistemic["method"] == "corners" and (
+        epistemic.get("interior") or epistemic["set"] != "box"
+    )
     return "samples" if mixed else str(epistemic["method"])
 
 
@@ -33,5 +35,7 @@ def _renamed(part: Any, noun: str) -> Any:
     if isinstance(part, Figure):
         return replace(part, caption=_renamed(part.caption, noun))
     if is_dataclass(part) and not isinstance(part, type):
-        return replace(part, **{f.name: _renamed(getattr(part, f.name), noun) for f in fields(part)})
+        return replace(
+            part, **{f.name: _renamed(getattr(part, f.name), noun) for f in fields(part)}
+        )
     return part

@@ -15,7 +15,9 @@ _SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "head
 Row = Mapping[str, str]
 
 
-def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str = "") -> tuple[Section, ...]:
+def sensitivity_section(
+    folder: Path, manifest: Mapping[str, Any], prefix: str = ""
+) -> tuple[Section, ...]:
     """The section, none where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
     table_rows = read_sensitivity(folder, manifest)
     if not table_rows:
@@ -24,8 +26,14 @@ def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str =
     order = ("none", "light", "moderate", "severe")
     hardest = max(conditions, key=lambda c: (order.index(c.turbulence), c.wind_mps))
     rows = conditions[hardest]
-    counts = [r["metric"] for r in rows if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")]
-    by_metric = {m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])}
+    counts = [
+        r["metric"]
+        for r in rows
+        if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")
+    ]
+    by_metric = {
+        m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])
+    }
     text = (
         "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
         "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
@@ -36,14 +44,20 @@ def sensitivity_section(folder: Path, manifest: Mapping[str, Any], prefix: str =
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
         tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
     )
-    blocks = (Words(text, note=True), range_figures(rows, tuple(by_metric), hardest, "", prefix), table)
+    blocks = (
+        Words(text, note=True),
+        range_figures(rows, tuple(by_metric), hardest, "", prefix),
+        table,
+    )
     return (Section("Which uncertainty makes the width", blocks),)
 
 
 def condition_sections(content: bytes) -> list[Section]:
     """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's three quantities."""
     out = []
-    for condition, found in by_condition(list(csv.DictReader(content.decode().splitlines()))).items():
+    for condition, found in by_condition(
+        list(csv.DictReader(content.decode().splitlines()))
+    ).items():
         file = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
         figures = range_figures(found, _SHOWN[:3], condition, file)
         out += [Section(condition.words, (figures,))] if figures.items else []
@@ -58,18 +72,27 @@ def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
     return out
 
 
-def range_figures(rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = "") -> Figures:
+def range_figures(
+    rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
+) -> Figures:
     """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
     by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
-    figures = tuple(_figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found)
+    figures = tuple(
+        _figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found
+    )
     return Figures(figures, _LEGEND, True, file)
 
 
-_LEGEND = (("thick", "smallest to largest share over the pairs of corners"), ("wide", "95 % sampling interval"))
+_LEGEND = (
+    ("thick", "smallest to largest share over the pairs of corners"),
+    ("wide", "95 % sampling interval"),
+)
 
 
 def _ordered(rows: Sequence[Row]) -> list[Row]:
-    return sorted(rows, key=lambda r: -(float(r["share_min"] or 0.0) + float(r["share_max"] or 0.0)))
+    return sorted(
+        rows, key=lambda r: -(float(r["share_min"] or 0.0) + float(r["share_max"] or 0.0))
+    )
 
 
 def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
@@ -78,7 +101,10 @@ def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str)
         f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient; {first['coefficient']} has "
         f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
     )
-    name, x = f"{prefix}sensitivity-{metric.replace('_', '-')}", Scale("share of the p-box's width [-]", 0.0, 1.0)
+    name, x = (
+        f"{prefix}sensitivity-{metric.replace('_', '-')}",
+        Scale("share of the p-box's width [-]", 0.0, 1.0),
+    )
     chart = rows_chart(name, label, x, [r["coefficient"] for r in rows], 22)
     for k, r in enumerate(rows):
         low, high = float(r["share_min"]), float(r["share_max"])
@@ -91,15 +117,28 @@ def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str)
 
 def _table_row(r: Row) -> tuple[str, ...]:
     if not r["share_min"]:
-        return (_words(r["metric"]), r["coefficient"], f"undefined: {r['reason']}", "undefined", "undefined")
+        return (
+            _words(r["metric"]),
+            r["coefficient"],
+            f"undefined: {r['reason']}",
+            "undefined",
+            "undefined",
+        )
 
     def span(low: str, high: str, scale: float = 1.0, unit: str = "") -> str:
-        return f"{scale * float(low):.2g} to {scale * float(high):.2g}{unit}" if low and high else "undefined"
+        return (
+            f"{scale * float(low):.2g} to {scale * float(high):.2g}{unit}"
+            if low and high
+            else "undefined"
+        )
 
     return (
-        _words(r["metric"]), r["coefficient"], span(r["share_min"], r["share_max"]), span(r["share_low"], r["share_high"]),
+        _words(r["metric"]),
+        r["coefficient"],
+        span(r["share_min"], r["share_max"]),
+        span(r["share_low"], r["share_high"]),
         span(r["shrink_min"], r["shrink_max"], 100.0, " %"),
-    )  # fmt: skip
+    )
 
 
 def _words(metric: str) -> str:

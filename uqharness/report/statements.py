@@ -13,8 +13,11 @@ from uqharness.statistics import NO, OPEN, YES
 _ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 _OTHER = "other"
 _KIND_WORDS = {
-    "loss_of_control": "Loss of control", "ground_contact": "Ground contact", "diverged": "Diverged", _OTHER: "Ended otherwise",
-}  # fmt: skip
+    "loss_of_control": "Loss of control",
+    "ground_contact": "Ground contact",
+    "diverged": "Diverged",
+    _OTHER: "Ended otherwise",
+}
 """Heads of the columns, by the kind of an aborted flight."""
 
 
@@ -33,7 +36,10 @@ def sentence(item: Statement) -> str:
     text += f"{item.best.rate:.3g} at the best corner, {item.worst.rate:.3g} at the worst"
     text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
     hours = max(rate.hours for rate in cell.rates)
-    text = text.replace("%", " %") + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
+    text = (
+        text.replace("%", " %")
+        + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
+    )
     text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer_words(item).capitalize()}."
     share = item.flight_share
     return text + (f" {share.capitalize()}." if share else "")
@@ -51,7 +57,9 @@ def row(item: Statement) -> dict[str, str]:
         "worst_corner": item.worst.epistemic_id,
         "answer": item.answer,
         "hours": f"{sum(rate.hours for rate in cell.rates):.4g}",
-        "dispersion": "too few to say" if math.isnan(item.dispersion_observed) else f"{item.dispersion_observed:.2g}",
+        "dispersion": "too few to say"
+        if math.isnan(item.dispersion_observed)
+        else f"{item.dispersion_observed:.2g}",
         "carried": _carried(item),
         "outside": "not known" if math.isnan(share) else f"{100.0 * share:.2g} %",
     }
@@ -63,7 +71,11 @@ def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
     None where no flight was aborted, so that no empty column widens a table.
     """
     totals = {kind: sum(item.aborted[kind] for item in found) for kind in _KIND_WORDS}
-    return tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind]) if any(totals.values()) else ()
+    return (
+        tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
+        if any(totals.values())
+        else ()
+    )
 
 
 def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
@@ -76,8 +88,13 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
     """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several campaigns one after the other."""
     if not kinds:
         return ()
-    counts = (" / ".join("not flown" if item is None else str(item.aborted[kind]) for item in items) for kind in kinds)
-    limits = " / ".join("not flown" if item is None else shown(item.loss_upper_per_h) for item in items)
+    counts = (
+        " / ".join("not flown" if item is None else str(item.aborted[kind]) for item in items)
+        for kind in kinds
+    )
+    limits = " / ".join(
+        "not flown" if item is None else shown(item.loss_upper_per_h) for item in items
+    )
     return (*counts, limits)
 
 
@@ -102,7 +119,11 @@ def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list
         ),
         "Corners are the epistemic samples flown. Statements do not cover models between or outside them.",
     ]
-    told = {(item.cell.condition.words, item.cell.radius_m): item for item in found if item.cell.distance == "horizontal"}
+    told = {
+        (item.cell.condition.words, item.cell.radius_m): item
+        for item in found
+        if item.cell.distance == "horizontal"
+    }
     measured = [item for item in told.values() if item.dispersion.measured]
     if measured:
         least = min(measured, key=lambda item: item.quiet_hours_needed)

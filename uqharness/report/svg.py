@@ -45,7 +45,11 @@ class Scale:
         """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis does not have."""
         value, low, high = np.asarray(value, dtype=float), self.low, self.high
         if self.log:
-            value, low, high = np.log(np.where(value > 0.0, value, np.nan)), math.log(low), math.log(high)
+            value, low, high = (
+                np.log(np.where(value > 0.0, value, np.nan)),
+                math.log(low),
+                math.log(high),
+            )
         return np.asarray((value - low) / ((high - low) or 1.0))
 
     def ticks(self) -> list[tuple[float, str]]:
@@ -58,12 +62,21 @@ class Scale:
             return [(self.low, f"{self.low:.4g}")]
         step = _step((self.high - self.low) / 5.0)
         first = math.ceil(self.low / step - 1e-9)
-        return [(k * step, _number(k * step, step)) for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
+        return [
+            (k * step, _number(k * step, step))
+            for k in range(first, math.floor(self.high / step + 1e-9) + 1)
+        ]
 
 
-def scale(label: str, values: Sequence[Array], margin: float = 0.06, least: float | None = None) -> Scale:
+def scale(
+    label: str, values: Sequence[Array], margin: float = 0.06, least: float | None = None
+) -> Scale:
     """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to 1 where there is none."""
-    known = np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values]) if values else np.empty(0)
+    known = (
+        np.concatenate([np.ravel(v)[np.isfinite(np.ravel(v))] for v in values])
+        if values
+        else np.empty(0)
+    )
     if not known.size:
         return Scale(label, 0.0, 1.0)
     low, high = float(known.min()), float(known.max())
@@ -87,7 +100,12 @@ def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """At 1, 2 and 5 times the powers of ten, or at the powers alone where there are many."""
     powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
-        found = [f * 10.0**k for k in powers for f in factors if low * (1 - 1e-9) <= f * 10.0**k <= high * (1 + 1e-9)]
+        found = [
+            f * 10.0**k
+            for k in powers
+            for f in factors
+            if low * (1 - 1e-9) <= f * 10.0**k <= high * (1 + 1e-9)
+        ]
         if len(found) <= _MOST_LOG_TICKS:
             break
     return [(value, f"{value:g}") for value in found]
@@ -138,7 +156,9 @@ class Chart:
         u, v = (np.where(np.isfinite(w), np.clip(w, -5000.0, 5000.0), np.nan) for w in (u, v))
         return u, v
 
-    def line(self, x: Array, y: Array, kind: str, words: str = "", steps: bool = False, data: str = "") -> None:
+    def line(
+        self, x: Array, y: Array, kind: str, words: str = "", steps: bool = False, data: str = ""
+    ) -> None:
         """A line through finite points; a gap where one is not. steps: each value holds until the next."""
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if not steps:
@@ -153,7 +173,9 @@ class Chart:
         self.marks.append(f'<path class="line {kind}" d="{_path(*self.at(x, y))}"/>')
         self._entry(kind, words)
 
-    def band(self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False) -> None:
+    def band(
+        self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False
+    ) -> None:
         """The area between two lines, where both are finite."""
         x, low, high = (np.asarray(v, dtype=float) for v in (x, low, high))
         for run in _runs(np.isfinite(x) & np.isfinite(low) & np.isfinite(high)):
@@ -180,7 +202,9 @@ class Chart:
         if known.any():
             # A line of no length with round ends is a disc, and the shortest there is to write.
             path = _written("M%.1f %.1fh0" * int(known.sum()), u[known], v[known])
-            self.marks.append(f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>')
+            self.marks.append(
+                f'<path class="dots {kind}" stroke-width="{2 * radius:g}" d="{path}"/>'
+            )
             self._entry(kind, words)
 
     def marker(self, x: float, y: float, kind: str, shape: str, words: str = "") -> None:
@@ -198,19 +222,30 @@ class Chart:
         self.marks.append(drawn[shape])
         self._entry(f"mark-{shape} {kind}", words)
 
-    def text(self, x: float, y: float, words: str, anchor: str = "start", shift: tuple[float, float] = (0.0, 0.0)) -> None:
+    def text(
+        self,
+        x: float,
+        y: float,
+        words: str,
+        anchor: str = "start",
+        shift: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         """Words at a point, moved by ``shift`` units right and down; ``anchor``: which end of them, start, middle or end."""
         (u,), (v,) = (np.atleast_1d(w) for w in self.at(x, y))
         if math.isfinite(u) and math.isfinite(v):
             place = f'x="{u + shift[0]:.1f}" y="{v + shift[1]:.1f}"'
-            self.marks.append(f'<text class="inside" text-anchor="{anchor}" {place}>{escape(words)}</text>')
+            self.marks.append(
+                f'<text class="inside" text-anchor="{anchor}" {place}>{escape(words)}</text>'
+            )
 
     def cells(self, x: Array, y: Array, share: Array, kind: str) -> None:
         """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share`` (n, m) of 0 to 1; none for 0."""
         u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
         for i, j in zip(*np.nonzero(share), strict=True):
             place = f'x="{u[i]:.1f}" y="{v[j + 1]:.1f}" width="{u[i + 1] - u[i]:.1f}" height="{v[j] - v[j + 1]:.1f}"'
-            self.marks.append(f'<rect class="cell {kind}" {place} fill-opacity="{share[i, j]:.3f}"/>')
+            self.marks.append(
+                f'<rect class="cell {kind}" {place} fill-opacity="{share[i, j]:.3f}"/>'
+            )
 
     def upright(self, x: float, kind: str, words: str = "") -> None:
         """A line from bottom to top at ``x``."""
@@ -243,10 +278,14 @@ class Chart:
             f'<text class="label" x="2" y="13">{escape(self.y.label)}</text>',
         ]
         middle, low = left + width / 2, self.height - 5
-        out.append(f'<text class="label" text-anchor="middle" x="{middle:g}" y="{low}">{escape(self.x.label)}</text>')
+        out.append(
+            f'<text class="label" text-anchor="middle" x="{middle:g}" y="{low}">{escape(self.x.label)}</text>'
+        )
         for kind, words, x, row in entries:
             y = self.height + 12 + 16 * row
-            out.append(f'<g class="key">{_swatch(kind, x, y - 4)}<text x="{x + 28}" y="{y}">{escape(words)}</text></g>')
+            out.append(
+                f'<g class="key">{_swatch(kind, x, y - 4)}<text x="{x + 28}" y="{y}">{escape(words)}</text></g>'
+            )
         return Markup("".join([*out, "</svg>"]))
 
     def _grid(self) -> list[str]:
@@ -256,12 +295,16 @@ class Chart:
             u = left + width * float(self.x.place(value))
             out.append(f'<path class="grid" d="M{u:.1f} {top}v{height}"/>')
             u = min(u, WIDTH - 2 - 0.5 * _CHARACTER * len(words))
-            out.append(f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>')
+            out.append(
+                f'<text text-anchor="middle" x="{u:.1f}" y="{self.height - _BOTTOM + 14}">{escape(words)}</text>'
+            )
         for value, words in self.y.ticks():
             v = top + height * (1.0 - float(self.y.place(value)))
             if not self.y.names:
                 out.append(f'<path class="grid" d="M{left} {v:.1f}h{width}"/>')
-            out.append(f'<text text-anchor="end" x="{left - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>')
+            out.append(
+                f'<text text-anchor="end" x="{left - 5}" y="{v + 3.5:.1f}">{escape(words)}</text>'
+            )
         return out
 
 
@@ -272,8 +315,11 @@ def rows_chart(name: str, label: str, x: Scale, rows: Sequence[str], height: int
 
 
 def standalone(
-    charts: Sequence[tuple[Markup, str]], title: str = "", legend: Sequence[tuple[str, str]] = (), columns: int = 1
-) -> str:  # fmt: skip
+    charts: Sequence[tuple[Markup, str]],
+    title: str = "",
+    legend: Sequence[tuple[str, str]] = (),
+    columns: int = 1,
+) -> str:
     """Charts with their captions as one file of its own, row by row, light and without any reference to another file."""
     columns = min(columns, len(charts))
     width = columns * (WIDTH + _GAP) + _GAP
@@ -284,7 +330,9 @@ def standalone(
     entries, rows = _legend(legend, width - 8)
     for kind, words, x, row in entries:
         at = y + 20 + 16 * row
-        parts.append(f'{_swatch(kind, x + 8, at - 4)}<text x="{x + 36:g}" y="{at}">{escape(words)}</text>')
+        parts.append(
+            f'{_swatch(kind, x + 8, at - 4)}<text x="{x + 36:g}" y="{at}">{escape(words)}</text>'
+        )
     y += 16 * rows + _GAP
     for first in range(0, len(charts), columns):
         tallest = 0
@@ -294,13 +342,17 @@ def standalone(
             parts.append(placed)
             for line in textwrap.wrap(caption, 58):
                 height += 14
-                parts.append(f'<text class="caption" x="{x}" y="{y + height}">{escape(line)}</text>')
+                parts.append(
+                    f'<text class="caption" x="{x}" y="{y + height}">{escape(line)}</text>'
+                )
             tallest = max(tallest, height)
         y += tallest + _GAP
     size = f'width="{2 * width if columns == 1 else width}" viewBox="0 0 {width} {y}"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" role="img" aria-label="{escape(title)}" {size}>'
     paper = f'<rect width="{width}" height="{y}" fill="#ffffff"/>'
-    return visible("".join([head, f"<style>{_plain_style()}</style>", paper, *parts, "</svg>"])) + "\n"
+    return (
+        visible("".join([head, f"<style>{_plain_style()}</style>", paper, *parts, "</svg>"])) + "\n"
+    )
 
 
 def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
@@ -308,13 +360,19 @@ def _placed(svg: Markup, x: int, y: int) -> tuple[int, str]:
     found = re.search(r'viewBox="0 0 (\d+) (\d+)"', svg)
     assert found is not None
     height = int(found[2])
-    return height, str(svg).replace("<svg ", f'<svg x="{x}" y="{y}" width="{WIDTH}" height="{height}" ', 1)
+    return height, str(svg).replace(
+        "<svg ", f'<svg x="{x}" y="{y}" width="{WIDTH}" height="{height}" ', 1
+    )
 
 
 @cache
 def style() -> str:
     """The style sheet of all charts, which is that of the page too."""
-    return resources.files("uqharness.report").joinpath("templates/figure.css").read_text(encoding="utf-8")
+    return (
+        resources.files("uqharness.report")
+        .joinpath("templates/figure.css")
+        .read_text(encoding="utf-8")
+    )
 
 
 @cache
@@ -349,7 +407,9 @@ def _first_of(bucket: NDArray[np.intp], wanted: NDArray[np.bool_]) -> NDArray[np
 
 def _runs(known: NDArray[np.bool_]) -> list[slice]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
+    return [
+        slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1
+    ]
 
 
 def _path(u: Array, v: Array, steps: bool = False) -> str:
@@ -365,7 +425,9 @@ def _written(form: str, u: Array, v: Array) -> str:
     return (form % tuple(np.column_stack([u, v]).ravel().tolist())).replace(".0", "")
 
 
-def _legend(items: Sequence[tuple[str, str]], width: float) -> tuple[list[tuple[str, str, float, int]], int]:
+def _legend(
+    items: Sequence[tuple[str, str]], width: float
+) -> tuple[list[tuple[str, str, float, int]], int]:
     """Entries with their place, and the number of rows."""
     out, x, row = [], 8.0, 0
     for kind, words in items:

@@ -30,7 +30,13 @@ class Report:
     @property
     def text(self) -> str:
         """What a terminal shows: the page's first lines and where the rest is."""
-        return "\n".join([*first_lines(self.page), "", f"results in {self.path.parent}, the report in {self.path}"])
+        return "\n".join(
+            [
+                *first_lines(self.page),
+                "",
+                f"results in {self.path.parent}, the report in {self.path}",
+            ]
+        )
 
 
 def write_report(folder: Path, figures: bool = False) -> Report:
@@ -58,7 +64,11 @@ def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
     """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/. Raises BadInputError."""
     path = folder / REPORT
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
-    return Report(path, () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title)), page)
+    return Report(
+        path,
+        () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title)),
+        page,
+    )
 
 
 def write_html(path: Path, page: Page) -> None:
@@ -81,8 +91,13 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
             if block.file and block.items:
                 columns = 3 if block.narrow else 2
                 charts = [(figure.svg, figure.caption) for figure in block.items]
-                write(block.file, standalone(charts, f"{title}: {section.title}", block.legend, columns))
+                write(
+                    block.file,
+                    standalone(charts, f"{title}: {section.title}", block.legend, columns),
+                )
             elif not block.file:
                 for figure in block.items:
-                    write(figure.name, standalone([(figure.svg, figure.caption)], legend=block.legend))
+                    write(
+                        figure.name, standalone([(figure.svg, figure.caption)], legend=block.legend)
+                    )
     return paths

@@ -46,7 +46,8 @@ class Sensitivity(Tabled):
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON types; null where an index is undefined, its reason beside it."""
         return {
-            output: {method: result.as_dict() for method, result in methods.items()} for output, methods in self.results.items()
+            output: {method: result.as_dict() for method, result in methods.items()}
+            for output, methods in self.results.items()
         }
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -59,14 +60,22 @@ class Sensitivity(Tabled):
 
         rows = [
             {
-                "output": output, "parameter": name, "method": method, "smallest": ends[0].value, "largest": ends[1].value,
-                "low": ends[0].low, "high": ends[1].high, "reason": index.reason,
+                "output": output,
+                "parameter": name,
+                "method": method,
+                "smallest": ends[0].value,
+                "largest": ends[1].value,
+                "low": ends[0].low,
+                "high": ends[1].high,
+                "reason": index.reason,
             }
             for output, methods in self.results.items()
             for method, result in methods.items()
             for name, index in result.indices.items()
-            for ends in [(index.minimum, index.maximum) if isinstance(index, PairRange) else (index, index)]
-        ]  # fmt: skip
+            for ends in [
+                (index.minimum, index.maximum) if isinstance(index, PairRange) else (index, index)
+            ]
+        ]
         return pd.DataFrame(rows).set_index(["output", "parameter", "method"]).sort_index()
 
     def text(self) -> str:
@@ -74,7 +83,9 @@ class Sensitivity(Tabled):
         return "\n\n".join(_table(output, methods) for output, methods in self.results.items())
 
 
-def analyse(study: Study, methods: Sequence[str] = METHODS, seed: int = 0, intervals: bool = True) -> Sensitivity:
+def analyse(
+    study: Study, methods: Sequence[str] = METHODS, seed: int = 0, intervals: bool = True
+) -> Sensitivity:
     """Apply methods of sensitivity to every output of a study; no run is made.
 
     Parameters
@@ -131,15 +142,24 @@ def _table(output: str, methods: Mapping[str, MethodResult]) -> str:
     head = f"  {'':<{width}}" + "".join(f"{method:>27}" for method in methods)
     lines = [output, head]
     for name in names:
-        lines.append(f"  {name:<{width}}" + "".join(f"{cell(result.indices[name]):>27}" for result in methods.values()))
-    lines += [f"  {method}: {result.runs} runs; {result.statement}" for method, result in methods.items()]
+        lines.append(
+            f"  {name:<{width}}"
+            + "".join(f"{cell(result.indices[name]):>27}" for result in methods.values())
+        )
+    lines += [
+        f"  {method}: {result.runs} runs; {result.statement}" for method, result in methods.items()
+    ]
     return "\n".join(lines)
 
 
 def cell(index: Index | PairRange) -> str:
     """One number, or a range, with its interval behind it where it has one."""
     if isinstance(index, PairRange):
-        text, low, high = f"{index.minimum.value:.3f}..{index.maximum.value:.3f}", index.minimum.low, index.maximum.high
+        text, low, high = (
+            f"{index.minimum.value:.3f}..{index.maximum.value:.3f}",
+            index.minimum.low,
+            index.maximum.high,
+        )
         undefined = math.isnan(index.minimum.value)
     else:
         text, low, high = f"{index.value:.3f}", index.low, index.high

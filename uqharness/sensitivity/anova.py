@@ -6,7 +6,13 @@ import numpy as np
 
 from uqharness.sensitivity.areas import is_flat
 from uqharness.sensitivity.resampling import Z, std_by_draws
-from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, all_undefined, missing_values
+from uqharness.sensitivity.result import (
+    CONFIDENCE,
+    Index,
+    MethodResult,
+    all_undefined,
+    missing_values,
+)
 from uqharness.sensitivity.study import Evaluations, Study
 
 METHOD = "anova"
@@ -35,13 +41,19 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     from scipy import stats
 
     # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
-    twice = {"f_A": np.stack([f_A] * 2), "f_B": np.stack([f_B] * 2), "f_AB": np.stack([f_AB] * 2, axis=1)}
+    twice = {
+        "f_A": np.stack([f_A] * 2),
+        "f_B": np.stack([f_B] * 2),
+        "f_AB": np.stack([f_AB] * 2, axis=1),
+    }
     found = stats.sobol_indices(func=twice, n=samples)
     total, order_one = found.total_order.reshape(2, -1)[0], found.first_order.reshape(2, -1)[0]
     low = high = np.full_like(total, np.nan)
     if intervals:
         by_draws = std_by_draws(
-            lambda a: _total(first[:, a].mean(axis=1), second[:, a].mean(axis=1), mixed[:, :, a].mean(axis=2)),
+            lambda a: _total(
+                first[:, a].mean(axis=1), second[:, a].mean(axis=1), mixed[:, :, a].mean(axis=2)
+            ),
             first.shape[1],
             seed,
         )
@@ -49,7 +61,8 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         low, high = _bootstrap(f_A, f_B, f_AB, seed)
         low, high = total - np.hypot(total - low, reach), total + np.hypot(high - total, reach)
     indices = {
-        name: Index(float(value), float(lo), float(hi)) for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
+        name: Index(float(value), float(lo), float(hi))
+        for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
     }
     together = float(total.sum())
     above = [name for name, index in indices.items() if index.value > 1.0]
@@ -58,17 +71,30 @@ def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         "were not measured, and divide variance, not width"
     )
     if above:
-        statement += f"; {', '.join(above)} above 1 by sampling error, left as estimated: raise samples"
-    return MethodResult(METHOD, cost, indices, not above, statement, {"first_order": order_one, "total_sum": together})
+        statement += (
+            f"; {', '.join(above)} above 1 by sampling error, left as estimated: raise samples"
+        )
+    return MethodResult(
+        METHOD,
+        cost,
+        indices,
+        not above,
+        statement,
+        {"first_order": order_one, "total_sum": together},
+    )
 
 
 def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
     """(d,) total effects."""
     variance = np.var(np.concatenate([f_A, f_B], axis=-1), axis=-1)
-    return np.mean((f_A - f_AB) ** 2, axis=-1) / (2.0 * variance)  # (4.5) over the variance in (4.4)
+    return np.mean((f_A - f_AB) ** 2, axis=-1) / (
+        2.0 * variance
+    )  # (4.5) over the variance in (4.4)
 
 
-def _bootstrap(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _bootstrap(
+    f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Percentile limits (d,) over resampled rows."""
     rng = np.random.default_rng(seed)
     rows = rng.integers(f_A.size, size=(_RESAMPLES, f_A.size))

@@ -61,7 +61,9 @@ def beyond_corners(corners: Array, interior: Array, area: float) -> float:
     inf where something leaves an envelope without area.
     """
     ordered, inside = np.sort(corners, axis=-1), np.sort(interior, axis=-1)
-    beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(ordered.min(axis=0) - inside, 0.0)
+    beyond = np.maximum(inside - ordered.max(axis=0), 0.0) + np.maximum(
+        ordered.min(axis=0) - inside, 0.0
+    )
     worst = float(beyond.mean(axis=-1).max())
     return worst / area if area > 0.0 else (float("inf") if worst > 0.0 else 0.0)
 

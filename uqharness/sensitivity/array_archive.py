@@ -23,9 +23,21 @@ MOST_BYTES = 1_000_000_000
 """Of all arrays together, unpacked: a study of 12 parameters, 8192 samples and 100 draws has 200 MB an output."""
 _KINDS = "fiub"
 _DAMAGED = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, OSError, EOFError, RuntimeError, NotImplementedError,
-    ValueError, SyntaxError, TypeError, OverflowError, LookupError, MemoryError,
-)  # fmt: skip
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    tokenize.TokenError,
+    OSError,
+    EOFError,
+    RuntimeError,
+    NotImplementedError,
+    ValueError,
+    SyntaxError,
+    TypeError,
+    OverflowError,
+    LookupError,
+    MemoryError,
+)
 """What zipfile and numpy raise of a damaged file, an encrypted or an unknown one."""
 
 
@@ -40,8 +52,13 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             members = archive.infolist()
             size = sum(member.file_size for member in members)
             if size > MOST_BYTES:
-                raise ValueError(f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are read")
-            return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
+                raise ValueError(
+                    f"its arrays would take {in_words(size)}, at most {in_words(MOST_BYTES)} are read"
+                )
+            return {
+                member.filename.removesuffix(".npy"): _array(archive.read(member))
+                for member in members
+            }
     except _DAMAGED as error:
         words = in_a_line(error)
         raise BadInputError(
@@ -53,7 +70,10 @@ def _array(content: bytes) -> NDArray[Any]:
     """One array. ValueError for one that holds other things than numbers, and for a header that promises what does not follow."""
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }[version]
     shape, fortran, dtype = read(file)
     if dtype.kind not in _KINDS or dtype.hasobject:
         raise ValueError(f"an array of type {dtype} among its arrays")

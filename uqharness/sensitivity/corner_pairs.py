@@ -8,13 +8,21 @@ import numpy as np
 from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
 from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.resampling import MIN_DRAWS, RESAMPLES, pair_band
-from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined, missing_values
+from uqharness.sensitivity.result import (
+    Index,
+    MethodResult,
+    PairRange,
+    all_undefined,
+    missing_values,
+)
 from uqharness.sensitivity.study import Evaluations, Study
 
 METHOD = "proposed"
 
 
-def corner_pairs(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
+def corner_pairs(
+    study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
+) -> MethodResult:
     """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
 
     ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
@@ -71,10 +79,16 @@ def _no_interval(draws: int, wanted: bool) -> str:
     return "no interval: some resamples of the aleatory draws show no width at all"
 
 
-def _smoothness(corners: Array, interior: Array | None, area: float) -> tuple[bool | None, str, float]:
+def _smoothness(
+    corners: Array, interior: Array | None, area: float
+) -> tuple[bool | None, str, float]:
     """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
     if interior is None:
-        return None, "not checked: whether levels between the bounds stay inside the corners' envelope", float("nan")
+        return (
+            None,
+            "not checked: whether levels between the bounds stay inside the corners' envelope",
+            float("nan"),
+        )
     if missing_values(interior=interior):
         return (
             False,

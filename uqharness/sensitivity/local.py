@@ -31,7 +31,9 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         return all_undefined(METHOD, study.names, reason, cost)
     area = box_area(box)
     if is_flat(area, box):
-        return all_undefined(METHOD, study.names, "the p-box has no width: the output depends on no parameter", cost)
+        return all_undefined(
+            METHOD, study.names, "the p-box has no width: the output depends on no parameter", cost
+        )
     slope = np.abs((runs.forward - runs.nominal) / study.step)  # (4.1)
     share = study.width * slope / area  # (4.2)
     reach = np.nan
@@ -45,13 +47,23 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
         name: Index(float(value), float(value / factor), float(value * factor))
         for name, value in zip(study.names, share, strict=True)
     }
-    holds, statement = None, "linearity over the intervals is assumed and was not checked: the study has no corner runs"
+    holds, statement = (
+        None,
+        "linearity over the intervals is assumed and was not checked: the study has no corner runs",
+    )
     if runs.corners is not None and not missing_values(corners=runs.corners):
-        holds, statement = _linearity(float(np.sum(study.width * slope)), runs.corners, runs.between, is_flat(area, runs.corners))
+        holds, statement = _linearity(
+            float(np.sum(study.width * slope)),
+            runs.corners,
+            runs.between,
+            is_flat(area, runs.corners),
+        )
     return MethodResult(METHOD, cost, indices, holds, statement, {"slope": slope, "area": area})
 
 
-def _linearity(predicted: float, corners: Array, interior: Array | None, flat: bool) -> tuple[bool, str]:
+def _linearity(
+    predicted: float, corners: Array, interior: Array | None, flat: bool
+) -> tuple[bool, str]:
     """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
     corner_area = box_area(corners)
     holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
@@ -59,7 +71,11 @@ def _linearity(predicted: float, corners: Array, interior: Array | None, flat: b
     if interior is not None and not missing_values(interior=interior):
         beyond = beyond_corners(corners, interior, corner_area)
     holds = holds and beyond <= OUTSIDE_ALLOWED
-    verdict = "linearity holds roughly" if holds else "not linear over the intervals, so do not rely on it"
+    verdict = (
+        "linearity holds roughly"
+        if holds
+        else "not linear over the intervals, so do not rely on it"
+    )
     if beyond > OUTSIDE_ALLOWED:
         verdict = "samples between the corners leave it; " + verdict
     return holds, (

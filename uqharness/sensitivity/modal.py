@@ -28,17 +28,33 @@ QBAR_PA = 0.5 * RHO_KGPM3 * V_MPS**2
 
 # Table 2.6; per rad, CZ_de and Cm_de per degree, Cm_q per q c / 2V.
 NOMINAL = {
-    "CZ_0": -0.312, "CZ_alpha": -3.34, "CZ_de": 0.036, "CX_0": -0.038, "CX_alpha": 0.264, "CX_alpha2": 1.86,
-    "Cm_0": 0.0104, "Cm_alpha": -0.487, "Cm_q": -13.8, "Cm_de": -0.014,
-}  # fmt: skip
+    "CZ_0": -0.312,
+    "CZ_alpha": -3.34,
+    "CZ_de": 0.036,
+    "CX_0": -0.038,
+    "CX_alpha": 0.264,
+    "CX_alpha2": 1.86,
+    "Cm_0": 0.0104,
+    "Cm_alpha": -0.487,
+    "Cm_q": -13.8,
+    "Cm_de": -0.014,
+}
 HALF_WIDTH = 0.05
 # Table 4.2: mean and variance, normal.
-ALEATORY = {"M_kg": (21.34, 0.2846), "S_m2": (1.97, 0.0024), "c_m": (0.53, 0.0002), "Iyy_kgm2": (8.26, 0.0426)}
+ALEATORY = {
+    "M_kg": (21.34, 0.2846),
+    "S_m2": (1.97, 0.0024),
+    "c_m": (0.53, 0.0002),
+    "Iyy_kgm2": (8.26, 0.0426),
+}
 
 
 def intervals() -> dict[str, tuple[float, float]]:
     """+-5 % about the nominal value, in order."""
-    return {name: (value - HALF_WIDTH * abs(value), value + HALF_WIDTH * abs(value)) for name, value in NOMINAL.items()}
+    return {
+        name: (value - HALF_WIDTH * abs(value), value + HALF_WIDTH * abs(value))
+        for name, value in NOMINAL.items()
+    }
 
 
 def trim(values: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -100,7 +116,9 @@ def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
     slow, fast = values[..., :2], values[..., 2:]
-    return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(-fast.sum(axis=-1).real, fast.prod(axis=-1).real)
+    return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(
+        -fast.sum(axis=-1).real, fast.prod(axis=-1).real
+    )
 
 
 def _damping(r: Array, s: Array) -> tuple[Array, Array]:
@@ -175,7 +193,10 @@ def run_modal_study(
 
 
 def modal_sensitivity(
-    reading: Reading, repeats: int, seed: int = 0, on_progress: Callable[[int, int], None] | None = None
+    reading: Reading,
+    repeats: int,
+    seed: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> Sensitivity:
     """Mean over independent repeats of the chapter's study, each index with the interval of the mean."""
     found = []

@@ -49,12 +49,16 @@ def make_problem(
     """
     aleatory = dict(aleatory or {})
     if not epistemic:
-        raise BadInputError("epistemic is empty; name at least one parameter with its interval: {'k': (0.9, 1.1)}")
+        raise BadInputError(
+            "epistemic is empty; name at least one parameter with its interval: {'k': (0.9, 1.1)}"
+        )
     names = tuple(epistemic)
     for name, interval in epistemic.items():
         _check_interval(name, interval)
         if name in aleatory:
-            raise BadInputError(f"{name} is both epistemic and aleatory; give the two uncertainties two names")
+            raise BadInputError(
+                f"{name} is both epistemic and aleatory; give the two uncertainties two names"
+            )
     for name, distribution in aleatory.items():
         if not callable(getattr(distribution, "ppf", None)):
             raise BadInputError(
@@ -65,7 +69,9 @@ def make_problem(
     centre = _over(names, nominal, 0.5 * (lower + upper), "nominal")
     for name, value, low, high in zip(names, centre, lower, upper, strict=True):
         if not low <= value <= high:
-            raise BadInputError(f"nominal {name} = {value:g} lies outside its interval [{low:g}, {high:g}]")
+            raise BadInputError(
+                f"nominal {name} = {value:g} lies outside its interval [{low:g}, {high:g}]"
+            )
     steps = _over(names, step, 0.01 * (upper - lower), "step")
     for name, value in zip(names, steps, strict=True):
         if value == 0.0:
@@ -77,18 +83,26 @@ def _check_interval(name: str, interval: Any) -> None:
     try:
         low, high = (float(end) for end in interval)
     except (TypeError, ValueError):
-        raise BadInputError(f"epistemic {name} = {interval!r}: must be a pair (lower, upper)") from None
+        raise BadInputError(
+            f"epistemic {name} = {interval!r}: must be a pair (lower, upper)"
+        ) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise BadInputError(
             f"epistemic {name} = ({low:g}, {high:g}): must be finite with lower < upper; a known value belongs into the model"
         )
 
 
-def _over(names: tuple[str, ...], given: Mapping[str, float] | None, default: Array, what: str) -> Array:
+def _over(
+    names: tuple[str, ...], given: Mapping[str, float] | None, default: Array, what: str
+) -> Array:
     unknown = sorted(set(given or {}) - set(names))
     if unknown:
-        raise BadInputError(f"{what}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}")
-    values = np.array([float((given or {}).get(name, other)) for name, other in zip(names, default, strict=True)])
+        raise BadInputError(
+            f"{what}: {', '.join(unknown)} not among the epistemic parameters {', '.join(names)}"
+        )
+    values = np.array(
+        [float((given or {}).get(name, other)) for name, other in zip(names, default, strict=True)]
+    )
     if not np.all(np.isfinite(values)):
         raise BadInputError(f"{what}: must be finite numbers, received {values.tolist()}")
     return values
@@ -109,7 +123,11 @@ def aleatory_centre(problem: Problem) -> Array:
     """(1, a) means, or the median of a distribution that has no mean."""
     centre = []
     for distribution in problem.aleatory.values():
-        mean = float(distribution.mean()) if callable(getattr(distribution, "mean", None)) else math.nan
+        mean = (
+            float(distribution.mean())
+            if callable(getattr(distribution, "mean", None))
+            else math.nan
+        )
         centre.append(mean if math.isfinite(mean) else float(distribution.ppf(0.5)))
     return np.array([centre]).reshape(1, -1)
 

@@ -46,11 +46,15 @@ def average(repeats: Sequence[Sensitivity]) -> Sensitivity:
     (2,)
     """
     if len(repeats) < 2:
-        raise BadInputError(f"{len(repeats)} repeats: at least two are needed to see how they differ")
+        raise BadInputError(
+            f"{len(repeats)} repeats: at least two are needed to see how they differ"
+        )
     first = repeats[0]
     return Sensitivity(
         {
-            output: {method: _average([item[output][method] for item in repeats]) for method in methods}
+            output: {
+                method: _average([item[output][method] for item in repeats]) for method in methods
+            }
             for output, methods in first.results.items()
         }
     )
@@ -81,6 +85,8 @@ def _mean(same: Sequence[Index]) -> tuple[Index, float]:
     if np.isnan(values).any():
         return next(item for item in same if np.isnan(item.value)), float("nan")
     std = float(values.std(ddof=1))
-    reach = float(student_quantile(0.5 + 0.5 * CONFIDENCE, values.size - 1)) * std / values.size**0.5
+    reach = (
+        float(student_quantile(0.5 + 0.5 * CONFIDENCE, values.size - 1)) * std / values.size**0.5
+    )
     mean = float(values.mean())
     return Index(mean, mean - reach, mean + reach), std

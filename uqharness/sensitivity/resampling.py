@@ -33,16 +33,24 @@ MIN_DRAWS = 8
 """Fewer aleatory draws than these say nothing of their own spread."""
 
 
-def std_by_draws(statistic: Callable[[NDArray[Any]], Array | float], draws: int, seed: int) -> Array:
+def std_by_draws(
+    statistic: Callable[[NDArray[Any]], Array | float], draws: int, seed: int
+) -> Array:
     """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes: over halves, for half kept is
     half left out. 0 where one draw stands for no chance at all."""
     if draws == 1:
         return np.zeros_like(statistic(np.arange(1)))
     rng = np.random.default_rng(seed)
-    return np.std(np.array([statistic(rng.permutation(draws)[: draws // 2]) for _ in range(HALVES)]), axis=0, ddof=1)
+    return np.std(
+        np.array([statistic(rng.permutation(draws)[: draws // 2]) for _ in range(HALVES)]),
+        axis=0,
+        ddof=1,
+    )
 
 
-def reach_of_box(statistic: Callable[[Any, Any], Array | float], shape: tuple[int, ...], seed: int) -> Array:
+def reach_of_box(
+    statistic: Callable[[Any, Any], Array | float], shape: tuple[int, ...], seed: int
+) -> Array:
     """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
 
     Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An extreme of E samples varies as
@@ -51,9 +59,15 @@ def reach_of_box(statistic: Callable[[Any, Any], Array | float], shape: tuple[in
     samples, draws = shape
     every = np.arange(samples), np.arange(draws)
     rows = np.random.default_rng(seed).permutation(samples)
-    by_rows = np.std(np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]), axis=0, ddof=1)
+    by_rows = np.std(
+        np.array([statistic(block, every[1]) for block in np.array_split(rows, BLOCKS)]),
+        axis=0,
+        ddof=1,
+    )
     by_columns = std_by_draws(lambda columns: statistic(every[0], columns), draws, seed)
-    return float(student_quantile(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(by_rows, by_columns)
+    return float(student_quantile(0.5 + 0.5 * CONFIDENCE, BLOCKS - 1)) * np.hypot(
+        by_rows, by_columns
+    )
 
 
 @dataclass(frozen=True)
@@ -77,7 +91,12 @@ class PairBand:
 
 
 def pair_band(
-    y: Array, d: int, seed: int, confidence: float = CONFIDENCE, resamples: int = RESAMPLES, chance: bool = True
+    y: Array,
+    d: int,
+    seed: int,
+    confidence: float = CONFIDENCE,
+    resamples: int = RESAMPLES,
+    chance: bool = True,
 ) -> PairBand:
     """Indices of all pairs and their simultaneous band by a bootstrap over the draws; y (2^d, A).
 
@@ -108,7 +127,9 @@ def pair_band(
     deviation = np.abs(again - again.mean(axis=0))[:, moving] / std[moving]
     # Few draws: the bootstrap's spread is that of a variance divided by A in place of A-1, and its tails are Student's.
     point = 0.5 + 0.5 * confidence
-    small = np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)
+    small = (
+        np.sqrt(draws / (draws - 1.0)) * student_quantile(point, draws - 1) / normal_quantile(point)
+    )
     reach = small * (float(np.quantile(deviation.max(axis=1), confidence)) if moving.any() else 0.0)
     low = (flat - np.maximum(bias, 0.0) - reach * std).reshape(index.shape)
     low[:, :-2] = np.minimum(low[:, :-2], index[:, :-2] - _chance_areas(y, d, rng, reach) / area)
@@ -131,7 +152,9 @@ def _lead(index: Array, again: Array, reach: float) -> Array:
     """
     pairs, resampled = index[:, :-2], again[:, :, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :]
-    spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(axis=0, ddof=1)
+    spread = (resampled.min(axis=2)[:, :, None] - resampled.max(axis=2)[:, None, :]).std(
+        axis=0, ddof=1
+    )
     return np.asarray(lead - reach * spread)
 
 
@@ -165,7 +188,9 @@ def _portions(repeats: int, values: int) -> Iterator[slice]:
 def _without_band(index: Array, area: float, nothing: float) -> PairBand:
     pairs = index[:, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + nothing
-    return PairBand(index, index + nothing, index + nothing, area, area + nothing, area + nothing, lead)
+    return PairBand(
+        index, index + nothing, index + nothing, area, area + nothing, area + nothing, lead
+    )
 
 
 def _indices(ordered: Array, d: int) -> tuple[Array, Array]:

@@ -26,7 +26,10 @@ class Index:
 
     def as_dict(self) -> dict[str, Any]:
         """Value, interval and, where it is undefined, the reason, as plain JSON types."""
-        found: dict[str, Any] = {"value": number(self.value), "interval": [number(self.low), number(self.high)]}
+        found: dict[str, Any] = {
+            "value": number(self.value),
+            "interval": [number(self.low), number(self.high)],
+        }
         return found | ({"reason": self.reason} if self.reason else {})
 
 

@@ -21,14 +21,21 @@ def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = Tr
     An absolute value is never less than chance makes it: an interval that reaches 0 says that no slope was seen.
     """
     if runs.sampled is None:
-        return all_undefined(METHOD, study.names, "the study has no runs sampled inside the intervals")
+        return all_undefined(
+            METHOD, study.names, "the study has no runs sampled inside the intervals"
+        )
     y, theta = runs.sampled, study.theta
     reason = missing_values(sampled=y)
     if reason:
         return all_undefined(METHOD, study.names, reason, y.size)
     area = box_area(y)
     if is_flat(area, y):
-        return all_undefined(METHOD, study.names, "the p-box has no width: the output depends on no parameter", y.size)
+        return all_undefined(
+            METHOD,
+            study.names,
+            "the p-box has no width: the output depends on no parameter",
+            y.size,
+        )
     samples = len(y)
     x = theta - theta.mean(axis=0)
     sxx = np.sum(x**2, axis=0)

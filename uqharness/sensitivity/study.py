@@ -17,7 +17,14 @@ from uqharness.arguments import path as file_path
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.sensitivity.array_archive import read_arrays
-from uqharness.sensitivity.problem import Array, Problem, aleatory_centre, aleatory_draws, corners, make_problem
+from uqharness.sensitivity.problem import (
+    Array,
+    Problem,
+    aleatory_centre,
+    aleatory_draws,
+    corners,
+    make_problem,
+)
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")
 """Finite difference, scatter regression, total-effect Sobol, p-box pinching, corner pairs: chapter 4's five."""
@@ -157,7 +164,9 @@ def run_study(
     rng = np.random.default_rng(seed)
     chance = aleatory_draws(problem, draws, rng)
     centre = aleatory_centre(problem)
-    first, second = (problem.lower + rng.random((samples, len(problem.names))) * problem.width for _ in range(2))
+    first, second = (
+        problem.lower + rng.random((samples, len(problem.names))) * problem.width for _ in range(2)
+    )
     inside = problem.lower + rng.random((INTERIOR_SAMPLES, len(problem.names))) * problem.width
 
     stages: dict[str, tuple[Array, Array]] = {}
@@ -171,7 +180,9 @@ def run_study(
         stages["mixed"] = _columns_from(first, second).reshape(-1, first.shape[1]), chance
     if "pbox" in methods:
         stages["pinned"] = (
-            _columns_from(first, np.broadcast_to(problem.nominal, first.shape)).reshape(-1, first.shape[1]),
+            _columns_from(first, np.broadcast_to(problem.nominal, first.shape)).reshape(
+                -1, first.shape[1]
+            ),
             chance,
         )
     if "proposed" in methods:
@@ -205,11 +216,17 @@ def run_study(
 def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -> None:
     unknown = sorted(set(methods) - set(METHODS))
     if unknown or not methods:
-        raise BadInputError(f"methods {', '.join(unknown) or '(none)'}: choose among {', '.join(METHODS)}")
+        raise BadInputError(
+            f"methods {', '.join(unknown) or '(none)'}: choose among {', '.join(METHODS)}"
+        )
     if samples < 16 or draws < 1:
-        raise BadInputError(f"samples = {samples}, draws = {draws}: at least 16 samples and 1 draw are needed")
+        raise BadInputError(
+            f"samples = {samples}, draws = {draws}: at least 16 samples and 1 draw are needed"
+        )
     if problem.aleatory and draws < 2:
-        raise BadInputError(f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals")
+        raise BadInputError(
+            f"draws = {draws}: with aleatory variables at least 2 draws are needed, and 8 for intervals"
+        )
     if "anova" in methods and samples & (samples - 1):
         raise BadInputError(
             f"samples = {samples}: the variance-based method needs a power of two; "
@@ -237,15 +254,23 @@ def _shaped(stage: str, y: Array, d: int) -> Array:
     return y.reshape(d, -1, y.shape[1]) if stage in ("mixed", "pinned") else y
 
 
-def _evaluate(model: Model, problem: Problem, theta: Array, draws: Array, vectorised: bool) -> dict[str, Array]:
+def _evaluate(
+    model: Model, problem: Problem, theta: Array, draws: Array, vectorised: bool
+) -> dict[str, Array]:
     """Every row of theta (n, d) with every draw (A, a): (n, A) per output."""
     rows = max(1, _ROWS_AT_ONCE // len(draws))
     parts: dict[str, list[Array]] = {}
     for start in range(0, len(theta), rows):
         block = theta[start : start + rows]
         values = {name: np.repeat(block[:, k], len(draws)) for k, name in enumerate(problem.names)}
-        values |= {name: np.tile(draws[:, k], len(block)) for k, name in enumerate(problem.aleatory)}
-        called = _call(model, values, len(block) * len(draws)) if vectorised else _call_each(model, values)
+        values |= {
+            name: np.tile(draws[:, k], len(block)) for k, name in enumerate(problem.aleatory)
+        }
+        called = (
+            _call(model, values, len(block) * len(draws))
+            if vectorised
+            else _call_each(model, values)
+        )
         if parts and set(called) != set(parts):
             raise BadInputError(f"the model gave outputs {sorted(called)} after {sorted(parts)}")
         for output, y in called.items():
@@ -278,7 +303,9 @@ def _call_each(model: Model, values: dict[str, Array]) -> dict[str, Array]:
         raise BadInputError(
             "the model names different outputs at different values; give every output a value, NaN where it has none"
         )
-    return {str(output): np.array([float(item[output]) for item in results]) for output in results[0]}
+    return {
+        str(output): np.array([float(item[output]) for item in results]) for output in results[0]
+    }
 
 
 _ARRAYS = ("lower", "upper", "nominal", "step", "theta")
@@ -353,7 +380,11 @@ def read_study(path: str | Path) -> Study:
         d, samples = len(names), len(arrays["theta"])
         found = {
             output: Evaluations(
-                **{field.name: arrays[f"{k}/{field.name}"] for field in fields(Evaluations) if f"{k}/{field.name}" in arrays}
+                **{
+                    field.name: arrays[f"{k}/{field.name}"]
+                    for field in fields(Evaluations)
+                    if f"{k}/{field.name}" in arrays
+                }
             )
             for k, output in enumerate(outputs)
         }
@@ -375,22 +406,36 @@ def _text(value: Any) -> str:
 
 
 def _require(name: str, values: Array, shape: tuple[int | None, ...]) -> None:
-    fits = values.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, values.shape, strict=True))
+    fits = values.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, values.shape, strict=True)
+    )
     if values.dtype != np.float64 or not fits:
         wanted = " x ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} is {values.dtype} of shape {values.shape}; {wanted} numbers are needed")
+        raise ValueError(
+            f"{name} is {values.dtype} of shape {values.shape}; {wanted} numbers are needed"
+        )
 
 
 def _check_evaluations(found: Evaluations, d: int, samples: int) -> None:
     """ValueError unless every stage has the shape that its docstring tells, with the same draws everywhere."""
     given = {field.name: getattr(found, field.name) for field in fields(Evaluations)}
     given = {name: values for name, values in given.items() if values is not None}
-    draws = {values.shape[-1] for name, values in given.items() if name not in ("nominal", "forward") and values.ndim}
+    draws = {
+        values.shape[-1]
+        for name, values in given.items()
+        if name not in ("nominal", "forward") and values.ndim
+    }
     if len(draws) > 1:
         raise ValueError(f"stages have {sorted(draws)} draws, which must be as many everywhere")
     shapes: dict[str, tuple[int | None, ...]] = {
-        "nominal": (1,), "forward": (d,), "sampled": (samples, None), "second": (samples, None), "mixed": (d, samples, None),
-        "pinned": (d, samples, None), "corners": (2**d if d < 64 else -1, None), "interior": (None, None),
-    }  # fmt: skip
+        "nominal": (1,),
+        "forward": (d,),
+        "sampled": (samples, None),
+        "second": (samples, None),
+        "mixed": (d, samples, None),
+        "pinned": (d, samples, None),
+        "corners": (2**d if d < 64 else -1, None),
+        "interior": (None, None),
+    }
     for name, values in given.items():
         _require(name, values, shapes[name])

@@ -30,7 +30,9 @@ def rank(result: MethodResult, lost: int = 0) -> Ranking:
         return Ranking("")
     first = max(ranges, key=lambda name: ranges[name].minimum.value + ranges[name].maximum.value)
     mine, others = ranges[first], {name: item for name, item in ranges.items() if name != first}
-    by_ranges = tuple(name for name, item in others.items() if not item.maximum.value < mine.minimum.value)
+    by_ranges = tuple(
+        name for name, item in others.items() if not item.maximum.value < mine.minimum.value
+    )
     names = list(result.indices)
     lead = result.details["lead"][names.index(first)]
     # Without an interval nothing is shown, so a comparison with NaN must keep the other in.
@@ -47,17 +49,21 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
     text = f"{metric}: reduce {ranking.first} first. {_shrinkage(result, ranking.first, unit_of(metric))}"
     doubts = []
     if ranking.by_ranges:
-        doubts.append(f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much")
+        doubts.append(
+            f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much"
+        )
     if ranking.by_sampling:
-        doubts.append(f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first")
+        doubts.append(
+            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first"
+        )
     elif not ranking.shown:
-        doubts.append(f"by the sampling error of {flights - lost} flights {ranking.first} may have no effect")
+        doubts.append(
+            f"by the sampling error of {flights - lost} flights {ranking.first} may have no effect"
+        )
     if doubts:
         text += f" Not certain: {'; '.join(doubts)}."
     if ranking.certain:
-        text += (
-            " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %, same flights compared)."
-        )
+        text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %, same flights compared)."
     if lost:
         text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
         text += "the result holds for the others only."
@@ -66,7 +72,9 @@ def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flight
 
 def _shrinkage(result: MethodResult, first: str, unit: str) -> str:
     i = list(result.indices).index(first)
-    low, high, floor, top = (float(result.details[f"shrink_{end}"][i]) for end in ("min", "max", "low", "high"))
+    low, high, floor, top = (
+        float(result.details[f"shrink_{end}"][i]) for end in ("min", "max", "low", "high")
+    )
     text = f"The p-box is {result.details['area']:.3g} {unit} wide; with {first} known to lie at one of its bounds it would "
     text += f"shrink by {_percent(low, high)}"
     if not math.isnan(floor):

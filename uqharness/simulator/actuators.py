@@ -59,7 +59,9 @@ class Actuator:
         if self.lag is not None:
             half = step_s * self.lag
             gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
-            out = first_order(gain * (asked + np.concatenate([asked[:1], asked[:-1]])), keep, asked[0])
+            out = first_order(
+                gain * (asked + np.concatenate([asked[:1], asked[:-1]])), keep, asked[0]
+            )
         out = _limited(out, self.rate * step_s)
         # The lag remembers its own output, the rate limit what it let through.
         np.clip(out, self.low, self.high, out=out)
@@ -67,7 +69,9 @@ class Actuator:
             runs // 2,
             -(-runs // 2),
         )  # the steps on either side of the middle, one and the same if runs is even
-        return out[::runs], 0.5 * (out[early : len(out) - late : runs] + out[late : len(out) - early : runs])
+        return out[::runs], 0.5 * (
+            out[early : len(out) - late : runs] + out[late : len(out) - early : runs]
+        )
 
 
 def servo_number(servo: Actuator, term: str, value: float) -> float:
@@ -119,10 +123,14 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
 
             lag = number("lag", math.nan)
             found[control] = Actuator(
-                None if math.isnan(lag) else lag, number("rate_limit", math.inf),
-                number("clipto/min", -math.inf), number("clipto/max", math.inf),
-            )  # fmt: skip
+                None if math.isnan(lag) else lag,
+                number("rate_limit", math.inf),
+                number("clipto/min", -math.inf),
+                number("clipto/max", math.inf),
+            )
     missing = [c for c in controls if c not in found]
     if missing:
-        raise BadInputError(f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}] position")
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}] position"
+        )
     return found

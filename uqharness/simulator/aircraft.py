@@ -93,7 +93,15 @@ def find_folder(name_or_folder: str | Path) -> Path:
     for folder in candidates:
         if folder.is_dir():
             return folder.resolve()
-    known = sorted({path.name for root in roots[:2] if root.is_dir() for path in root.iterdir() if path.is_dir()})
+    known = sorted(
+        {
+            path.name
+            for root in roots[:2]
+            if root.is_dir()
+            for path in root.iterdir()
+            if path.is_dir()
+        }
+    )
     raise BadInputError(
         f"aircraft '{name_or_folder}' not found: it is neither a folder nor a name under aircraft/ "
         f"(there: {', '.join(known) or 'none'}) or in JSBSim's own collection"
@@ -107,13 +115,19 @@ def _read_aircraft(folder: Path) -> Aircraft:
     else:
         xml = folder / f"{folder.name}.xml"
         if not xml.is_file():
-            raise BadInputError(f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder")
+            raise BadInputError(
+                f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder"
+            )
         card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
-        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is needed')
+        raise BadInputError(
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is needed'
+        )
     xml = folder / card.aircraft.xml
     if not xml.is_file():
-        raise BadInputError(f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist')
+        raise BadInputError(
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist'
+        )
     root = folder.parent.parent
     own_engine, own_systems = root / "engine", root / "systems"
     stock = engine.default_root()
@@ -201,6 +215,10 @@ def _unchanged(folder: Path, _: object) -> Aircraft:
 def parse_xml(path: Path) -> etree._ElementTree:
     """Parse an XML file with line numbers; BadInputError with file and line if it is not well formed."""
     try:
-        return etree.parse(BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False))
+        return etree.parse(
+            BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False)
+        )
     except etree.XMLSyntaxError as error:
-        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {' '.join(error.msg.split())}") from None
+        raise BadInputError(
+            f"{path}:{error.lineno}: not well-formed XML: {' '.join(error.msg.split())}"
+        ) from None

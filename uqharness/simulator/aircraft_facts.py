@@ -85,7 +85,9 @@ class AircraftFacts:
 
 def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
     """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in the usual sense, no throws."""
-    return AircraftFacts(S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")})
+    return AircraftFacts(
+        S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")}
+    )
 
 
 def ask(folder: Path) -> AircraftFacts:
@@ -101,7 +103,9 @@ def ask(folder: Path) -> AircraftFacts:
     moves = throttle[1] > throttle[0] or any(own == "fcs/throttle-cmd-norm" for _, own in host)
     controls["throttle"] = ControlFacts(int(moves))
     S, b, c = (any_flight[name] for name in _METRICS)
-    return AircraftFacts(S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls, host)
+    return AircraftFacts(
+        S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls, host
+    )
 
 
 def _of_host(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
@@ -151,11 +155,15 @@ def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
         return ControlFacts(0)
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
-        ends = [row[name] * (RAD_DEG if name.endswith("rad") else 1.0) for row in rows if name in row]
+        ends = [
+            row[name] * (RAD_DEG if name.endswith("rad") else 1.0) for row in rows if name in row
+        ]
         if len(ends) == 3 and abs(ends[2] - ends[0]) > 1e-6:
             throw = 0.5 * abs(ends[2] - ends[0])
             straight = abs(ends[1] - 0.5 * (ends[0] + ends[2])) <= _LINEAR * throw
-            return ControlFacts(sense, round(throw, 6), name if straight and ends[2] > ends[0] else None)
+            return ControlFacts(
+                sense, round(throw, 6), name if straight and ends[2] > ends[0] else None
+            )
     return ControlFacts(sense)
 
 
@@ -166,9 +174,13 @@ def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
         raise BadInputError(f"aircraft {folder}: did not fly half a second within {timeout_s:g} s")
     if ended.code or not ended.answer:
         words = ended.errors or "no message"
-        raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first")
+        raise BadInputError(
+            f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first"
+        )
     if "error" in ended.answer:
-        raise BadInputError(f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}")
+        raise BadInputError(
+            f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}"
+        )
     controls = {name: ControlFacts(**facts) for name, facts in ended.answer["controls"].items()}
     host = tuple((theirs, own) for theirs, own in ended.answer["host"])
     return AircraftFacts(**{**ended.answer, "controls": controls, "host": host})

@@ -24,7 +24,10 @@ MOST_FILE_BYTES = 16_000_000
 MOST_FILES = 20_000
 """In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some thousands."""
 
-INSIDE = {"systems": ("", "Systems", "systems"), "engine": ("", "Engines", "engines", "Engine", "engine")}
+INSIDE = {
+    "systems": ("", "Systems", "systems"),
+    "engine": ("", "Engines", "engines", "Engine", "engine"),
+}
 """Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
 _SKIPPED = frozenset({".git"})
 
@@ -78,14 +81,18 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     # By parts, as paths sort: the order is part of the identity.
     found = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
     if len(found) > MOST_FILES:
-        raise BadInputError(f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed")
+        raise BadInputError(
+            f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed"
+        )
     for _, path in found:
         if path.is_symlink():
             _refuse_link(path, allowed)
         try:
             require_regular(path)
         except OSError as error:
-            raise BadInputError(f"{path}: {error.strerror or error}; remove it from the aircraft's folder") from None
+            raise BadInputError(
+                f"{path}: {error.strerror or error}; remove it from the aircraft's folder"
+            ) from None
     yield from found
 
 
@@ -111,9 +118,13 @@ def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
     try:
         target = path.resolve(strict=True)
     except (OSError, RuntimeError):
-        raise BadInputError(f"{path}: is a link that leads nowhere ({_target(path)}); remove it") from None
+        raise BadInputError(
+            f"{path}: is a link that leads nowhere ({_target(path)}); remove it"
+        ) from None
     if not any(target.is_relative_to(place) for place in allowed):
-        raise BadInputError(f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead")
+        raise BadInputError(
+            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead"
+        )
 
 
 def _target(path: Path) -> str:
@@ -172,13 +183,17 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
         if name not in named:
             named.add(name)
             yield name
-            inside = (f"{folder}/{name}" for folders in INSIDE.values() for folder in folders if folder)
+            inside = (
+                f"{folder}/{name}" for folders in INSIDE.values() for folder in folders if folder
+            )
             yield from (place for place in inside if place in files)
 
 
 def _read_beside(path: Path, folder: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise BadInputError(f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead")
+        raise BadInputError(
+            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
+        )
     return read_xml(path)
 
 

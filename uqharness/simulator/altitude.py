@@ -63,6 +63,10 @@ def _length(root: etree._Element, tag: str) -> float | None:
     """The element's length [m]; None where it is absent or no number. JSBSim's unit without an attribute is feet."""
     element = root.find(tag)
     try:
-        return None if element is None else float(element.text or "") * _METRES[element.get("unit", "FT").upper()]
+        return (
+            None
+            if element is None
+            else float(element.text or "") * _METRES[element.get("unit", "FT").upper()]
+        )
     except (ValueError, KeyError):
         return None

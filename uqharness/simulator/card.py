@@ -95,10 +95,21 @@ class Card(_Strict):
 
 MEMS_NOISE_STD: Mapping[str, float] = MappingProxyType(
     {
-        "V_mps": 0.3, "alpha_rad": 0.003, "beta_rad": 0.003, "phi_rad": 0.003, "theta_rad": 0.003, "psi_rad": 0.01,
-        "p_radps": 0.003, "q_radps": 0.003, "r_radps": 0.003, "ax_mps2": 0.05, "ay_mps2": 0.05, "az_mps2": 0.05, "h_m": 0.3,
+        "V_mps": 0.3,
+        "alpha_rad": 0.003,
+        "beta_rad": 0.003,
+        "phi_rad": 0.003,
+        "theta_rad": 0.003,
+        "psi_rad": 0.01,
+        "p_radps": 0.003,
+        "q_radps": 0.003,
+        "r_radps": 0.003,
+        "ax_mps2": 0.05,
+        "ay_mps2": 0.05,
+        "az_mps2": 0.05,
+        "h_m": 0.3,
     }
-)  # fmt: skip
+)
 """Standard deviations taken for sensors of an aircraft whose card names none: an assumption, of the size of small MEMS units."""
 
 
@@ -107,7 +118,9 @@ _STANDARD_INPUTS = {
     "elevator": InputCard(property="fcs/elevator-cmd-norm", positive="nose down"),
     "aileron": InputCard(property="fcs/aileron-cmd-norm", positive="right wing down"),
     "rudder": InputCard(property="fcs/rudder-cmd-norm", positive="nose left"),
-    "throttle": InputCard(property="fcs/throttle-cmd-norm", positive="more thrust", limits=(0.0, 1.0)),
+    "throttle": InputCard(
+        property="fcs/throttle-cmd-norm", positive="more thrust", limits=(0.0, 1.0)
+    ),
 }
 
 
@@ -136,11 +149,18 @@ def _card(read: AirframeCard) -> Card:
     own: dict[str, Any] = {key: value for key, value in read.document.items() if key not in _READ}
     if "inputs" in own:
         own["inputs"] = {
-            control: {key: value for key, value in row.items() if key not in _OF_SERVOS} for control, row in own["inputs"].items()
+            control: {key: value for key, value in row.items() if key not in _OF_SERVOS}
+            for control, row in own["inputs"].items()
         }
     try:
         return Card.model_validate({**own, "reference": read.reference, "sensors": read.sensors})
     except ValidationError as error:
         first = error.errors()[0]
-        what = "no such key in airframe.toml; see docs/aircraft.md" if first["type"] == "extra_forbidden" else first["msg"]
-        raise BadInputError(f"{read.path}: {dotted(first['loc'])}: {what}; received {first.get('input')!r}") from None
+        what = (
+            "no such key in airframe.toml; see docs/aircraft.md"
+            if first["type"] == "extra_forbidden"
+            else first["msg"]
+        )
+        raise BadInputError(
+            f"{read.path}: {dotted(first['loc'])}: {what}; received {first.get('input')!r}"
+        ) from None

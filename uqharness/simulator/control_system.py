@@ -53,8 +53,14 @@ def felt(aircraft: HasFiles) -> tuple[str, ...]:
     """Properties that components of the control system write and aerodynamics, engines or external forces read. Raises
     BadInputError."""
     written, read = _written_and_read(aircraft)
-    levers = {name for name in written if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)}
-    return tuple(sorted((written & read) | levers | {name for name in written if name.startswith(_DIRECT)}))
+    levers = {
+        name
+        for name in written
+        if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)
+    }
+    return tuple(
+        sorted((written & read) | levers | {name for name in written if name.startswith(_DIRECT)})
+    )
 
 
 def written_by_components(aircraft: HasFiles) -> set[str]:
@@ -67,7 +73,9 @@ def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
     read: set[str] = set()
     found = opened(aircraft)
     for file in (*found.own.values(), *found.beside.values()):
-        root = etree.parse(BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)).getroot()
+        root = etree.parse(
+            BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)
+        ).getroot()
         for section in [root] if root.tag != "fdm_config" else root.iterchildren("*"):
             if section.tag in _CONTROLS:
                 written.update(_outputs(section))
@@ -80,7 +88,9 @@ def _outputs(section: Any) -> Iterator[str]:
     for channel in section.iter("channel"):
         for component in channel.iterchildren("*"):
             if name := (component.get("name") or "").strip():
-                yield _bare(name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}")
+                yield _bare(
+                    name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}"
+                )
             for output in component.iterchildren("output"):
                 yield _bare((output.text or "").strip())
 
@@ -126,7 +136,12 @@ def bring_to_rest(fdm: Any, rest: Rest) -> str:
 def _run_to_rest(fdm: Any, rest: Rest) -> str:
     exists = fdm.get_property_manager().hasNode
     engines = range(fdm.get_propulsion().get_num_engines())
-    powers = [f"propulsion/engine[{k}]/{what}" for k in engines for what in _BY_POWER if exists(f"propulsion/engine[{k}]/{what}")]
+    powers = [
+        f"propulsion/engine[{k}]/{what}"
+        for k in engines
+        for what in _BY_POWER
+        if exists(f"propulsion/engine[{k}]/{what}")
+    ]
     rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if rest.free else []
     names = [*rest.watched, *powers, *rates]
     read = [engine.handle(fdm, name).get_double_value for name in names]

@@ -25,7 +25,9 @@ JSBSIM_VERSION: str = jsbsim.__version__
 RuntimeFailure = RuntimeError
 """What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property name."""
 
-_MISSING = re.compile(r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)")
+_MISSING = re.compile(
+    r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)"
+)
 _MOST_MESSAGES, _MOST_SHOWN = 200, 64
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
@@ -132,7 +134,9 @@ def open_fdm(staging: Staging, dt_s: float) -> Any:
     try:
         loaded = fdm.load_model(name)
     except RuntimeFailure as error:
-        raise BadInputError(f"aircraft '{name}': JSBSim refused its XML: {log.take() or _one_line(error)}") from None
+        raise BadInputError(
+            f"aircraft '{name}': JSBSim refused its XML: {log.take() or _one_line(error)}"
+        ) from None
     if not loaded:
         raise BadInputError(
             f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
@@ -148,9 +152,13 @@ def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
     try:
         loaded = fdm.load_script(str(script), dt_s)
     except RuntimeFailure as error:
-        raise BadInputError(f"script {script}: JSBSim refused it: {log.take() or _one_line(error)}") from None
+        raise BadInputError(
+            f"script {script}: JSBSim refused it: {log.take() or _one_line(error)}"
+        ) from None
     if not loaded:
-        raise BadInputError(f"script {script}: JSBSim could not load it: {log.take() or 'no reason given'}")
+        raise BadInputError(
+            f"script {script}: JSBSim could not load it: {log.take() or 'no reason given'}"
+        )
     return fdm
 
 
@@ -169,7 +177,9 @@ def run_ic(fdm: Any) -> None:
                     f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is needed in <mass_balance>"
                 )
             return
-        raise BadInputError(f"JSBSim could not initialise the flight: {log.take() or 'no reason given'}")
+        raise BadInputError(
+            f"JSBSim could not initialise the flight: {log.take() or 'no reason given'}"
+        )
     except RuntimeFailure as error:
         text = log.take() or _one_line(error)
     missing = disarm(fdm, text)
@@ -192,7 +202,11 @@ def start_engines(fdm: Any) -> None:
 def levers(fdm: Any) -> list[str]:
     """The commands of every engine's mixture and propeller pitch: 1 is rich and fine."""
     engines = range(fdm.get_propulsion().get_num_engines())
-    names = [f"fcs/{lever}-cmd-norm" + (f"[{k}]" if k else "") for k in engines for lever in ("mixture", "advance")]
+    names = [
+        f"fcs/{lever}-cmd-norm" + (f"[{k}]" if k else "")
+        for k in engines
+        for lever in ("mixture", "advance")
+    ]
     manager = fdm.get_property_manager()
     return [name for name in names if manager.hasNode(name)]
 
@@ -274,10 +288,16 @@ def require(fdm: Any, names: Iterable[str]) -> None:
     for name in names:
         if not _LEGAL_NAME.fullmatch(name):
             # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
-            raise BadInputError(f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])")
+            raise BadInputError(
+                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
+            )
         if not manager.hasNode(name):
             near = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
-            hint = f"; did you mean {', '.join(near)}?" if near else "; see the aircraft's XML for its properties"
+            hint = (
+                f"; did you mean {', '.join(near)}?"
+                if near
+                else "; see the aircraft's XML for its properties"
+            )
             raise BadInputError(f"property '{name}' does not exist in this model{hint}")
 
 

@@ -33,7 +33,11 @@ ACCELERATIONS = (
 
 def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, float]:
     """u, v, w [m/s] of airspeed V at alpha, beta."""
-    return V * math.cos(alpha) * math.cos(beta), V * math.sin(beta), V * math.sin(alpha) * math.cos(beta)
+    return (
+        V * math.cos(alpha) * math.cos(beta),
+        V * math.sin(beta),
+        V * math.sin(alpha) * math.cos(beta),
+    )
 
 
 @dataclass(frozen=True)
@@ -103,8 +107,16 @@ def forced(
 
 def place(fdm: Any, state: BodyState) -> None:
     """Give an instance its start: attitude, velocity and body rates."""
-    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = state.phi, state.theta, state.psi
-    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = state.u / FT_M, state.v / FT_M, state.w / FT_M
+    fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
+        state.phi,
+        state.theta,
+        state.psi,
+    )
+    fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"] = (
+        state.u / FT_M,
+        state.v / FT_M,
+        state.w / FT_M,
+    )
     fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = state.p, state.q, state.r
 
 

@@ -65,7 +65,9 @@ class _Scan:
         try:
             self.parser.Parse(self.raw, True)
         except expat.ExpatError as error:
-            raise BadInputError(f"{self.where}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}") from None
+            raise BadInputError(
+                f"{self.where}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
+            ) from None
         except (ValueError, LookupError) as error:  # an encoding that Python does not know
             raise BadInputError(f"{self.where}:1: not readable as XML: {error}") from None
         return self
@@ -74,21 +76,31 @@ class _Scan:
         line = self.parser.CurrentLineNumber
         self.depth += 1
         if self.depth > DEEPEST:
-            raise BadInputError(f"{self.where}:{line}: elements are nested more than {DEEPEST} deep")
+            raise BadInputError(
+                f"{self.where}:{line}: elements are nested more than {DEEPEST} deep"
+            )
         if self.depth == 1:
             self.root = tag
         if self.depth == 2:
             if tag in TAKEN_OUT:
                 start = self.parser.CurrentByteIndex
                 if self.raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-                    raise BadInputError(f"{self.where}:{line}: has <{tag}> and is in UTF-16; save the file as UTF-8")
+                    raise BadInputError(
+                        f"{self.where}:{line}: has <{tag}> and is in UTF-16; save the file as UTF-8"
+                    )
                 if not self.raw.startswith(b"<" + tag.encode(), start):
-                    raise BadInputError(f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded")
+                    raise BadInputError(
+                        f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded"
+                    )
                 self._open = (tag, line, start)
             if tag == "child":
-                raise BadInputError(f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it")
+                raise BadInputError(
+                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it"
+                )
         if "file" in attributes and self._open is None:
-            self.references.append(Reference(tag, self._inside(tag, attributes["file"].strip(), line), line))
+            self.references.append(
+                Reference(tag, self._inside(tag, attributes["file"].strip(), line), line)
+            )
 
     def _closed(self, tag: str) -> None:
         if self.depth == 2 and self._open is not None:
@@ -107,7 +119,9 @@ class _Scan:
                 "aircraft's folder or within the folders engine and systems beside it: put it there"
             )
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
-            raise BadInputError(f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be')
+            raise BadInputError(
+                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be'
+            )
         return name if not name or name.endswith(".xml") else f"{name}.xml"
 
 
@@ -115,7 +129,13 @@ def leads_out(name: str) -> bool:
     """Whether a file's name, read as this or as another system reads it, may lie outside the folder that it is looked for in."""
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
-    return bool(name.startswith(("/", "~")) or windows.drive or windows.root or ".." in parts or "\0" in name)
+    return bool(
+        name.startswith(("/", "~"))
+        or windows.drive
+        or windows.root
+        or ".." in parts
+        or "\0" in name
+    )
 
 
 @lru_cache(maxsize=128)
@@ -135,8 +155,15 @@ def passed(raw: bytes, where: str) -> Passed:
     content = b"".join([*pieces, raw[position:]])
     left = _Scan(content, where).run()
     if left.spans or left.references != scan.references:
-        raise BadInputError(f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it")
-    return Passed(content, scan.root, tuple(scan.references), tuple((tag, line) for tag, line, _, _ in scan.spans))
+        raise BadInputError(
+            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it"
+        )
+    return Passed(
+        content,
+        scan.root,
+        tuple(scan.references),
+        tuple((tag, line) for tag, line, _, _ in scan.spans),
+    )
 
 
 def _blank(text: bytes) -> Iterator[int]:

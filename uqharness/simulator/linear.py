@@ -20,7 +20,16 @@ LONGITUDINAL = (0, 2, 4, 7)
 LATERAL = (1, 3, 5, 6)
 
 # Central-difference steps: m/s, rad/s and rad; controls take a thousandth of their span.
-_STEP = {"u": 0.05, "v": 0.05, "w": 0.05, "p": 1e-3, "q": 1e-3, "r": 1e-3, "phi": 1e-3, "theta": 1e-3}
+_STEP = {
+    "u": 0.05,
+    "v": 0.05,
+    "w": 0.05,
+    "p": 1e-3,
+    "q": 1e-3,
+    "r": 1e-3,
+    "phi": 1e-3,
+    "theta": 1e-3,
+}
 # Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves less than 1e-6.
 _STILL = 1e-4
 
@@ -35,7 +44,9 @@ class LinearModel:
     controls: tuple[str, ...]
 
     def __repr__(self) -> str:
-        return f"LinearModel(A {self.A.shape}, B {self.B.shape}, controls {', '.join(self.controls)})"
+        return (
+            f"LinearModel(A {self.A.shape}, B {self.B.shape}, controls {', '.join(self.controls)})"
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +77,9 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     def accelerations(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         if trim.rest is not None and controls == base:
             return force_beside(aircraft, trim, state, controls)
-        return force_state(aircraft, state, controls, condition.altitude_m, condition.properties, rest=trim.rest)[0]
+        return force_state(
+            aircraft, state, controls, condition.altitude_m, condition.properties, rest=trim.rest
+        )[0]
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         acceleration = accelerations(state, controls)
@@ -77,11 +90,15 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
 
     known = aircraft.card.inputs.keys() >= base.keys()
     if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
-        raise BadInputError(f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own")
+        raise BadInputError(
+            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own"
+        )
     A = np.empty((8, 8))
     for column, name in enumerate(STATES):
         A[:, column] = _central(
-            lambda h, name=name: derivative(replace(centre, **{name: getattr(centre, name) + h}), base),  # type: ignore[misc]
+            lambda h, name=name: derivative(
+                replace(centre, **{name: getattr(centre, name) + h}), base
+            ),  # type: ignore[misc]
             _STEP[name],
         )
     names = tuple(base)
@@ -113,8 +130,11 @@ def modes(model: LinearModel) -> list[Mode]:
     energy = np.abs(vectors * weight[:, None]) ** 2
     share = energy[list(LONGITUDINAL)].sum(axis=0) / energy.sum(axis=0)
     # A conjugate pair is one block: its upper half stands for both.
-    blocks = [[k] if value.imag == 0 else [k, int(np.argmin(np.abs(values - value.conjugate())))]
-              for k, value in enumerate(values) if value.imag >= 0]  # fmt: skip
+    blocks = [
+        [k] if value.imag == 0 else [k, int(np.argmin(np.abs(values - value.conjugate())))]
+        for k, value in enumerate(values)
+        if value.imag >= 0
+    ]
     choices = [
         [k for block in chosen for k in block]
         for count in range(2, 5)
@@ -138,7 +158,11 @@ def _lateral_modes(values: NDArray[np.complex128]) -> list[Mode]:
     oscillating = [value for value in values if value.imag > 0]
     real = sorted((value.real for value in values if value.imag == 0), key=abs)
     if len(oscillating) == 1:
-        return [_mode("dutch_roll", oscillating[0]), _mode("roll", real[-1]), _mode("spiral", real[0])]
+        return [
+            _mode("dutch_roll", oscillating[0]),
+            _mode("roll", real[-1]),
+            _mode("spiral", real[0]),
+        ]
     if len(oscillating) == 2:
         # Roll and spiral have joined: a lateral phugoid, slower than the Dutch roll.
         slow, fast = sorted(oscillating, key=abs)

@@ -68,7 +68,15 @@ PLANS = (
             Manoeuvre("3-2-1-1, 22 m/s", "elevator", 2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=5.0),
             Manoeuvre("roll doublet, 22 m/s", "aileron", 8.0, 0.6, rest_s=2.0),
             Manoeuvre("yaw doublet, 22 m/s", "rudder", 8.0, 0.7),
-            Manoeuvre("throttle doublet, 22 m/s", "throttle", 22.0, 1.6, rest_s=1.5, recovery_s=6.0, speed_mps=19.0),
+            Manoeuvre(
+                "throttle doublet, 22 m/s",
+                "throttle",
+                22.0,
+                1.6,
+                rest_s=1.5,
+                recovery_s=6.0,
+                speed_mps=19.0,
+            ),
             Manoeuvre("pitch doublet, 19 m/s", "elevator", -6.0, 0.6),
             Manoeuvre("roll doublet, 19 m/s", "aileron", -8.0, 0.6, rest_s=2.0),
             Manoeuvre("yaw doublet, 19 m/s", "rudder", -8.0, 0.8, recovery_s=6.5, speed_mps=24.0),
@@ -83,10 +91,20 @@ PLANS = (
             Manoeuvre("3-2-1-1, 21 m/s", "elevator", -3.0, 0.35, THREE_TWO_ONE_ONE),
             Manoeuvre("yaw doublet, 21 m/s", "rudder", -6.0, 0.8),
             Manoeuvre("roll doublet, 21 m/s", "aileron", -10.0, 0.5, rest_s=2.0),
-            Manoeuvre("pitch doublet, 21 m/s", "elevator", -3.5, 0.5, recovery_s=6.0, speed_mps=23.5),
+            Manoeuvre(
+                "pitch doublet, 21 m/s", "elevator", -3.5, 0.5, recovery_s=6.0, speed_mps=23.5
+            ),
             Manoeuvre("pitch doublet, 23.5 m/s", "elevator", 2.5, 0.4),
             Manoeuvre("yaw doublet, 23.5 m/s", "rudder", 7.0, 0.6),
-            Manoeuvre("throttle doublet, 23.5 m/s", "throttle", -22.0, 1.6, rest_s=1.5, recovery_s=6.5, speed_mps=19.5),
+            Manoeuvre(
+                "throttle doublet, 23.5 m/s",
+                "throttle",
+                -22.0,
+                1.6,
+                rest_s=1.5,
+                recovery_s=6.5,
+                speed_mps=19.5,
+            ),
             Manoeuvre("roll doublet, 19.5 m/s", "aileron", 7.0, 0.8, rest_s=2.0),
             Manoeuvre("pitch doublet, 19.5 m/s", "elevator", -5.5, 0.7, recovery_s=1.0),
         ),
@@ -99,12 +117,22 @@ PLANS = (
             Manoeuvre("roll doublet, 20 m/s", "aileron", 9.0, 0.5, rest_s=2.0),
             Manoeuvre("pitch doublet, 20 m/s", "elevator", -6.0, 0.6),
             Manoeuvre("yaw doublet, 20 m/s", "rudder", 7.0, 0.9),
-            Manoeuvre("3-2-1-1, 20 m/s", "elevator", 2.5, 0.4, THREE_TWO_ONE_ONE, recovery_s=6.0, speed_mps=22.5),
+            Manoeuvre(
+                "3-2-1-1, 20 m/s",
+                "elevator",
+                2.5,
+                0.4,
+                THREE_TWO_ONE_ONE,
+                recovery_s=6.0,
+                speed_mps=22.5,
+            ),
             Manoeuvre("pitch doublet, 22.5 m/s", "elevator", 3.5, 0.4),
             Manoeuvre("roll doublet, 22.5 m/s", "aileron", -7.0, 0.7, rest_s=2.0),
             Manoeuvre("throttle doublet, 22.5 m/s", "throttle", 18.0, 2.0, rest_s=1.5),
             Manoeuvre("yaw doublet, 22.5 m/s", "rudder", -8.0, 0.7),
-            Manoeuvre("3-2-1-1, 22.5 m/s", "elevator", -2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=1.0),
+            Manoeuvre(
+                "3-2-1-1, 22.5 m/s", "elevator", -2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=1.0
+            ),
         ),
     ),
 )
@@ -130,7 +158,9 @@ def _events(plan: Plan, step_s: float) -> Iterator[str]:
             f'<set name="{command}"><function> <sum> <property>{position}</property> <value>0</value> </sum> </function></set>'
             for command, position in _COMMAND.values()
         ]
-        yield _event(time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s)
+        yield _event(
+            time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
+        )
         time += QUIET_S
         before = 0.0
         for units, sign in (*m.pattern, (0, 0.0)):

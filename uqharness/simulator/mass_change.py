@@ -26,7 +26,10 @@ _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
 _LENGTH_FT = {"FT": 1.0, "M": FT_M, "IN": 12.0}
 _LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": IN_M}
-_TRIES, _TOLERANCE = 60, 1e-9  # the centre of gravity nears what is asked by the share of fuel and loads at each try
+_TRIES, _TOLERANCE = (
+    60,
+    1e-9,
+)  # the centre of gravity nears what is asked by the share of fuel and loads at each try
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,12 @@ _PLACES: Mapping[str, _Place] = {
         f"inertia/{name}-slugs_ft2": _Place(f"mass_balance/{name}", _INERTIA, "SLUG*FT2")
         for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     },
-    **{f"inertia/cg-{axis}-in": _Place(f"mass_balance/location[@name='CG']/{axis}", _LENGTH_IN, "IN") for axis in "xyz"},
+    **{
+        f"inertia/cg-{axis}-in": _Place(
+            f"mass_balance/location[@name='CG']/{axis}", _LENGTH_IN, "IN"
+        )
+        for axis in "xyz"
+    },
     "metrics/bw-ft": _Place("metrics/wingspan", _LENGTH_FT, "FT"),
     "metrics/cbarw-ft": _Place("metrics/chord", _LENGTH_FT, "FT"),
 }
@@ -62,7 +70,9 @@ class MassChange:
     ``open_copy`` opens a mission with such a copy.
     """
 
-    def __init__(self, aircraft: Aircraft, staging: Staging, open_copy: Callable[[Staging], Any]) -> None:
+    def __init__(
+        self, aircraft: Aircraft, staging: Staging, open_copy: Callable[[Staging], Any]
+    ) -> None:
         self._aircraft = aircraft
         self._staging = staging
         self._changed: Staging | None = None
@@ -78,22 +88,31 @@ class MassChange:
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
         for name, value in wanted.items():
-            if not math.isfinite(value) or (value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))):
+            if not math.isfinite(value) or (
+                value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))
+            ):
                 raise BadInputError(f"property {name} = {value:g}: must be a positive number")
         found = {name: self._nominal[name] for name in wanted}
         for _ in range(_TRIES):
             self._move(elements, wanted, found)
             found = self._measure(tree, wanted)
-            if all(_near(found[name], value, self._nominal[name]) for name, value in wanted.items()):
+            if all(
+                _near(found[name], value, self._nominal[name]) for name, value in wanted.items()
+            ):
                 assert self._changed is not None
                 return self._changed
-        left = ", ".join(f"{name} stands at {found[name]:g}, {value:g} was wanted" for name, value in wanted.items())
+        left = ", ".join(
+            f"{name} stands at {found[name]:g}, {value:g} was wanted"
+            for name, value in wanted.items()
+        )
         raise BadInputError(
             f"{self._aircraft.xml}: mass properties cannot be set together as asked: {left}; "
             "set only independent ones (a mass or a weight, not both)"
         )
 
-    def _elements(self, wanted: Mapping[str, float]) -> tuple[dict[str, etree._Element], etree._ElementTree]:
+    def _elements(
+        self, wanted: Mapping[str, float]
+    ) -> tuple[dict[str, etree._Element], etree._ElementTree]:
         path = self._aircraft.xml
         tree = parse_xml(self._staging.xml)
         root = tree.getroot()
@@ -101,7 +120,11 @@ class MassChange:
         for name in wanted:
             place = _PLACES[name]
             element = root.find(place.path)
-            if element is None and place.units is _INERTIA and root.find("mass_balance/emptywt") is not None:
+            if (
+                element is None
+                and place.units is _INERTIA
+                and root.find("mass_balance/emptywt") is not None
+            ):
                 mass_balance = root.find("mass_balance")
                 assert mass_balance is not None
                 element = etree.SubElement(mass_balance, place.path.rpartition("/")[2])
@@ -113,20 +136,33 @@ class MassChange:
                     "so it cannot be changed"
                 )
             if element in found.values():
-                raise BadInputError(f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>")
+                raise BadInputError(
+                    f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>"
+                )
             _unit(path, element, place)
             found[name] = element
         return found, tree
 
-    def _move(self, elements: Mapping[str, etree._Element], wanted: Mapping[str, float], found: Mapping[str, float]) -> None:
+    def _move(
+        self,
+        elements: Mapping[str, etree._Element],
+        wanted: Mapping[str, float],
+        found: Mapping[str, float],
+    ) -> None:
         for name, element in elements.items():
             place = _PLACES[name]
-            change = (wanted[name] - found[name]) * place.per_property_unit * _unit(self._aircraft.xml, element, place)
+            change = (
+                (wanted[name] - found[name])
+                * place.per_property_unit
+                * _unit(self._aircraft.xml, element, place)
+            )
             if place.units is _INERTIA and element.tag not in ("ixx", "iyy", "izz"):
                 mass_balance = element.getparent()
                 assert mass_balance is not None
                 # The property is the entry of the inertia matrix, minus the product of inertia; the XML means the one or the other.
-                change *= -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
+                change *= (
+                    -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
+                )
             element.text = repr(float(element.text or 0.0) + change)
 
     def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
@@ -147,7 +183,9 @@ def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, st
     """
     with scratch_folder("mass") as scratch:
         change = MassChange(
-            aircraft, stage(aircraft, scratch.path / "root"), lambda staging: engine.open_fdm(staging, aircraft.dt_s)
+            aircraft,
+            stage(aircraft, scratch.path / "root"),
+            lambda staging: engine.open_fdm(staging, aircraft.dt_s),
         )
         root = parse_xml(change.realise(wanted).xml).getroot()
         paths = [_PLACES[name].path for name in wanted]
@@ -167,9 +205,13 @@ def _unit(path: Path, element: etree._Element, place: _Place) -> float:
         owner = parent
     unit = owner.get("unit", place.default)
     if unit not in place.units:
-        raise BadInputError(f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}")
+        raise BadInputError(
+            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}"
+        )
     try:
         float(element.text or "")
     except ValueError:
-        raise BadInputError(f"{path}:{element.sourceline}: <{element.tag}> is {element.text!r}, no number") from None
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <{element.tag}> is {element.text!r}, no number"
+        ) from None
     return place.units[unit]

@@ -15,7 +15,9 @@ _SPEEDS_FPS = (40.0, 900.0)
 _ALTITUDE_FT = 5000.0
 
 
-def open_mid_envelope(aircraft: Aircraft, dt_s: float | None = None) -> tuple[Any, Callable[[int], None]]:
+def open_mid_envelope(
+    aircraft: Aircraft, dt_s: float | None = None
+) -> tuple[Any, Callable[[int], None]]:
     """An initialised instance in the middle of the aircraft's envelope, and a function that flies frame k.
 
     Level at 5000 ft above the sea, at the speed where a lift coefficient of 0.5 carries the weight (12 to 274 m/s), with a little
@@ -24,7 +26,9 @@ def open_mid_envelope(aircraft: Aircraft, dt_s: float | None = None) -> tuple[An
     fdm = _open(aircraft, dt_s)
     _initial(fdm, 150.0)
     engine.run_ic(fdm)
-    weight, area, rho = (fdm[n] for n in ("inertia/weight-lbs", "metrics/Sw-sqft", "atmosphere/rho-slugs_ft3"))
+    weight, area, rho = (
+        fdm[n] for n in ("inertia/weight-lbs", "metrics/Sw-sqft", "atmosphere/rho-slugs_ft3")
+    )
     fdm = _open(aircraft, dt_s)
     speed = math.sqrt(2.0 * weight / (rho * max(area, 1e-3) * _LIFT_COEFFICIENT))
     _initial(fdm, min(max(speed, _SPEEDS_FPS[0]), _SPEEDS_FPS[1]))
@@ -56,7 +60,12 @@ def _open(aircraft: Aircraft, dt_s: float | None) -> Any:
 
 
 def _initial(fdm: Any, speed_fps: float) -> None:
-    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-deg"], fdm["ic/phi-deg"] = 45.0, _ALTITUDE_FT, 3.0, 5.0
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-deg"], fdm["ic/phi-deg"] = (
+        45.0,
+        _ALTITUDE_FT,
+        3.0,
+        5.0,
+    )
     alpha, beta = math.radians(4.0), math.radians(2.0)
     fdm["ic/u-fps"] = speed_fps * math.cos(alpha) * math.cos(beta)
     fdm["ic/v-fps"] = speed_fps * math.sin(beta)

@@ -44,19 +44,27 @@ def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
     given = Path(name_or_path)
     candidates = [*([] if beside is None else [beside / given]), given, given.with_suffix(".xml")]
     for root in (Path.cwd(), PROJECT_ROOT):
-        candidates += [root / given, root / "scripts" / given, (root / "scripts" / given).with_suffix(".xml")]
+        candidates += [
+            root / given,
+            root / "scripts" / given,
+            (root / "scripts" / given).with_suffix(".xml"),
+        ]
     for path in candidates:
         if path.is_file():
             return path.resolve()
     known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
-    raise BadInputError(f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}")
+    raise BadInputError(
+        f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}"
+    )
 
 
 def read_script(path: Path) -> Script:
     """Parse a run script. Raises BadInputError with file and line."""
     root = parse_xml(path).getroot()
     if root.tag != "runscript":
-        raise BadInputError(f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>")
+        raise BadInputError(
+            f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>"
+        )
     use, run = root.find("use"), root.find("run")
     if use is None or run is None:
         raise BadInputError(
@@ -69,7 +77,9 @@ def read_script(path: Path) -> Script:
         initialize=use.get("initialize", ""),
         end_s=numbers["end"],
         dt_s=numbers["dt"],
-        event_properties=tuple((item.get("name", ""), _line(item)) for item in run.iterfind("event/set")),
+        event_properties=tuple(
+            (item.get("name", ""), _line(item)) for item in run.iterfind("event/set")
+        ),
         run_properties=tuple((item.text or "").strip() for item in run.iterfind("property")),
         manoeuvres=_manoeuvres(path, run),
     )
@@ -105,7 +115,9 @@ def _number(path: Path, element: etree._Element, key: str) -> float:
             f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
         ) from None
     if not 0.0 < value < float("inf"):
-        raise BadInputError(f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed")
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+        )
     return value
 
 
@@ -170,7 +182,9 @@ class StagedMission:
             return engine.open_script(staging, self._staged, dt_s or self.aircraft.dt_s)
         except BadInputError as error:
             # The reader knows their own file, not the copy.
-            raise BadInputError(str(error).replace(str(self._staged), str(self.script.path))) from None
+            raise BadInputError(
+                str(error).replace(str(self._staged), str(self.script.path))
+            ) from None
 
     def close(self) -> None:
         """Remove the staged copy."""

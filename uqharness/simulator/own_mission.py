@@ -33,7 +33,10 @@ SETTLE_S, REST_S = 2.0, 4.0
 STEADY_S = 20.0
 _MODE = {"elevator": "short_period", "aileron": "roll", "rudder": "dutch_roll"}
 _AXIS = {"elevator": "pitch", "aileron": "roll", "rudder": "yaw"}
-_UNITS_S = (0.2, 1.5)  # a step that a servo can follow, and one that the aircraft does not leave its trim by
+_UNITS_S = (
+    0.2,
+    1.5,
+)  # a step that a servo can follow, and one that the aircraft does not leave its trim by
 _GRID_S = 0.04  # steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
 _BANK = 3.0
 _MOST_TRAVEL = 0.5  # of what is left of a control's travel
@@ -56,7 +59,9 @@ class Step:
         return self.unit_s * sum(units for units, _ in self.pattern)
 
 
-def write_own_mission(aircraft: Aircraft, start: StartSection, kind: str) -> tuple[Path, list[Step]]:
+def write_own_mission(
+    aircraft: Aircraft, start: StartSection, kind: str
+) -> tuple[Path, list[Step]]:
     """Trim the aircraft and write initial conditions and a run script into its folder: the script, and its manoeuvres.
 
     ``kind`` one of MISSIONS. Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
@@ -73,12 +78,18 @@ def write_own_mission(aircraft: Aircraft, start: StartSection, kind: str) -> tup
         )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:
-        raise BadInputError(f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is nothing to fly")
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is nothing to fly"
+        )
     text = path.read_text(encoding="utf-8")
     end = STEADY_S if kind == "steady" else SETTLE_S + sum(step.length_s + REST_S for step in steps)
     text = text.replace('end="60"', f'end="{end:.2f}"')
-    properties = "" if kind == "steady" else f'    <property value="0">{MANOEUVRE_PROPERTY}</property>\n'
-    write_bytes(path, text.replace("  </run>", f"{properties}{_events(aircraft, steps)}  </run>").encode())
+    properties = (
+        "" if kind == "steady" else f'    <property value="0">{MANOEUVRE_PROPERTY}</property>\n'
+    )
+    write_bytes(
+        path, text.replace("  </run>", f"{properties}{_events(aircraft, steps)}  </run>").encode()
+    )
     return path, steps
 
 
@@ -96,8 +107,14 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
     for control, mode in _MODE.items():
         if control not in model.controls:
             continue
-        pattern, cycles = (THREE_TWO_ONE_ONE, 1.6) if kind == "3-2-1-1" and control == "elevator" else (DOUBLET, 2.3)
-        unit_s = _GRID_S * round(min(max(cycles / max(frequency[mode], 1e-3), _UNITS_S[0]), _UNITS_S[1]) / _GRID_S)
+        pattern, cycles = (
+            (THREE_TWO_ONE_ONE, 1.6)
+            if kind == "3-2-1-1" and control == "elevator"
+            else (DOUBLET, 2.3)
+        )
+        unit_s = _GRID_S * round(
+            min(max(cycles / max(frequency[mode], 1e-3), _UNITS_S[0]), _UNITS_S[1]) / _GRID_S
+        )
         greatest = _excursion_rad(model, control, unit_s, pattern)
         if not greatest > 1e-9:
             continue
@@ -110,7 +127,9 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
     return steps
 
 
-def _excursion_rad(model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]) -> float:
+def _excursion_rad(
+    model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
+) -> float:
     """Greatest angle [rad] that a unit of the control reaches during the steps, bank counted a third."""
     n = len(STATES)
     column = model.B[:, [model.controls.index(control)]]
@@ -132,10 +151,14 @@ def _events(aircraft: Aircraft, steps: list[Step]) -> str:
     out, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
-        out.append(_event(time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'))
+        out.append(
+            _event(time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>')
+        )
         before, name = 0.0, aircraft.card.inputs[step.control].property
         for units, sign in (*step.pattern, (0, 0.0)):
-            change = f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
+            change = (
+                f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
+            )
             out.append(_event(time - half, f"{time:.2f} s, {step.control}", change))
             before, time = sign, time + units * step.unit_s
         time += REST_S

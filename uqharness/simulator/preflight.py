@@ -48,7 +48,9 @@ def _try_in_child(aircraft: Named) -> None:
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
     ended = run_module(__name__, *places, timeout_s=TIMEOUT_S)
     if ended.code is None:
-        raise BadInputError(f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s")
+        raise BadInputError(
+            f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s"
+        )
     if "refused" in ended.answer:
         words = str(ended.answer["refused"])
         raise BadInputError(words if str(folder) in words else f"{folder}: {words}")

@@ -10,7 +10,12 @@ from __future__ import annotations
 
 from typing import Any
 
-_OF_MOTION = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+_OF_MOTION = (
+    "rate/rotational",
+    "rate/translational",
+    "position/rotational",
+    "position/translational",
+)
 INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
 STEPS_S = (0.1, 0.05, 0.02, 0.01)
 """Lengths of step that are tried one after the other."""
@@ -37,7 +42,10 @@ def settled(fdm: Any) -> bool:
         if exists(f"{name}/propeller-power-ftlbps"):
             if not exists(f"{name}/power-hp"):
                 return False
-            taken, given = fdm[f"{name}/propeller-power-ftlbps"], fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP
+            taken, given = (
+                fdm[f"{name}/propeller-power-ftlbps"],
+                fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP,
+            )
             if not abs(given - taken) <= _BALANCED * max(abs(taken), _FTLBF_PER_S_HP):
                 return False
             if not fdm[f"{name}/set-running"]:
@@ -90,7 +98,10 @@ def settle(fdm: Any) -> str:
 
 def _crank(fdm: Any, time_s: float) -> None:
     """Turn the starters until the engines run, for at most CRANK_S: a propeller that has come to rest stays so in the wind."""
-    running = [fdm.get_property_manager().get_node(f"{name}/set-running").get_double_value for name in _engines(fdm)]
+    running = [
+        fdm.get_property_manager().get_node(f"{name}/set-running").get_double_value
+        for name in _engines(fdm)
+    ]
     if all(get() for get in running):
         return
     fdm["propulsion/starter_cmd"] = 1.0
@@ -102,7 +113,9 @@ def _crank(fdm: Any, time_s: float) -> None:
     fdm["propulsion/starter_cmd"] = 0.0
 
 
-def _runs_out(fdm: Any, watched: dict[tuple[int, str], Any], time_s: float) -> tuple[float, int, str]:
+def _runs_out(
+    fdm: Any, watched: dict[tuple[int, str], Any], time_s: float
+) -> tuple[float, int, str]:
     """The greatest change of what is watched over the last block, its engine and name: runs until that is below SETTLED, at most
     MOST_BLOCKS, and gives up where ten blocks have brought it no nearer."""
     last = {key: get() for key, get in watched.items()}
@@ -113,7 +126,10 @@ def _runs_out(fdm: Any, watched: dict[tuple[int, str], Any], time_s: float) -> t
             fdm.set_sim_time(time_s)
             fdm.run()
         now = {key: get() for key, get in watched.items()}
-        most = max(((abs(now[key] - last[key]) / max(abs(now[key]), 1.0), *key) for key in watched), default=most)
+        most = max(
+            ((abs(now[key] - last[key]) / max(abs(now[key]), 1.0), *key) for key in watched),
+            default=most,
+        )
         if most[0] < SETTLED:
             break
         last = now
@@ -126,7 +142,10 @@ def _runs_out(fdm: Any, watched: dict[tuple[int, str], Any], time_s: float) -> t
 def stopped(fdm: Any) -> str:
     """Which of the piston and turbine engines, all of them started, do not run; empty where all do."""
     exists = fdm.get_property_manager().hasNode
-    burning = [f"{name}/set-running" if exists(f"{name}/map-inhg") or exists(f"{name}/n1") else "" for name in _engines(fdm)]
+    burning = [
+        f"{name}/set-running" if exists(f"{name}/map-inhg") or exists(f"{name}/n1") else ""
+        for name in _engines(fdm)
+    ]
     numbers = [str(k) for k, name in enumerate(burning, start=1) if name and not fdm[name]]
     if not numbers:
         return ""
@@ -138,13 +157,18 @@ def spent_rockets(fdm: Any) -> bool:
     """Whether every engine is a rocket and none gives thrust, as with empty tanks: the aircraft is a glider."""
     exists = fdm.get_property_manager().hasNode
     turning = ("n1", "propeller-rpm", "power-hp")
-    return all(not any(exists(f"{name}/{part}") for part in turning) and fdm[f"{name}/thrust-lbs"] == 0.0 for name in _engines(fdm))
+    return all(
+        not any(exists(f"{name}/{part}") for part in turning) and fdm[f"{name}/thrust-lbs"] == 0.0
+        for name in _engines(fdm)
+    )
 
 
 def has_turboprop(fdm: Any) -> bool:
     """Whether an engine is a turboprop, whose power is gone after a frame in which time stands still."""
     exists = fdm.get_property_manager().hasNode
-    return any(exists(f"{name}/itt-c") and exists(f"{name}/propeller-rpm") for name in _engines(fdm))
+    return any(
+        exists(f"{name}/itt-c") and exists(f"{name}/propeller-rpm") for name in _engines(fdm)
+    )
 
 
 def _engines(fdm: Any) -> list[str]:

@@ -63,7 +63,12 @@ by half a step; an identification would put the difference into the coefficients
 """
 
 _UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": RAD_DEG, "norm": 1.0}
-_COLUMN = {"elevator": "elevator_deg", "aileron": "aileron_deg", "rudder": "rudder_deg", "throttle": "throttle_pct"}
+_COLUMN = {
+    "elevator": "elevator_deg",
+    "aileron": "aileron_deg",
+    "rudder": "rudder_deg",
+    "throttle": "throttle_pct",
+}
 
 
 def sources(aircraft: Aircraft) -> dict[str, Source]:
@@ -108,4 +113,7 @@ def position_factor(card: InputCard) -> float:
 
 def standard_positions() -> dict[str, Source]:
     """Surface positions by JSBSim's own properties, for an aircraft without a card; they may or may not be there."""
-    return {f"{surface}_pos_deg": Source(f"fcs/{surface}-pos-deg") for surface in ("elevator", "aileron", "rudder")}
+    return {
+        f"{surface}_pos_deg": Source(f"fcs/{surface}-pos-deg")
+        for surface in ("elevator", "aileron", "rudder")
+    }

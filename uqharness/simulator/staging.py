@@ -82,7 +82,11 @@ def copied(staging: Staging, root: Path) -> Staging:
     """A second root with the same files, to be edited; messages go on naming the user's own folders."""
     for part in ("aircraft", "engine", "systems"):
         shutil.copytree(staging.root / part, root / part)
-    return Staging(root, staging.name, tuple((root / at.relative_to(staging.root), real) for at, real in staging.shown))
+    return Staging(
+        root,
+        staging.name,
+        tuple((root / at.relative_to(staging.root), real) for at, real in staging.shown),
+    )
 
 
 def _put(path: Path, file: Passed) -> None:
@@ -97,7 +101,12 @@ def _say(path: str, file: Passed) -> None:
     counts = Counter(tag for tag, _ in file.taken_out)
     what = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
     lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
-    _LOG.info("%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft", path, what, lines)
+    _LOG.info(
+        "%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft",
+        path,
+        what,
+        lines,
+    )
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,13 @@ _kept: OrderedDict[object, _Kept] = OrderedDict()
 
 def staged(aircraft: Named) -> Staging:
     """The aircraft staged in this process's scratch folder; made anew once a file of it has changed. Raises BadInputError."""
-    key = (aircraft.folder, aircraft.name, aircraft.engine_path, aircraft.systems_path, signature(aircraft.folder))
+    key = (
+        aircraft.folder,
+        aircraft.name,
+        aircraft.engine_path,
+        aircraft.systems_path,
+        signature(aircraft.folder),
+    )
     found = _kept.get(key)
     if found is None or any(state(path) != then for path, then in found.beside):
         files = opened(aircraft)

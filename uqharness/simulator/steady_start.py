@@ -51,7 +51,9 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
 
 def _initialize(trim: Trim) -> str:
     condition = trim.condition
-    u, v, w = (speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad))
+    u, v, w = (
+        speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
+    )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
 <initialize name="{INITIALIZE}">
@@ -82,13 +84,18 @@ def _script(aircraft: Aircraft, trim: Trim) -> str:
     properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
         # Before the throttle, which starting an engine opens.
-        properties += [("propulsion/set-running", -1.0), *((name, 1.0) for name in engine.levers(fdm))]
+        properties += [
+            ("propulsion/set-running", -1.0),
+            *((name, 1.0) for name in engine.levers(fdm)),
+        ]
     for control, value in trim.controls.items():
         name = aircraft.card.inputs[control].property
         properties.append((name, value))
         if name == "fcs/throttle-cmd-norm":
             properties += [(f"{name}[{index}]", value) for index in range(1, engines)]
-    lines = "\n".join(f'    <property value="{value:.9g}">{name}</property>' for name, value in properties)
+    lines = "\n".join(
+        f'    <property value="{value:.9g}">{name}</property>' for name, value in properties
+    )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- Steady flight of {aircraft.name}, trimmed as the nominal model, controls fixed. -->
 <runscript name="steady">

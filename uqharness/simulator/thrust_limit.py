@@ -22,7 +22,10 @@ class AtLimit:
 
 
 def thrust_reason(
-    V_mps: float, wanted_rad: float, full: Callable[[float], AtLimit | None], idle: Callable[[float], AtLimit | None]
+    V_mps: float,
+    wanted_rad: float,
+    full: Callable[[float], AtLimit | None],
+    idle: Callable[[float], AtLimit | None],
 ) -> str:
     """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``; empty where it is neither.
 
@@ -33,7 +36,11 @@ def thrust_reason(
         if found is None or way * (found.climb_rad - wanted_rad) <= 0.0:
             continue
         change = G0_MPS2 * abs(math.sin(found.climb_rad) - math.sin(wanted_rad))
-        thrust = f"{found.thrust_N:.0f} N of thrust" if math.isfinite(found.thrust_N) else "the thrust of that throttle"
+        thrust = (
+            f"{found.thrust_N:.0f} N of thrust"
+            if math.isfinite(found.thrust_N)
+            else "the thrust of that throttle"
+        )
         said = f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle} throttle: {thrust}"
         return f"{said} at {V_mps:g} m/s; {_advice(V_mps, wanted_rad, fly, way, found)}"
     return ""
@@ -48,7 +55,13 @@ def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
     )
 
 
-def _advice(V_mps: float, wanted_rad: float, fly: Callable[[float], AtLimit | None], way: float, found: AtLimit) -> str:
+def _advice(
+    V_mps: float,
+    wanted_rad: float,
+    fly: Callable[[float], AtLimit | None],
+    way: float,
+    found: AtLimit,
+) -> str:
     """The nearest speed that fits, slower first."""
 
     def fits(V: float) -> bool:

@@ -31,7 +31,10 @@ from uqharness.simulator.forced_state import (
 )
 from uqharness.simulator.thrust_limit import AtLimit, dead_throttle, thrust_reason
 
-_ENGINE_THRUSTS = ("propulsion/engine/thrust-lbs", *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)))
+_ENGINE_THRUSTS = (
+    "propulsion/engine/thrust-lbs",
+    *(f"propulsion/engine[{k}]/thrust-lbs" for k in range(1, 8)),
+)
 _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _BODY_RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
@@ -41,7 +44,9 @@ _MOVES = 1e-9  # m/s2, rad/s2
 _STEEPEST_RAD = 0.9
 _NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
 _OPEN = 0.9  # of the throttle's travel, from where a second search begins
-_MOST_BANK_RAD = math.radians(5.0)  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
+_MOST_BANK_RAD = math.radians(
+    5.0
+)  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
 _OFF_CENTRE = 0.6  # of a command's range: a filter of a command in the centre may rest at zero
 _RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it leads to
 
@@ -125,7 +130,9 @@ def force_beside(
     there, and what passes it without delay is felt. Raises BadInputError.
     """
     condition = trim.condition
-    fdm, _ = forced(aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest)
+    fdm, _ = forced(
+        aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest
+    )
     for name, value in controls.items():
         set_control(fdm, aircraft, name, value)
     place(fdm, state)
@@ -179,11 +186,22 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
     """A search with the control system as it is in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
-    names = [name for name in _SURFACES if name in cards and (aircraft.has_card or exists(cards[name].property))]
+    names = [
+        name
+        for name in _SURFACES
+        if name in cards and (aircraft.has_card or exists(cards[name].property))
+    ]
     acts, dead = _throttle_acts(aircraft, condition, names, rest)
     held = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
     gliding = bool(held) or "throttle" not in names
-    problem = _Problem(aircraft, condition, tuple(n for n in names if n not in held), held, free_climb=gliding, rest=rest)
+    problem = _Problem(
+        aircraft,
+        condition,
+        tuple(n for n in names if n not in held),
+        held,
+        free_climb=gliding,
+        rest=rest,
+    )
     x = problem.solve()
     trim = _result(problem, x)
     if not trim.converged and acts:
@@ -204,23 +222,37 @@ def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Re
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
-    ends = {name: cards[name].limits for name in _SURFACES if name in cards and exists(cards[name].property)}
+    ends = {
+        name: cards[name].limits
+        for name in _SURFACES
+        if name in cards and exists(cards[name].property)
+    }
     controls = {name: low + _OFF_CENTRE * (high - low) for name, (low, high) in ends.items()}
-    return _moves_at(aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls)
+    return _moves_at(
+        aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls
+    )
 
 
 def _moving(aircraft: Aircraft, trim: Trim) -> Rest | None:
     """The same at a trim."""
-    return _moves_at(aircraft, trim.condition, trim.state, trim.controls) if math.isfinite(trim.theta_rad) else None
+    return (
+        _moves_at(aircraft, trim.condition, trim.state, trim.controls)
+        if math.isfinite(trim.theta_rad)
+        else None
+    )
 
 
-def _moves_at(aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]) -> Rest | None:
+def _moves_at(
+    aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]
+) -> Rest | None:
     fdm, _ = forced(aircraft, state, controls, condition.altitude_m, condition.properties)
     rest = control_system.rest_of(aircraft, fdm)
     return rest if control_system.moving(fdm, rest) else None
 
 
-def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None) -> tuple[bool, str]:
+def _throttle_acts(
+    aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
+) -> tuple[bool, str]:
     """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines are there and it does not."""
     if "throttle" not in names:
         return False, ""
@@ -229,7 +261,9 @@ def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[s
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
     said, unsettled = [], ""
     for end in card.limits:
-        fdm, why = forced(aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties, rest)
+        fdm, why = forced(
+            aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties, rest
+        )
         said.append(np.array([fdm[name] for name in ACCELERATIONS]))
         unsettled = unsettled or why
     if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
@@ -237,7 +271,9 @@ def _throttle_acts(aircraft: Aircraft, condition: SteadyCondition, names: list[s
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
     exists = fdm.get_property_manager().hasNode
-    return False, dead_throttle(card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled)
+    return False, dead_throttle(
+        card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled
+    )
 
 
 def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> str:
@@ -245,22 +281,30 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> str:
     (state, controls, _, _), condition = problem.unpack(x), problem.condition
     if not math.isfinite(state.theta):
         return ""
-    return forced(problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest)[1]
+    return forced(
+        problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+    )[1]
 
 
-def _thrust_reason(aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None) -> str:
+def _thrust_reason(
+    aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
+) -> str:
     """What the thrust at either end of the throttle has to do with it."""
     low, high = aircraft.card.inputs["throttle"].limits
     free = tuple(name for name in names if name != "throttle")
 
     def at(end: float, V: float) -> AtLimit | None:
-        problem = _Problem(aircraft, replace(condition, V_mps=V), free, {"throttle": end}, True, rest=rest)
+        problem = _Problem(
+            aircraft, replace(condition, V_mps=V), free, {"throttle": end}, True, rest=rest
+        )
         found = _result(problem, problem.solve())
         # A governor hunts within its last digits; what is said of the thrust needs two.
         there = found.converged or float(np.max(np.abs(found.residual))) < _NEARLY
         return AtLimit(found.condition.climb_rad, found.thrust_N) if there else None
 
-    return thrust_reason(condition.V_mps, condition.climb_rad, lambda V: at(high, V), lambda V: at(low, V))
+    return thrust_reason(
+        condition.V_mps, condition.climb_rad, lambda V: at(high, V), lambda V: at(low, V)
+    )
 
 
 class _Problem:
@@ -268,28 +312,59 @@ class _Problem:
     ``free_bank`` the bank of straight flight; with ``rest`` the control system is brought to rest at each state."""
 
     def __init__(
-        self, aircraft: Aircraft, condition: SteadyCondition, names: tuple[str, ...], held: Mapping[str, float],
-        free_climb: bool, free_bank: bool = False, rest: Rest | None = None,
-    ) -> None:  # fmt: skip
-        self.aircraft, self.condition, self.names, self.held, self.rest = aircraft, condition, names, held, rest
+        self,
+        aircraft: Aircraft,
+        condition: SteadyCondition,
+        names: tuple[str, ...],
+        held: Mapping[str, float],
+        free_climb: bool,
+        free_bank: bool = False,
+        rest: Rest | None = None,
+    ) -> None:
+        self.aircraft, self.condition, self.names, self.held, self.rest = (
+            aircraft,
+            condition,
+            names,
+            held,
+            rest,
+        )
         self.free_climb, self.free_bank = free_climb, free_bank
         self.turning = condition.bank_rad != 0.0
-        lows, highs = (np.array([aircraft.card.inputs[name].limits[end] for name in names], dtype=float) for end in (0, 1))
+        lows, highs = (
+            np.array([aircraft.card.inputs[name].limits[end] for name in names], dtype=float)
+            for end in (0, 1)
+        )
         extra = [0.1] * (self.turning + free_climb + free_bank)
         # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
         self.scale = np.concatenate([[0.1, 0.1], (highs - lows) / 10.0, extra])
-        most = np.array([3.0] * self.turning + [_STEEPEST_RAD] * free_climb + [_MOST_BANK_RAD] * free_bank)
+        most = np.array(
+            [3.0] * self.turning + [_STEEPEST_RAD] * free_climb + [_MOST_BANK_RAD] * free_bank
+        )
         self.lower = np.concatenate([[-0.35, -0.35], lows, -most]) / self.scale
         self.upper = np.concatenate([[0.5, 0.35], highs, most]) / self.scale
         rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
         climb = [condition.climb_rad] * free_climb
-        self.guess = np.concatenate([[0.03, 0.0], 0.5 * (lows + highs), rate, climb, [0.0] * free_bank])
+        self.guess = np.concatenate(
+            [[0.03, 0.0], 0.5 * (lows + highs), rate, climb, [0.0] * free_bank]
+        )
 
     def banked(self) -> _Problem:
         """The same with the bank unknown and the rudder neutral."""
-        neutral = {name: 0.5 * sum(self.aircraft.card.inputs[name].limits) for name in self.names if name == "rudder"}
+        neutral = {
+            name: 0.5 * sum(self.aircraft.card.inputs[name].limits)
+            for name in self.names
+            if name == "rudder"
+        }
         names = tuple(name for name in self.names if name not in neutral)
-        return _Problem(self.aircraft, self.condition, names, {**self.held, **neutral}, self.free_climb, True, self.rest)
+        return _Problem(
+            self.aircraft,
+            self.condition,
+            names,
+            {**self.held, **neutral},
+            self.free_climb,
+            True,
+            self.rest,
+        )
 
     def solve(self, throttle: float = 0.5) -> NDArray[np.float64]:
         """The unknowns that leave the least acceleration, from that share of the throttle's travel on."""
@@ -315,17 +390,25 @@ class _Problem:
         value = x * self.scale
         alpha, beta = float(value[0]), float(value[1])
         phi = float(value[-1]) if self.free_bank else self.condition.bank_rad
-        controls = {name: float(v) for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)} | dict(self.held)
+        controls = {
+            name: float(v)
+            for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)
+        } | dict(self.held)
         rate = float(value[2 + len(self.names)]) if self.turning else 0.0
         climb = float(value[-1 - self.free_bank]) if self.free_climb else self.condition.climb_rad
         theta = pitch_for_climb(alpha, beta, phi, climb)
         u, v, w = body_velocity(self.condition.V_mps, alpha, beta)
         state = BodyState(
-            u, v, w, phi, theta, self.condition.heading_rad,
+            u,
+            v,
+            w,
+            phi,
+            theta,
+            self.condition.heading_rad,
             p=-rate * math.sin(theta),
             q=rate * math.cos(theta) * math.sin(phi),
             r=rate * math.cos(theta) * math.cos(phi),
-        )  # fmt: skip
+        )
         return state, controls, rate, climb
 
     def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -338,7 +421,13 @@ class _Problem:
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
         acceleration, out = force_state(
-            self.aircraft, state, controls, condition.altitude_m, condition.properties, (_LATERAL_FELT, *_BODY_RATES), self.rest
+            self.aircraft,
+            state,
+            controls,
+            condition.altitude_m,
+            condition.properties,
+            (_LATERAL_FELT, *_BODY_RATES),
+            self.rest,
         )
         if self.rest is not None and self.rest.free:
             ended = np.array([out[name] for name in _BODY_RATES])
@@ -359,23 +448,39 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
     aircraft, condition, names = problem.aircraft, problem.condition, problem.names
     state, controls, rate, climb = problem.unpack(x)
     left = problem.residual(x)
-    keys = {key: aircraft.card.outputs[key] for key in ("thrust_N", "rpm") if key in aircraft.card.outputs}
-    surfaces = {name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg" for name in names if name != "throttle"}
+    keys = {
+        key: aircraft.card.outputs[key]
+        for key in ("thrust_N", "rpm")
+        if key in aircraft.card.outputs
+    }
+    surfaces = {
+        name: aircraft.card.inputs[name].position or f"fcs/{name}-pos-deg"
+        for name in names
+        if name != "throttle"
+    }
     wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
-    _, out = force_state(aircraft, state, controls, condition.altitude_m, condition.properties, wanted, problem.rest)
+    _, out = force_state(
+        aircraft, state, controls, condition.altitude_m, condition.properties, wanted, problem.rest
+    )
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
-    thrust_N = out.get(keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan"))
+    thrust_N = out.get(
+        keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan")
+    )
     converged = bool(np.max(np.abs(left)) < 1e-6)
     at_limit = [
         name
-        for name, value, lo, hi in zip(["alpha", "beta", *names], x, problem.lower, problem.upper, strict=False)
+        for name, value, lo, hi in zip(
+            ["alpha", "beta", *names], x, problem.lower, problem.upper, strict=False
+        )
         if min(value - lo, hi - value) < 1e-6 * (hi - lo)
     ]
     reason = ""
     if not converged:
         worst = ("u", "v", "w", "p", "q", "r", "lateral force")[int(np.argmax(np.abs(left)))]
         limits = f"; at its limit: {', '.join(at_limit)}" if at_limit else ""
-        reason = f"{_asked(condition)}: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
+        reason = (
+            f"{_asked(condition)}: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
+        )
     return Trim(
         condition=replace(condition, climb_rad=climb, bank_rad=state.phi),
         converged=converged,

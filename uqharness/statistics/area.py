@@ -49,5 +49,7 @@ def area_metric(box: PBox, values: Array, confidence: float = 0.95) -> AreaMetri
     # Below the first value flown nothing is known but how few flights there were.
     open_band = np.concatenate([[box.band_upper[0]], box.band_upper])[row]
     chance = band_half_width(values.size, 1, confidence)
-    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(steps(box.band_lower) - share - chance, 0.0)
+    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(
+        steps(box.band_lower) - share - chance, 0.0
+    )
     return AreaMetric(below + above, below, above, float(widths @ beyond), int(values.size))

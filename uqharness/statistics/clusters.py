@@ -27,17 +27,23 @@ def dispersion_limits(counts: Array, error: float) -> tuple[Array, Array]:
     reach = -float(normal_quantile(error))
 
     def of(more: Array, sign: float) -> Array:
-        first, second, third, fourth = ((values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4))
+        first, second, third, fourth = (
+            (values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4)
+        )
         some = first > 0.0
         total = np.where(some, first, 1.0)
         ratio = second / total
         spread = np.sqrt(np.maximum(fourth - 2.0 * ratio * third + ratio**2 * second, 0.0)) / total
         number = np.maximum(flights + (more > 0.0), 1.0)
-        found: Array = np.where(some, ratio + sign * reach * spread - total / number, np.inf if sign > 0.0 else 0.0)
+        found: Array = np.where(
+            some, ratio + sign * reach * spread - total / number, np.inf if sign > 0.0 else 0.0
+        )
         return found
 
     largest = values.max(axis=1)
-    return np.maximum(of(np.zeros_like(largest), -1.0), 0.0), np.maximum(of(2.0 * largest, 1.0), 1.0)
+    return np.maximum(of(np.zeros_like(largest), -1.0), 0.0), np.maximum(
+        of(2.0 * largest, 1.0), 1.0
+    )
 
 
 def quiet_flights(mean: float, dispersion: float, error: float, anytime: bool) -> int:
@@ -48,4 +54,6 @@ def quiet_flights(mean: float, dispersion: float, error: float, anytime: bool) -
     tilt = _QUIET_TILT_ANYTIME if anytime else _QUIET_TILT
     weight = _QUIET_WEIGHT_ANYTIME if anytime else 1.0
     kappa = dispersion + mean
-    return int(np.ceil(np.log(1.0 / (weight * error)) / -np.log1p(mean * np.expm1(-tilt) / kappa) - 1e-9))
+    return int(
+        np.ceil(np.log(1.0 / (weight * error)) / -np.log1p(mean * np.expm1(-tilt) / kappa) - 1e-9)
+    )

@@ -28,7 +28,11 @@ Array = NDArray[np.float64]
 
 def is_enough(airs: int, flights: int, confidence: float) -> bool:
     """Whether airs can be drawn again: neither too few nor too many flights, nor a quantile too far out."""
-    return airs >= MIN_AIRS and flights <= MOST_FLIGHTS and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
+    return (
+        airs >= MIN_AIRS
+        and flights <= MOST_FLIGHTS
+        and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
+    )
 
 
 def common_air_half_width(values: Array, confidence: float, seed: int = _SEED) -> float:

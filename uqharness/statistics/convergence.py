@@ -61,7 +61,11 @@ def repeats(values: Array, number: int, confidence: float = 0.95) -> Repeats:
 
 def _median(curves: Array) -> Array:
     middle = curves.shape[1] // 2
-    return curves[:, middle] if curves.shape[1] % 2 else 0.5 * (curves[:, middle - 1] + curves[:, middle])
+    return (
+        curves[:, middle]
+        if curves.shape[1] % 2
+        else 0.5 * (curves[:, middle - 1] + curves[:, middle])
+    )
 
 
 def _distance(first: Array, second: Array) -> float:
@@ -79,7 +83,9 @@ def growth(samples: Sequence[Array], seed: int, draws: int = 40) -> list[Growth]
     widths = np.diff(at)
     count = len(samples)
     generator = np.random.default_rng(seed)
-    sizes = sorted({*(2**power for power in range(1, count.bit_length()) if 2**power < count), count})
+    sizes = sorted(
+        {*(2**power for power in range(1, count.bit_length()) if 2**power < count), count}
+    )
     found = []
     for size in sizes:
         tries = 1 if size == count else draws
@@ -88,5 +94,7 @@ def growth(samples: Sequence[Array], seed: int, draws: int = 40) -> list[Growth]
             part = curves[generator.choice(count, size, replace=False)]
             areas.append(float(widths @ (part.max(axis=0) - part.min(axis=0))[:-1]))
         low, high = np.quantile(areas, [0.025, 0.975])
-        found.append(Growth(size, float(np.mean(areas)), float(low), float(high), 2.0 / (size + 1.0)))
+        found.append(
+            Growth(size, float(np.mean(areas)), float(low), float(high), 2.0 / (size + 1.0))
+        )
     return found

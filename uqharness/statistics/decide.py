@@ -82,7 +82,9 @@ class Evidence:
         n = np.maximum(self.flights, 2.0)
         mean = self.total / n
         spread = np.maximum(self.squares - n * mean**2, 0.0) / (n - 1.0)
-        return np.where((self.flights >= 2) & (mean > 0), spread / np.where(mean > 0, mean, 1.0), 1.0)
+        return np.where(
+            (self.flights >= 2) & (mean > 0), spread / np.where(mean > 0, mean, 1.0), 1.0
+        )
 
 
 def begin(corners: int) -> Evidence:
@@ -92,7 +94,12 @@ def begin(corners: int) -> Evidence:
 
 
 def add(
-    evidence: Evidence, question: Question, low: Array, high: Array, lost: Array | None = None, missing: Array | None = None
+    evidence: Evidence,
+    question: Question,
+    low: Array,
+    high: Array,
+    lost: Array | None = None,
+    missing: Array | None = None,
 ) -> Evidence:
     """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere.
 
@@ -103,7 +110,9 @@ def add(
     absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
 
     def earned(counts: Array, mean: float) -> Array:
-        found: Array = np.where(flown[..., None], bet_logs(counts + mean * absent, mean), 0.0).sum(axis=1)
+        found: Array = np.where(flown[..., None], bet_logs(counts + mean * absent, mean), 0.0).sum(
+            axis=1
+        )
         return found
 
     bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
@@ -116,7 +125,9 @@ def add(
         lost=evidence.lost + aborted.sum(axis=1),
         bets_lost=evidence.bets_lost + bets_lost,
         missing=evidence.missing + absent.sum(axis=1),
-        ended=np.maximum(evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)),
+        ended=np.maximum(
+            evidence.ended, np.where(absent > 0.0, upper, 0.0).max(axis=1, initial=0.0)
+        ),
         flights=evidence.flights + flown.sum(axis=1),
         total=evidence.total + upper.sum(axis=1),
         squares=evidence.squares + (upper**2).sum(axis=1),
@@ -134,14 +145,27 @@ def look(evidence: Evidence, question: Question) -> Evidence:
     dispersion = np.maximum(np.maximum(evidence.dispersion, evidence.ended), question.dispersion)
 
     def below(mean: float) -> NDArray[np.bool_]:
-        return log_e_below(evidence.flights, evidence.total, mean, dispersion, question.dispersion, evidence.missing) >= doubly
+        return (
+            log_e_below(
+                evidence.flights,
+                evidence.total,
+                mean,
+                dispersion,
+                question.dispersion,
+                evidence.missing,
+            )
+            >= doubly
+        )
 
     above = log_e_above(evidence.bets)
     acceptable = below(question.threshold)
     if np.isfinite(question.loss_threshold):
         # A flight is aborted once: its count clusters no more than independent ones do.
         least, limit = np.ones_like(evidence.lost), question.loss_threshold
-        acceptable &= log_e_below(evidence.flights, evidence.lost, limit, least, 1.0, evidence.missing) >= doubly
+        acceptable &= (
+            log_e_below(evidence.flights, evidence.lost, limit, least, 1.0, evidence.missing)
+            >= doubly
+        )
         above = evidence_of_either(above, log_e_above(evidence.bets_lost))
     marginal = below(question.zone[1]) & (log_e_above(evidence.bets_zone) >= wanted)
     answers = list(evidence.answers)
@@ -152,7 +176,10 @@ def look(evidence: Evidence, question: Question) -> Evidence:
             answers[corner] = YES
         elif marginal[corner]:
             answers[corner] = OPEN
-    some_above = float(np.logaddexp.reduce(above)) - np.log(above.size) >= wanted and not question.every_corner
+    some_above = (
+        float(np.logaddexp.reduce(above)) - np.log(above.size) >= wanted
+        and not question.every_corner
+    )
     cell = reason = ""
     if some_above or (all(answers) and NO in answers):
         cell = NO
@@ -168,7 +195,9 @@ def evidence_of_either(excursions: Array, losses: Array) -> Array:
 
     Most of the weight lies on excursions, of which there are more.
     """
-    found: Array = np.logaddexp(excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT))
+    found: Array = np.logaddexp(
+        excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT)
+    )
     return found
 
 
@@ -177,4 +206,9 @@ def close(evidence: Evidence) -> Evidence:
     if evidence.cell:
         return evidence
     answers = tuple(answer or OPEN for answer in evidence.answers)
-    return replace(evidence, answers=answers, cell=NO if NO in answers else OPEN, reason="" if NO in answers else USED_UP)
+    return replace(
+        evidence,
+        answers=answers,
+        cell=NO if NO in answers else OPEN,
+        reason="" if NO in answers else USED_UP,
+    )

@@ -78,7 +78,9 @@ class PBox:
 
         Raises BadInputError for a probability that is none.
         """
-        return _first(self.value, self.upper, probability), _first(self.value, self.lower, probability)
+        return _first(self.value, self.upper, probability), _first(
+            self.value, self.lower, probability
+        )
 
     def set_by(self, probability: float) -> tuple[str, str]:
         """Epistemic samples that set the two ends of :meth:`quantile`, best first; empty for an end that is open.
@@ -86,7 +88,9 @@ class PBox:
         Raises BadInputError likewise.
         """
         found = []
-        for end, names in zip(self.quantile(probability), (self.corner_upper, self.corner_lower), strict=True):
+        for end, names in zip(
+            self.quantile(probability), (self.corner_upper, self.corner_lower), strict=True
+        ):
             found.append(str(names[np.searchsorted(self.value, end)]) if np.isfinite(end) else "")
         return found[0], found[1]
 
@@ -99,7 +103,9 @@ class PBox:
 
 
 def _first(value: Array, probability: Array, wanted: float) -> float:
-    wanted = number("probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0)
+    wanted = number(
+        "probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0
+    )
     reached = np.flatnonzero(probability >= wanted - 1e-12)
     return float(value[reached[0]]) if reached.size else float("inf")
 
@@ -136,20 +142,29 @@ def flights_for_band(half_width: float, corners: int, confidence: float) -> int:
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if band_half_width(middle, corners, confidence) <= half_width else (middle, high)
+        low, high = (
+            (low, middle)
+            if band_half_width(middle, corners, confidence) <= half_width
+            else (middle, high)
+        )
     return high
 
 
 def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = MAX_POINTS) -> PBox:
     """P-box of the samples. ValueError if there is none, one is empty, or no value is known."""
     if not samples or any(sample.size == 0 for sample in samples):
-        raise ValueError("a p-box needs at least one epistemic sample, each with at least one flight")
+        raise ValueError(
+            "a p-box needs at least one epistemic sample, each with at least one flight"
+        )
     pooled = np.unique(np.concatenate([sample.values for sample in samples]))
     if pooled.size == 0 or not np.all(np.isfinite(pooled)):
         raise ValueError("a p-box needs at least one known value, and known values must be finite")
     if pooled.size > max_points:
         pooled = pooled[np.unique(np.linspace(0, pooled.size - 1, max_points).round().astype(int))]
-    width = {size: band_half_width(size, len(samples), confidence) for size in {sample.size for sample in samples}}
+    width = {
+        size: band_half_width(size, len(samples), confidence)
+        for size in {sample.size for sample in samples}
+    }
     common = _on_common_air(samples, confidence)
     if common is not None:
         size = samples[0].size
@@ -183,7 +198,11 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> Array | None
     airs = np.unique(samples[0].airs)
     found = np.full((len(samples), size), np.nan)
     for row, sample in zip(found, samples, strict=True):
-        if sample.size != size or sample.airs is None or not np.array_equal(np.sort(sample.airs), airs):
+        if (
+            sample.size != size
+            or sample.airs is None
+            or not np.array_equal(np.sort(sample.airs), airs)
+        ):
             return None
         row[np.searchsorted(airs, sample.airs[: sample.values.size])] = sample.values
     return found
@@ -192,7 +211,9 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> Array | None
 def envelope(samples: Sequence[Sample], at: Array) -> tuple[Array, Array]:
     """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,). ValueError for no flight."""
     if not samples or any(sample.size == 0 for sample in samples):
-        raise ValueError("an envelope needs at least one epistemic sample, each with at least one flight")
+        raise ValueError(
+            "an envelope needs at least one epistemic sample, each with at least one flight"
+        )
     lower, upper = np.ones_like(at), np.zeros_like(at)
     for sample in samples:
         below = ecdf(np.sort(sample.values), at)
@@ -239,10 +260,14 @@ class Containment:
     def verdict(self) -> str:
         """inside, outside-by-chance (within the bands of both) or outside."""
         worst = max(self.excess_lower, self.excess_upper)
-        return "inside" if worst <= 0.0 else "outside-by-chance" if worst <= self.chance else "outside"
+        return (
+            "inside" if worst <= 0.0 else "outside-by-chance" if worst <= self.chance else "outside"
+        )
 
 
-def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: float = 0.95) -> Containment:
+def containment(
+    inner: Sequence[Sample], outer: Sequence[Sample], confidence: float = 0.95
+) -> Containment:
     """Whether the p-box of ``inner`` lies within that of ``outer``. Raises ValueError as :func:`envelope` does.
 
     ``chance`` adds both simultaneous half-widths, each at half the error rate.
@@ -254,13 +279,31 @@ def containment(inner: Sequence[Sample], outer: Sequence[Sample], confidence: fl
     beyond = {"lower": around[0] - within[0], "upper": within[1] - around[1]}
     worst = {side: int(np.argmax(excess)) for side, excess in beyond.items()}
     excess = {side: max(0.0, float(beyond[side][index])) for side, index in worst.items()}
-    at = {side: float(value[index]) if excess[side] > 0.0 else float("nan") for side, index in worst.items()}
+    at = {
+        side: float(value[index]) if excess[side] > 0.0 else float("nan")
+        for side, index in worst.items()
+    }
     share = 0.5 * (1.0 + confidence)
-    chance = sum(band_half_width(min(sample.size for sample in samples), len(samples), share) for samples in (inner, outer))
+    chance = sum(
+        band_half_width(min(sample.size for sample in samples), len(samples), share)
+        for samples in (inner, outer)
+    )
     chance = min(1.0, chance)
-    widths = [float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)]
+    widths = [
+        float(np.sum((upper - lower)[:-1] * np.diff(value))) for lower, upper in (within, around)
+    ]
     ratio = widths[0] / widths[1] if widths[1] > 0.0 else float("nan")
-    return Containment(value, within, around, excess["lower"], excess["upper"], at["lower"], at["upper"], chance, ratio)
+    return Containment(
+        value,
+        within,
+        around,
+        excess["lower"],
+        excess["upper"],
+        at["lower"],
+        at["upper"],
+        chance,
+        ratio,
+    )
 
 
 @lru_cache(maxsize=4096)
@@ -275,7 +318,11 @@ def poisson_limits(events: int, hours: float, confidence: float = 0.95) -> tuple
 
 def poisson_upper(events: int, hours: float, confidence: float = 0.95) -> float:
     """Exact one-sided upper limit of a rate per hour: what ``events`` in ``hours`` prove."""
-    return float(chi2_upper_quantile(1.0 - confidence, 2 * events + 2) / (2.0 * hours)) if hours > 0.0 else float("inf")
+    return (
+        float(chi2_upper_quantile(1.0 - confidence, 2 * events + 2) / (2.0 * hours))
+        if hours > 0.0
+        else float("inf")
+    )
 
 
 @dataclass(frozen=True)
@@ -300,7 +347,12 @@ class ExcursionRate:
 
 
 def excursion_rate(
-    epistemic_id: str, counts: Sequence[int | None], failed: int, hours: float, corners: int, confidence: float = 0.95
+    epistemic_id: str,
+    counts: Sequence[int | None],
+    failed: int,
+    hours: float,
+    corners: int,
+    confidence: float = 0.95,
 ) -> ExcursionRate:
     """Rate from ``counts``, one per flight (None = unknown), of which ``failed`` flights failed, in ``hours`` of scored flight.
 
@@ -320,7 +372,10 @@ def excursion_rate(
         events_upper,
         events / hours if hours > 0 else float("nan"),
         events_upper / hours if hours > 0 else float("inf"),
-        (poisson_limits(events, hours, confidence)[0], poisson_limits(events_upper, hours, confidence)[1]),
+        (
+            poisson_limits(events, hours, confidence)[0],
+            poisson_limits(events_upper, hours, confidence)[1],
+        ),
         (poisson_limits(events, hours, strict)[0], poisson_limits(events_upper, hours, strict)[1]),
     )
 

@@ -44,8 +44,12 @@ def observed_dispersion(counts: Array) -> Array:
     flights = known.sum(axis=-1)
     values = np.where(known, counts, 0.0)
     mean = values.sum(axis=-1) / np.maximum(flights, 1)
-    spread = np.where(known, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1) / np.maximum(flights - 1, 1)
-    found: Array = np.where((flights >= 2) & (mean > 0.0), spread / np.where(mean > 0.0, mean, 1.0), 1.0)
+    spread = np.where(known, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1) / np.maximum(
+        flights - 1, 1
+    )
+    found: Array = np.where(
+        (flights >= 2) & (mean > 0.0), spread / np.where(mean > 0.0, mean, 1.0), 1.0
+    )
     return found
 
 
@@ -63,7 +67,12 @@ def log_e_above(bets: Array) -> Array:
 
 
 def log_e_below(
-    flights: Array, total: Array, mean: float | Array, dispersion: Array, assumed: float, missing: Array | None = None
+    flights: Array,
+    total: Array,
+    mean: float | Array,
+    dispersion: Array,
+    assumed: float,
+    missing: Array | None = None,
 ) -> Array:
     """Logarithm of the evidence that the mean is below ``mean``, after ``flights`` with ``total`` excursions (arrays alike).
 
@@ -74,24 +83,40 @@ def log_e_below(
     s = _TILTS / (assumed + mean[..., None])
     total = total if missing is None else total + mean * missing
     kappa = (np.maximum(dispersion, assumed) + mean)[..., None]
-    logs = -s * total[..., None] - flights[..., None] * np.log1p(mean[..., None] * np.expm1(-s * kappa) / kappa)
+    logs = -s * total[..., None] - flights[..., None] * np.log1p(
+        mean[..., None] * np.expm1(-s * kappa) / kappa
+    )
     found: Array = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
     return found
 
 
-def _log_error(flights: Array, total: Array, mean: Array, dispersion: Array, assumed: float | None, missing: Array) -> Array:
+def _log_error(
+    flights: Array,
+    total: Array,
+    mean: Array,
+    dispersion: Array,
+    assumed: float | None,
+    missing: Array,
+) -> Array:
     """Logarithm of what bounds the chance of so few excursions (c,) where ``mean`` is true; arguments of `upper_limits`."""
     if assumed is not None:
         return -log_e_below(flights, total, mean, dispersion, assumed, missing)
     kappa = (dispersion + mean)[..., None]
     s = _CHERNOFF_TILTS / kappa
     charged = (total + mean * missing)[..., None]
-    logs = s * charged + flights[..., None] * np.log1p(mean[..., None] * np.expm1(-s * kappa) / kappa)
+    logs = s * charged + flights[..., None] * np.log1p(
+        mean[..., None] * np.expm1(-s * kappa) / kappa
+    )
     return np.asarray(logs.min(axis=-1))
 
 
 def dispersion_that_allows(
-    mean: float, flights: Array, total: Array, error: float, assumed: float | None = None, missing: Array | None = None
+    mean: float,
+    flights: Array,
+    total: Array,
+    error: float,
+    assumed: float | None = None,
+    missing: Array | None = None,
 ) -> Array:
     """Largest dispersions (c,) with which the upper limit of the mean count per flight is at most ``mean``; arguments of
     `upper_limits`. 0 where no dispersion does."""
@@ -108,7 +133,12 @@ def dispersion_that_allows(
 
 
 def upper_limits(
-    flights: Array, total: Array, dispersion: Array, error: float, assumed: float | None = None, missing: Array | None = None
+    flights: Array,
+    total: Array,
+    dispersion: Array,
+    error: float,
+    assumed: float | None = None,
+    missing: Array | None = None,
 ) -> Array:
     """Upper limits (c,) of the mean count per flight, each missed with probability ``error`` at most; inf without flights.
 
@@ -148,7 +178,11 @@ def share_upper(events: Array, flights: Array, error: float) -> Array:
     events, flights = np.asarray(events, float), np.asarray(flights, float)
     some = events < flights
     found: Array = np.where(
-        some, betaincinv(np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error), 1.0
+        some,
+        betaincinv(
+            np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error
+        ),
+        1.0,
     )
     return found
 
@@ -169,7 +203,10 @@ def lower_limits(counts: Array, error: float) -> Array:
     start = low = high * 1e-9
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)
-        shown = log_e_above((number[..., None] * bet_logs(values, middle[:, None])).sum(axis=-2)) >= wanted
+        shown = (
+            log_e_above((number[..., None] * bet_logs(values, middle[:, None])).sum(axis=-2))
+            >= wanted
+        )
         low, high = np.where(shown, middle, low), np.where(shown, high, middle)
     # Where even the start was never shown to be too low, nothing is.
     found[at] = np.where(low > start, low, 0.0)

@@ -55,7 +55,9 @@ class Levels:
     def __post_init__(self) -> None:
         """Raises ValueError for scores that do not rise, and for less than 2 copies."""
         if self.copies < 2 or any(not a < b for a, b in itertools.pairwise(self.scores)):
-            raise ValueError(f"levels rise and have 2 copies or more; received {self.scores} and {self.copies}")
+            raise ValueError(
+                f"levels rise and have 2 copies or more; received {self.scores} and {self.copies}"
+            )
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ class Replicate:
     events_by_root: Array
 
 
-def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None = None) -> Replicate:
+def run(
+    paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None = None
+) -> Replicate:
     """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not had.
 
     Raises ValueError where more than MOST_PATHS would go on side by side: the levels lie too close.
@@ -115,8 +119,17 @@ def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None
     grid = np.zeros(0) if grid is None else grid
     thresholds, floors = np.array(levels.scores), np.array(levels.floors)
     weights = float(levels.copies) ** -np.arange(len(levels.scores) + 1)
-    level, born, had = np.zeros(roots, np.intp), np.zeros(roots, np.intp), np.zeros((roots, kinds), bool)
-    root, probability, events, ended = np.arange(roots), np.zeros((roots, kinds)), np.zeros((roots, kinds)), 0.0
+    level, born, had = (
+        np.zeros(roots, np.intp),
+        np.zeros(roots, np.intp),
+        np.zeros((roots, kinds), bool),
+    )
+    root, probability, events, ended = (
+        np.arange(roots),
+        np.zeros((roots, kinds)),
+        np.zeros((roots, kinds)),
+        0.0,
+    )
     share, seen_above, checkpoints = np.zeros(grid.size), np.zeros(grid.size), 0
     steps, most, highest = 0, roots, 0
     while (seen := paths.advance()) is not None:
@@ -134,11 +147,15 @@ def run(paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None
             share += weight @ above
             seen_above += above.sum(axis=0)
         reached = np.searchsorted(thresholds, seen.score, side="right")
-        now = np.maximum(reached, np.minimum(level, np.searchsorted(floors, seen.score, side="right")))
+        now = np.maximum(
+            reached, np.minimum(level, np.searchsorted(floors, seen.score, side="right"))
+        )
         goes_on = ~seen.ended & (now >= born)
         parents, made_at = _descendants(level, now, goes_on, levels.copies)
         if parents.size > MOST_PATHS:
-            raise ValueError(f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close")
+            raise ValueError(
+                f"{parents.size} paths would go on side by side, {MOST_PATHS} at most can: the levels lie too close"
+            )
         level, had, root = now[parents], had[parents], root[parents]
         born = np.where(made_at > 0, made_at, born[parents])
         most, highest = max(most, parents.size), max(highest, int(now.max()))
@@ -166,9 +183,14 @@ def _descendants(
 
 
 def pilot(
-    start: Callable[[int], Paths], roots: int, kinds: int, grid: Array, top: float, share: float = SHARE,
+    start: Callable[[int], Paths],
+    roots: int,
+    kinds: int,
+    grid: Array,
+    top: float,
+    share: float = SHARE,
     plain: Occupancy | None = None,
-) -> Levels:  # fmt: skip
+) -> Levels:
     """Levels up to the score ``top``: a path is above the first a ``share`` of its time, above each next a ``COPIES``-th of that.
 
     ``plain``: occupancy of paths that were not split, where they are there: the first levels come from it.
@@ -183,7 +205,11 @@ def pilot(
             return levels
     for number in range(_ROUNDS):
         known.append(run(start(number), roots, levels, kinds, grid).occupancy)
-        pooled = Occupancy(grid, np.mean([one.share for one in known], axis=0), np.sum([one.seen for one in known], axis=0))
+        pooled = Occupancy(
+            grid,
+            np.mean([one.share for one in known], axis=0),
+            np.sum([one.seen for one in known], axis=0),
+        )
         found, whole = more_levels(pooled, levels, top, share)
         if whole:
             return found
@@ -194,10 +220,14 @@ def pilot(
                 f"{_PATIENCE} rounds of the pilot found no level above {levels.scores[-1] if levels.scores else 0:g}, {top:g} is "
                 f"asked for: fly more or longer paths than {roots} in the pilot"
             )
-    raise ValueError(f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it")
+    raise ValueError(
+        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than {roots} in it"
+    )
 
 
-def more_levels(occupancy: Occupancy, known: Levels, top: float, share: float = SHARE) -> tuple[Levels, bool]:
+def more_levels(
+    occupancy: Occupancy, known: Levels, top: float, share: float = SHARE
+) -> tuple[Levels, bool]:
     """``known`` levels and those that follow them as far as LEAST_SEEN checkpoints were seen; whether the next is above ``top``.
 
     A path is above the first level a ``share`` of its time, above each further one a COPIES-th of that.
@@ -209,7 +239,11 @@ def more_levels(occupancy: Occupancy, known: Levels, top: float, share: float = 
     grid, logs = grid[rising], logs[rising]
     scores = list(known.scores)
     while grid.size > 1:
-        target = float(np.interp(scores[-1], grid, logs)) + math.log(COPIES) if scores else -math.log(share)
+        target = (
+            float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
+            if scores
+            else -math.log(share)
+        )
         if not target <= logs[-1]:
             break
         score = float(np.interp(target, logs, grid))
@@ -219,7 +253,9 @@ def more_levels(occupancy: Occupancy, known: Levels, top: float, share: float = 
     # The next level lies above the top where a path is above that more than a COPIES-th of its time above the last level.
     place = int(np.searchsorted(occupancy.grid, top - 1e-9))
     near = bool(scores) and occupancy.seen[place] * COPIES >= LEAST_SEEN and grid.size > 1
-    within = near and -math.log(occupancy.share[place]) < float(np.interp(scores[-1], grid, logs)) + math.log(COPIES)
+    within = near and -math.log(occupancy.share[place]) < float(
+        np.interp(scores[-1], grid, logs)
+    ) + math.log(COPIES)
     return Levels(tuple(scores)), within
 
 
@@ -243,7 +279,9 @@ def interval(values: Sequence[float] | Array, confidence: float = 0.95) -> Inter
     nothing, nan = int((values <= 0.0).sum()), math.nan
     if values.size < 2:
         known = float(values[0]) if values.size else nan
-        return Interval(known, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed")
+        return Interval(
+            known, nan, nan, values.size, f"{values.size} replicates: 2 at least are needed"
+        )
     mean = float(values.mean())
     if nothing:
         reason = f"{nothing} of {values.size} replicates have no event: fly more paths in each"

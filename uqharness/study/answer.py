@@ -10,7 +10,16 @@ from typing import Any
 from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of, in_condition
 from uqharness.replay import shown_channel
 from uqharness.statistics import NO, OPEN, YES
-from uqharness.study.performance import BAD, GOOD, SAME, WARN, Flown, answer_words, asked_of, width_of
+from uqharness.study.performance import (
+    BAD,
+    GOOD,
+    SAME,
+    WARN,
+    Flown,
+    answer_words,
+    asked_of,
+    width_of,
+)
 from uqharness.study.stages import AFTER, BEFORE
 
 _LEVELS = {YES: GOOD, NO: BAD, OPEN: WARN}
@@ -33,9 +42,11 @@ class Answer:
 
 
 def answer_of(
-flown: Mapping[str, Flown], refinement: Mapping[str, Any] | None, verdict: Sequence[tuple[str, str]],
+    flown: Mapping[str, Flown],
+    refinement: Mapping[str, Any] | None,
+    verdict: Sequence[tuple[str, str]],
     no: Sequence[str] = (),
-) -> Answer:  # fmt: skip
+) -> Answer:
     """The answer from the finished campaigns, before and after, and refinement.json.
 
     verdict: all sentences of the study, which answer where no campaign counts excursions. no: stages whose own answer is no.
@@ -44,11 +55,24 @@ flown: Mapping[str, Flown], refinement: Mapping[str, Any] | None, verdict: Seque
     asked = asked_of(last) if last is not None else []
     remark = f" These stages answered no: {', '.join(no)} (log/STAGE.txt)." if no else ""
     if last is None or not asked:
-        first = next((s for level in (BAD, WARN) for s in verdict if s[1] == level), verdict[0] if verdict else ("", ""))
-        why = "no campaign was flown" if last is None else "the aircraft publishes no distance from a path"
+        first = next(
+            (s for level in (BAD, WARN) for s in verdict if s[1] == level),
+            verdict[0] if verdict else ("", ""),
+        )
+        why = (
+            "no campaign was flown"
+            if last is None
+            else "the aircraft publishes no distance from a path"
+        )
         text = f"No excursion rate: {why}."
         lacked = "" if refinement is None else _lacked(refinement, flown, same=False)
-        return Answer(WARN, text, first[0], lacked, f"Next: give the study a campaign that counts excursions.{remark}")
+        return Answer(
+            WARN,
+            text,
+            first[0],
+            lacked,
+            f"Next: give the study a campaign that counts excursions.{remark}",
+        )
     answers = {item.cell.condition: item.answer for item in asked}
     # Good or bad is what holds in every condition.
     level = _LEVELS[asked[0].answer] if len(set(answers.values())) == 1 else WARN
@@ -98,10 +122,16 @@ def _why(asked: Sequence[Statement]) -> str:
         here = [item for item in asked if item.answer == answer]
         if here:
             item = _deciding(here, answer)
-            where = f"{item.cell.condition.wind_mps:g} m/s" if one_air else item.cell.condition.label
+            where = (
+                f"{item.cell.condition.wind_mps:g} m/s" if one_air else item.cell.condition.label
+            )
             parts.append(f"{_rate(item, answer)} in {where}")
     hours = [sum(rate.hours for rate in item.cell.rates) for item in asked]
-    flown = f"{min(hours):.3g}" if max(hours) - min(hours) < 1.0 else f"{min(hours):.3g} to {max(hours):.3g}"
+    flown = (
+        f"{min(hours):.3g}"
+        if max(hours) - min(hours) < 1.0
+        else f"{min(hours):.3g} to {max(hours):.3g}"
+    )
     return (
         f"Why: excursions beyond {asked[0].cell.radius_m:g} m, worst corner: {', '.join(parts)}; "
         f"acceptable {asked[0].acceptable_per_h:g}/h; {flown} h a condition, {_aborted(asked)}."
@@ -114,14 +144,18 @@ def _aborted(asked: Sequence[Statement]) -> str:
     lost = sum(kinds.values())
     if not lost:
         return "no flights aborted"
-    named = ", ".join(f"{kind.replace('_', ' ')} {number}" for kind, number in kinds.items() if number)
+    named = ", ".join(
+        f"{kind.replace('_', ' ')} {number}" for kind, number in kinds.items() if number
+    )
     return f"{lost} flight{'' if lost == 1 else 's'} aborted ({named})"
 
 
 def _deciding(found: Sequence[Statement], answer: str) -> Statement:
     """The one with the highest limit that the answer rests on; of several the hardest."""
     limits = [item.worst.lower if answer == NO else item.worst.upper for item in found]
-    highest = [item for item, limit in zip(found, limits, strict=True) if limit == max(limits)] or list(found)
+    highest = [
+        item for item, limit in zip(found, limits, strict=True) if limit == max(limits)
+    ] or list(found)
     condition = hardest_of(item.cell.condition for item in highest)
     return next(item for item in highest if item.cell.condition == condition)
 
@@ -168,11 +202,21 @@ def _bought(refinement: Mapping[str, Any], flown: Mapping[str, Flown]) -> Iterat
         yield f"held-out residual of {name} from {before:.3g} to {after:.3g} sigma"
     if AFTER in flown:
         condition = _drawn(flown[AFTER])
-        widths = [width_of(in_condition(flown[when].frame, condition), _TRACK) for when in (BEFORE, AFTER)]
-        if all(width is not None and math.isfinite(width.area) for width in widths) and widths[0] and widths[0].area > 0.0:
+        widths = [
+            width_of(in_condition(flown[when].frame, condition), _TRACK) for when in (BEFORE, AFTER)
+        ]
+        if (
+            all(width is not None and math.isfinite(width.area) for width in widths)
+            and widths[0]
+            and widths[0].area > 0.0
+        ):
             assert widths[1] is not None
             change = widths[1].area / widths[0].area - 1.0
-            words = f"{100 * abs(change):.0f} % {'narrower' if change < 0.0 else 'wider'}" if abs(change) > SAME else "as wide"
+            words = (
+                f"{100 * abs(change):.0f} % {'narrower' if change < 0.0 else 'wider'}"
+                if abs(change) > SAME
+                else "as wide"
+            )
             yield f"cross-track p-box {words}"
 
 
@@ -221,7 +265,11 @@ def _undecided(last: Flown, found: Sequence[Statement]) -> Iterator[str]:
 
 
 def _widest(last: Flown, condition: Condition) -> str:
-    rows = [r for r in last.shares if r["condition"] == condition.label and r["metric"] == _TRACK and r["share_max"]]
+    rows = [
+        r
+        for r in last.shares
+        if r["condition"] == condition.label and r["metric"] == _TRACK and r["share_max"]
+    ]
     if not rows:
         return ""
     first = max(rows, key=lambda row: float(row["share_max"]))
@@ -230,4 +278,8 @@ def _widest(last: Flown, condition: Condition) -> str:
 
 def _flight(last: Flown, condition: Condition) -> str:
     widest = _widest(last, condition)
-    return f"{widest}; uqharness next-flight {last.folder} --out DIR plans a flight for it." if widest else ""
+    return (
+        f"{widest}; uqharness next-flight {last.folder} --out DIR plans a flight for it."
+        if widest
+        else ""
+    )

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqharness.campaign import CONFIDENCE, Condition, Statement, hardest_of, in_condition, read_sensitivity, samples
+from uqharness.campaign import (
+    CONFIDENCE,
+    Condition,
+    Statement,
+    hardest_of,
+    in_condition,
+    read_sensitivity,
+    samples,
+)
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import read_cases, read_complete, read_decisions
 from uqharness.campaign.statements import statements
@@ -26,9 +34,11 @@ Sentence = tuple[str, str]
 GOOD, WARN, BAD, PLAIN = "good", "warn", "bad", ""
 
 _QUANTITIES = (
-    ("cross_track_median_m", "cross-track error", "m"), ("altitude_median_m", "altitude error", "m"),
-    ("speed_median_mps", "speed error", "m/s"), ("heading_median_deg", "heading error", "deg"),
-)  # fmt: skip
+    ("cross_track_median_m", "cross-track error", "m"),
+    ("altitude_median_m", "altitude error", "m"),
+    ("speed_median_mps", "speed error", "m/s"),
+    ("heading_median_deg", "heading error", "deg"),
+)
 _LEVELS = {YES: GOOD, NO: BAD, OPEN: WARN}
 _ANSWERS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
 TOO_FEW = "too few flight hours"
@@ -65,7 +75,9 @@ class Flown:
 
 def read_flown(out: Path, both: bool) -> dict[str, Flown]:
     """The campaigns in a study's folder by when they were flown; ``both``: before and after refinement. Raises BadInputError."""
-    return {when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))}
+    return {
+        when: _read(out / f"campaign-{when}") for when in ((BEFORE, AFTER) if both else (BEFORE,))
+    }
 
 
 def _read(folder: Path) -> Flown:
@@ -89,10 +101,15 @@ def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
         for item in _asked(last.signed, condition):
             yield _excursions(item, _same(flown[BEFORE].signed, item) if both else None)
         for metric, words, unit in _QUANTITIES:
-            sides = {when: width_of(in_condition(item.frame, condition), metric) for when, item in flown.items()}
+            sides = {
+                when: width_of(in_condition(item.frame, condition), metric)
+                for when, item in flown.items()
+            }
             present = [side for side in sides.values() if side is not None]
             if len(present) == len(sides):
-                yield _pbox_sentence(words, unit, condition, float(last.campaign["aleatory"]["duration_s"]), present)
+                yield _pbox_sentence(
+                    words, unit, condition, float(last.campaign["aleatory"]["duration_s"]), present
+                )
         yield from _widest(last.shares, condition)
         # Bounds that are numbers hold everywhere: only those of a model form have an outside.
         if isinstance(last.campaign["epistemic"].get("bounds"), str):
@@ -102,17 +119,27 @@ def performance(flown: Mapping[str, Flown]) -> Iterator[Sentence]:
 
 def asked_of(flown: Flown) -> list[Statement]:
     """The statements about the smallest radius, one a condition; none where no distance from a path is known."""
-    return [item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)]
+    return [
+        item for condition in conditions(flown.frame) for item in _asked(flown.signed, condition)
+    ]
 
 
 def answer_words(item: Statement) -> str:
     """The answer in words; of an inconclusive one with the reason."""
-    return f"{_ANSWERS[item.answer]} ({item.reason or TOO_FEW})" if item.answer == OPEN else _ANSWERS[item.answer]
+    return (
+        f"{_ANSWERS[item.answer]} ({item.reason or TOO_FEW})"
+        if item.answer == OPEN
+        else _ANSWERS[item.answer]
+    )
 
 
 def _asked(signed: Sequence[Statement], condition: Condition) -> list[Statement]:
     """The statement about the smallest radius, which is what is asked; none where no distance from a path is known."""
-    here = [item for item in signed if item.cell.condition == condition and item.cell.distance == "horizontal"]
+    here = [
+        item
+        for item in signed
+        if item.cell.condition == condition and item.cell.distance == "horizontal"
+    ]
     return sorted(here, key=lambda item: item.cell.radius_m)[:1]
 
 
@@ -135,7 +162,9 @@ def _tally(flown: Flown) -> Sentence:
     text = f"At most {asked[0].acceptable_per_h:g} excursions beyond {radius:g} m per flight hour at every corner? "
     text += f"Of {len(asked)} conditions: "
     answers = {item.answer for item in asked}
-    return text + "; ".join(words) + ".", BAD if NO in answers else WARN if OPEN in answers else GOOD
+    return text + "; ".join(
+        words
+    ) + ".", BAD if NO in answers else WARN if OPEN in answers else GOOD
 
 
 def _excursions(item: Statement, before: Statement | None) -> Sentence:
@@ -148,7 +177,9 @@ def _excursions(item: Statement, before: Statement | None) -> Sentence:
         asked += f"; {item.flight_share}"
     if before is None:
         return asked + ".", _LEVELS[item.answer]
-    return f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.", _LEVELS[item.answer]
+    return f"{asked}. Before refinement: {_ANSWERS[before.answer]}, {_rates(before)}.", _LEVELS[
+        item.answer
+    ]
 
 
 def _rates(item: Statement) -> str:
@@ -156,7 +187,9 @@ def _rates(item: Statement) -> str:
     if hours <= 0.0 or math.isnan(item.worst.rate):
         return "undefined, for no flight was scored"
     sure = f"{100 * CONFIDENCE:g} % upper limit"
-    upper = f"no finite {sure}" if math.isinf(item.worst.upper) else f"{sure} {item.worst.upper:.3g}/h"
+    upper = (
+        f"no finite {sure}" if math.isinf(item.worst.upper) else f"{sure} {item.worst.upper:.3g}/h"
+    )
     return (
         f"{item.best.rate:.3g} (best corner) to {item.worst.rate:.3g} (worst) per hour in {hours:.3g} h per corner, "
         f"{upper} at the worst corner"
@@ -173,7 +206,11 @@ def width_of(rows: pd.DataFrame, metric: str) -> Width | None:
     median = pbox(found, CONFIDENCE).quantile(0.5)
     unknown = sum(sample.unknown for sample in found)
     if unknown:
-        return Width(math.inf, median, f"{unknown} of {len(rows)} flights have no such error, which leaves its sides open")
+        return Width(
+            math.inf,
+            median,
+            f"{unknown} of {len(rows)} flights have no such error, which leaves its sides open",
+        )
     return Width(area(found), median)
 
 
@@ -184,16 +221,23 @@ def area(found: Sequence[Sample]) -> float:
     return float(np.sum((upper - lower)[:-1] * np.diff(values)))
 
 
-def _pbox_sentence(words: str, unit: str, condition: Condition, duration_s: float, sides: Sequence[Width]) -> Sentence:
+def _pbox_sentence(
+    words: str, unit: str, condition: Condition, duration_s: float, sides: Sequence[Width]
+) -> Sentence:
     text = f"Median {words} of a typical {duration_s:g} s flight, best to worst corner: "
     if len(sides) == 1:
-        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", PLAIN if not sides[0].reason else WARN
+        return f"{text}{_span(sides[0])} {unit} ({condition.label}).", PLAIN if not sides[
+            0
+        ].reason else WARN
     before, after = sides
     text += f"{_span(before)} {unit} before refinement, {_span(after)} {unit} after ({condition.label}); "
     if after.reason:
         return f"{text}the p-box after refinement has no finite width: {after.reason}.", WARN
     if before.reason:
-        return f"{text}the p-box became narrower: before, {before.reason}; after, none lacks it.", PLAIN
+        return (
+            f"{text}the p-box became narrower: before, {before.reason}; after, none lacks it.",
+            PLAIN,
+        )
     if before.area == 0.0:
         return f"{text}the p-box had no width before.", WARN
     ratio = after.area / before.area
@@ -201,7 +245,10 @@ def _pbox_sentence(words: str, unit: str, condition: Condition, duration_s: floa
     if ratio < 1.0 - SAME:
         return f"{text}the p-box became narrower by {100 * (1 - ratio):.0f} % ({sizes}).", PLAIN
     if ratio > 1.0 + SAME:
-        return f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider ({sizes}).", WARN
+        return (
+            f"{text}the p-box did NOT become narrower, it is {100 * (ratio - 1):.0f} % wider ({sizes}).",
+            WARN,
+        )
     return f"{text}the p-box did NOT become narrower ({sizes}).", WARN
 
 
@@ -214,18 +261,30 @@ def _ended(flown: Mapping[str, Flown]) -> Sentence:
     parts, failed_any, lost_any = [], False, False
     for when, item in flown.items():
         frame = item.frame
-        failed, lost = int((frame["status"] != "ok").sum()), int(frame["loss_of_control"].fillna(0).sum())
-        parts.append(f"{len(frame)} {when if len(flown) > 1 else ''}".strip() + f" ({failed} failed, control lost in {lost})")
+        failed, lost = (
+            int((frame["status"] != "ok").sum()),
+            int(frame["loss_of_control"].fillna(0).sum()),
+        )
+        parts.append(
+            f"{len(frame)} {when if len(flown) > 1 else ''}".strip()
+            + f" ({failed} failed, control lost in {lost})"
+        )
         failed_any, lost_any = failed_any or failed > 0, lost_any or lost > 0
     level = BAD if lost_any else WARN if failed_any else PLAIN
-    return f"Flights: {', '.join(parts)}; a failed flight is bounded at the worst, never dropped.", level
+    return (
+        f"Flights: {', '.join(parts)}; a failed flight is bounded at the worst, never dropped.",
+        level,
+    )
 
 
 def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
         text = f"{100 * share:.2g} % of the scored time in {condition.words} was flown outside the states that the bounds come from"
-        yield (text + (", where they are extrapolated." if share > 0 else ".")), WARN if share > MUCH_OUTSIDE else PLAIN
+        yield (
+            (text + (", where they are extrapolated." if share > 0 else ".")),
+            WARN if share > MUCH_OUTSIDE else PLAIN,
+        )
 
 
 def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterator[Sentence]:
@@ -237,6 +296,11 @@ def _widest(shares: Sequence[Mapping[str, str]], condition: Condition) -> Iterat
         if of_metric:
             first = max(of_metric, key=lambda row: float(row["share_max"]))
             low, high = (100 * float(first[key]) for key in ("share_min", "share_max"))
-            parts.append(f"{first['coefficient']} ({words}, {low:.0f} to {high:.0f} % of the width)")
+            parts.append(
+                f"{first['coefficient']} ({words}, {low:.0f} to {high:.0f} % of the width)"
+            )
     if parts:
-        yield f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.", PLAIN
+        yield (
+            f"What a next flight should reduce in {condition.words}: the bounds of {'; '.join(parts)}.",
+            PLAIN,
+        )

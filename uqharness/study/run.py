@@ -38,7 +38,12 @@ Command = Callable[[list[str]], int]
 
 
 def run_chain(
-    run: Command, spec: ChainSpec, out: Path, workers: int | None = None, command: str = "", say: Say = lambda _: None
+    run: Command,
+    spec: ChainSpec,
+    out: Path,
+    workers: int | None = None,
+    command: str = "",
+    say: Say = lambda _: None,
 ) -> dict[str, Any]:
     """Run the stages that are missing into ``out``, each by ``run``; the content of its study.json.
 
@@ -52,7 +57,9 @@ def run_chain(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInputError(f"--out {out}: cannot be made: {error.strerror or error}; choose another") from None
+        raise BadInputError(
+            f"--out {out}: cannot be made: {error.strerror or error}; choose another"
+        ) from None
     with run_lock(out):
         was = read_study(out) or {}
         old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
@@ -60,7 +67,9 @@ def run_chain(
         # Stages that the file no longer asks for left folders, which are this study's all the same.
         document["former"] = list(old.values())
         write_study(out, document)
-        for number, (stage, row) in enumerate(zip(stages, document["stages"], strict=True), start=1):
+        for number, (stage, row) in enumerate(
+            zip(stages, document["stages"], strict=True), start=1
+        ):
             say(f"[{number}/{len(stages)}] {stage.name}")
             try:
                 _settle(run, stage, row, out, workers, lambda: write_study(out, document), say)
@@ -75,7 +84,11 @@ def run_chain(
                     said = f"stage {stage.name}: {error}".split("\n")
                     raise BadInputError(*said, f"  the stage alone: {stage.command}") from None
                 raise
-        pair = {when: f"campaign-{when}" for when in (BEFORE, AFTER) if f"campaign-{when}" in {s.name for s in stages}}
+        pair = {
+            when: f"campaign-{when}"
+            for when in (BEFORE, AFTER)
+            if f"campaign-{when}" in {s.name for s in stages}
+        }
         if len(pair) == 2:
             document["before_after"] = pair
         _conclude(spec, stages, document, out, was, workers)
@@ -85,7 +98,12 @@ def run_chain(
 
 
 def _conclude(
-    spec: ChainSpec, stages: Sequence[Stage], document: dict[str, Any], out: Path, was: Mapping[str, Any], workers: int | None
+    spec: ChainSpec,
+    stages: Sequence[Stage],
+    document: dict[str, Any],
+    out: Path,
+    was: Mapping[str, Any],
+    workers: int | None,
 ) -> None:
     """The verdict, the answer and the ground tracks, from what all stages left."""
     kinds, rows = {stage.kind for stage in stages}, document["stages"]
@@ -96,16 +114,24 @@ def _conclude(
     answer = answer_of(flown, refinement, said, no)
     document["verdict"] = [{"text": text, "level": level} for text, level in said]
     document["answer"] = dataclasses.asdict(answer)
-    asked = {when: Asked(item.folder, item.frame, hardest(item.signed)) for when, item in flown.items()}
+    asked = {
+        when: Asked(item.folder, item.frame, hardest(item.signed)) for when, item in flown.items()
+    }
     # They depend on nothing but the campaigns, whose tables tell whether they are the same.
     key = stage_key(
-        "tracks", {}, {when: content(item.folder / "cases.parquet") for when, item in flown.items()}, uqharness.__version__
+        "tracks",
+        {},
+        {when: content(item.folder / "cases.parquet") for when, item in flown.items()},
+        uqharness.__version__,
     )
     old = was.get("tracks") or {}
     if old.get("key") == key and content(out / TRACKS) == old.get("sha256"):
         document["tracks"] = old
     elif asked:
-        document["tracks"] = fly_tracks(out, asked, workers) | {"key": key, "sha256": content(out / TRACKS)}
+        document["tracks"] = fly_tracks(out, asked, workers) | {
+            "key": key,
+            "sha256": content(out / TRACKS),
+        }
 
 
 def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -120,11 +146,22 @@ def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
         "outputs": {},
         **(old or {}),
     }
-    return row | {"name": stage.name, "kind": stage.kind, "folder": stage.folder, "command": stage.command}
+    return row | {
+        "name": stage.name,
+        "kind": stage.kind,
+        "folder": stage.folder,
+        "command": stage.command,
+    }
 
 
 def _settle(
-    run: Command, stage: Stage, row: dict[str, Any], out: Path, workers: int | None, save: Callable[[], None], say: Say
+    run: Command,
+    stage: Stage,
+    row: dict[str, Any],
+    out: Path,
+    workers: int | None,
+    save: Callable[[], None],
+    say: Say,
 ) -> None:
     """Bring one stage to done, unless it is and would come out the same; ``row`` is brought up to date and saved."""
     inputs = {label: content(path) for label, path in stage.inputs.items()}
@@ -137,7 +174,15 @@ def _settle(
         say("  unchanged")
         return
     _make_room(stage, row, out, same)
-    row |= {"state": "running", "exit": None, "seconds": None, "inputs": inputs, "error": "", "key": key, "outputs": {}}
+    row |= {
+        "state": "running",
+        "exit": None,
+        "seconds": None,
+        "inputs": inputs,
+        "error": "",
+        "key": key,
+        "outputs": {},
+    }
     save()
     if stage.belongs is not None:
         _refuse_other_model(*stage.belongs)
@@ -175,7 +220,9 @@ def _make_room(stage: Stage, row: Mapping[str, Any], out: Path, same: bool) -> N
         return
     for path in stage.owns:
         if path.is_dir() and not row["key"]:
-            raise BadInputError(f"{path}: is there, and not from this study; move it away, for the stage writes there")
+            raise BadInputError(
+                f"{path}: is there, and not from this study; move it away, for the stage writes there"
+            )
         if stage.kind == "campaign" and path.is_dir():
             aside = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
             number = 1
@@ -202,7 +249,10 @@ def _refuse_other_model(form: Path, folder: Path) -> None:
 
 def _call(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
     """Run the stage's command; what it prints goes to a file."""
-    words = [*stage.argv, *(["--workers", str(workers)] if stage.workers and workers is not None else [])]
+    words = [
+        *stage.argv,
+        *(["--workers", str(workers)] if stage.workers and workers is not None else []),
+    ]
     # Whoever asked for the study asked for its campaigns.
     words += ["--yes"] if stage.kind == "campaign" else []
     said = io.StringIO()

@@ -100,7 +100,11 @@ class BoundsSection(Section):
     @field_validator("states", "terms", mode="before")
     @classmethod
     def _lists(cls, value: Any) -> Any:
-        return {name: tupled(item) for name, item in value.items()} if isinstance(value, dict) else value
+        return (
+            {name: tupled(item) for name, item in value.items()}
+            if isinstance(value, dict)
+            else value
+        )
 
 
 class RefineSection(Section):
@@ -128,8 +132,12 @@ class _Document(Section):
 
     @model_validator(mode="after")
     def _something(self) -> _Document:
-        if not (self.identify or self.compare or self.bounds or self.refine or self.campaign is not None):
-            raise ValueError("asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]")
+        if not (
+            self.identify or self.compare or self.bounds or self.refine or self.campaign is not None
+        ):
+            raise ValueError(
+                "asks for nothing; give at least one of [identify], [compare], [bounds], [refine], [campaign]"
+            )
         return self
 
 
@@ -179,31 +187,50 @@ def read_chain(path: str | Path) -> ChainSpec:
         raise BadInputError(*dict.fromkeys(lines)) from None
     sections = {name: data[name] for name in CAMPAIGN_SECTIONS if name in data}
     spec = ChainSpec(
-        path, text, document.study, document.fly, document.logs, document.identify, document.compare, document.bounds,
-        document.refine, _campaign(document, sections, path, text), sections,
-    )  # fmt: skip
+        path,
+        text,
+        document.study,
+        document.fly,
+        document.logs,
+        document.identify,
+        document.compare,
+        document.bounds,
+        document.refine,
+        _campaign(document, sections, path, text),
+        sections,
+    )
     _check(spec)
     return spec
 
 
-def _campaign(document: _Document, sections: Mapping[str, Any], path: Path, text: str) -> CampaignSpec | None:
+def _campaign(
+    document: _Document, sections: Mapping[str, Any], path: Path, text: str
+) -> CampaignSpec | None:
     """The campaign's sections as campaign.toml would be validated; the study itself says which aircraft and which bounds."""
     if not sections:
         return None
     campaign, epistemic = sections.get("campaign"), sections.get("epistemic")
 
     def refuse(location: tuple[str, ...], why: str) -> BadInputError:
-        return BadInputError(f"{path}:{line_of(text, location)}: [{'.'.join(location[:-1])}] {location[-1]}: {why}")
+        return BadInputError(
+            f"{path}:{line_of(text, location)}: [{'.'.join(location[:-1])}] {location[-1]}: {why}"
+        )
 
     if isinstance(campaign, dict) and "aircraft" in campaign:
-        raise refuse(("campaign", "aircraft"), "the study flies its own aircraft, before and after; leave it out")
+        raise refuse(
+            ("campaign", "aircraft"),
+            "the study flies its own aircraft, before and after; leave it out",
+        )
     if isinstance(epistemic, dict) and "parameters" in epistemic:
         raise refuse(
             ("epistemic", "parameters"),
             "a draw of parameters belongs to one model, and a study flies two; use `uqharness campaign run` for it",
         )
     if document.bounds is not None and isinstance(epistemic, dict) and "bounds" in epistemic:
-        raise refuse(("epistemic", "bounds"), "the section [bounds] makes them from flights; leave out one of the two")
+        raise refuse(
+            ("epistemic", "bounds"),
+            "the section [bounds] makes them from flights; leave out one of the two",
+        )
     data = dict(sections)
     if isinstance(campaign, dict):
         data["campaign"] = {**campaign, "aircraft": document.study.aircraft}
@@ -225,7 +252,10 @@ def _naming(spec: ChainSpec) -> Iterable[tuple[int, str]]:
     for name, place in places:
         line = line_of(spec.source, (*place, "name"))
         if name in seen:
-            yield line, f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own"
+            yield (
+                line,
+                f"[[{place[0]}]] name = {as_toml(name)}: another flight has this name; give each its own",
+            )
         elif name not in wanted:
             yield (
                 line,
@@ -255,7 +285,10 @@ def _unknown(spec: ChainSpec) -> Iterable[tuple[int, str]]:
         for name in names:
             if name not in known:
                 there = ", ".join(known) or "none"
-                yield line, f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}"
+                yield (
+                    line,
+                    f"[{section}] {key}: no flight is named {as_toml(name)}; [[fly]] and [[logs]] have: {there}",
+                )
         for name in dict.fromkeys(n for n in names if names.count(n) > 1):
             yield line, f"[{section}] {key}: {as_toml(name)} is named twice"
 
@@ -273,9 +306,21 @@ _APART: Sequence[tuple[tuple[str, str], tuple[str, str], str]] = (
         ("refine", "train"),
         "residuals of a flight that chose the effect are too small for bounds",
     ),
-    (("bounds", "validate_on"), ("bounds", "flights"), "bounds are not checked on the flight they were made from"),
-    (("bounds", "validate_on"), ("identify", "flights"), "coverage of a flight that made the model says nothing"),
-    (("bounds", "validate_on"), ("refine", "train"), "coverage of a flight that chose the effect says nothing"),
+    (
+        ("bounds", "validate_on"),
+        ("bounds", "flights"),
+        "bounds are not checked on the flight they were made from",
+    ),
+    (
+        ("bounds", "validate_on"),
+        ("identify", "flights"),
+        "coverage of a flight that made the model says nothing",
+    ),
+    (
+        ("bounds", "validate_on"),
+        ("refine", "train"),
+        "coverage of a flight that chose the effect says nothing",
+    ),
 )
 
 

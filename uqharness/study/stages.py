@@ -75,7 +75,9 @@ class _Planner:
 
     def stages(self) -> Iterator[Stage]:
         spec, model = self.spec, self.given
-        if (spec.bounds is not None or spec.campaign is not None) and not _carries_plugin(find_aircraft(model.folder)):
+        if (spec.bounds is not None or spec.campaign is not None) and not _carries_plugin(
+            find_aircraft(model.folder)
+        ):
             stage = self._instrument(model)
             yield stage
             model = _Model(str(stage.outputs[0]), stage.outputs[0], self._label(stage.outputs[0]))
@@ -85,7 +87,9 @@ class _Planner:
         for name, log in logs.items():
             yield self._import(name, log, model, None)
         for number, own in enumerate(spec.logs):
-            yield self._import(own.name, self._file(own.file, "logs", number, "file"), model, own, number)
+            yield self._import(
+                own.name, self._file(own.file, "logs", number, "file"), model, own, number
+            )
         if spec.identify is not None:
             stage = self._identify(spec.identify, model)
             yield stage
@@ -119,7 +123,13 @@ class _Planner:
 
     def _instrument(self, model: _Model) -> Stage:
         target = self.out / "instrument" / find_aircraft(model.folder).name
-        words = ["instrument", model.word, "--out", str(target), *(["--air"] if self.spec.study.air else [])]
+        words = [
+            "instrument",
+            model.word,
+            "--out",
+            str(target),
+            *(["--air"] if self.spec.study.air else []),
+        ]
         return self._stage(
             "instrument",
             "instrument",
@@ -143,11 +153,31 @@ class _Planner:
             words += ["--set", f"{name}={value!r}"]
         options = item.model_dump(mode="json", exclude={"aircraft", "script"})
         inputs = {truth.label: truth.folder, f"{item.script} (script)": script}
-        return self._stage(f"fly-{item.name}", "fly", out.parent, [*words, "--out", str(out)], inputs, [out], options, owns=[out])
+        return self._stage(
+            f"fly-{item.name}",
+            "fly",
+            out.parent,
+            [*words, "--out", str(out)],
+            inputs,
+            [out],
+            options,
+            owns=[out],
+        )
 
-    def _import(self, name: str, log: Path, model: _Model, own: LogSection | None, number: int = 0) -> Stage:
+    def _import(
+        self, name: str, log: Path, model: _Model, own: LogSection | None, number: int = 0
+    ) -> Stage:
         out = self.records[name]
-        words = ["log", "import", _shown(log), "--out", str(out), "--aircraft", model.word, "--no-cache"]
+        words = [
+            "log",
+            "import",
+            _shown(log),
+            "--out",
+            str(out),
+            "--aircraft",
+            model.word,
+            "--no-cache",
+        ]
         inputs = {self._label(log) if own is None else own.file: log, model.label: model.folder}
         for option in ("map", "manoeuvres"):
             text = None if own is None else getattr(own, option)
@@ -155,20 +185,40 @@ class _Planner:
                 path = self._file(text, "logs", number, option)
                 words += [f"--{option}", _shown(path)]
                 inputs[f"{text} ({option})"] = path
-        return self._stage(f"import-{name}", "import", out.parent, words, inputs, [out], {}, owns=[out])
+        return self._stage(
+            f"import-{name}", "import", out.parent, words, inputs, [out], {}, owns=[out]
+        )
 
     def _identify(self, section: IdentifySection, model: _Model) -> Stage:
         out = self.out / "identify"
         words = ["identify", model.word, *self._flight_words(section.flights), "--out", str(out)]
-        words += ["--start", section.start, "--method", section.method, "--servos", self.spec.study.servos]
+        words += [
+            "--start",
+            section.start,
+            "--method",
+            section.method,
+            "--servos",
+            self.spec.study.servos,
+        ]
         for option in ("params", "biases", "delays"):
             value = getattr(section, option)
             if value is not None and option != "params":
-                self._tried(partial(parse_channels, f"--{option}"), ",".join(value), "identify", option)
+                self._tried(
+                    partial(parse_channels, f"--{option}"), ",".join(value), "identify", option
+                )
             words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
         options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}
         inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
-        return self._stage("identify", "identify", out, words, inputs, [out / "fit.json", out / "aircraft"], options, workers=True)
+        return self._stage(
+            "identify",
+            "identify",
+            out,
+            words,
+            inputs,
+            [out / "fit.json", out / "aircraft"],
+            options,
+            workers=True,
+        )
 
     def _compare(self, flight: str, model: _Model, when: str) -> Stage:
         name = f"compare-{flight}-{when}"
@@ -184,27 +234,51 @@ class _Planner:
         ]
         inputs = {model.label: model.folder} | self._flight_inputs([flight])
         options = {"servos": self.spec.study.servos}
-        return self._stage(name, "compare", out, words, inputs, [out / "compare.json"], options, workers=True)
+        return self._stage(
+            name, "compare", out, words, inputs, [out / "compare.json"], options, workers=True
+        )
 
     def _bounds(self, section: BoundsSection, model: _Model, when: str) -> Stage:
         name = f"bounds-{when}"
         out = self.out / name
-        texts = {o: [f"{c}={','.join(names)}" for c, names in getattr(section, o).items()] for o in ("states", "terms")}
+        texts = {
+            o: [f"{c}={','.join(names)}" for c, names in getattr(section, o).items()]
+            for o in ("states", "terms")
+        }
         for option, given in texts.items():
             if given:
                 states, terms = (given, []) if option == "states" else ([], given)
-                self._tried(lambda pair: parse_designs(pair[0], pair[1], 2, False), (states, terms), "bounds", option)
+                self._tried(
+                    lambda pair: parse_designs(pair[0], pair[1], 2, False),
+                    (states, terms),
+                    "bounds",
+                    option,
+                )
         words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
-        words += ["--confidence", f"{section.confidence!r}", "--order", str(section.order), "--select", section.select]
+        words += [
+            "--confidence",
+            f"{section.confidence!r}",
+            "--order",
+            str(section.order),
+            "--select",
+            section.select,
+        ]
         # Every sample counts in the published interval alone.
         words += ["--as-published"] if section.samples == "all" else []
         words += ["--outside", section.outside, "--servos", self.spec.study.servos]
         for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
             words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
-        words += [word for option, given in texts.items() for text in given for word in (f"--{option}", text)]
+        words += [
+            word
+            for option, given in texts.items()
+            for text in given
+            for word in (f"--{option}", text)
+        ]
         words += ["--roll-terms"] if section.roll_terms else []
         words += [] if section.checks else ["--no-check"]
-        options = section.model_dump(mode="json", exclude={"validate_on"}) | {"servos": self.spec.study.servos}
+        options = section.model_dump(mode="json", exclude={"validate_on"}) | {
+            "servos": self.spec.study.servos
+        }
         inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
         outputs = [out / "model-form.json", out / "model-form.xml"]
         return self._stage(name, "bounds", out, words, inputs, outputs, options)
@@ -216,7 +290,9 @@ class _Planner:
         words += ["--servos", self.spec.study.servos, "--out", str(out)]
         inputs = {model.label: model.folder, self._label(form): form} | self._flight_inputs(flights)
         options = {"servos": self.spec.study.servos, "flights": list(flights)}
-        return self._stage(name, "validate-bounds", out, words, inputs, [out / "coverage.json"], options)
+        return self._stage(
+            name, "validate-bounds", out, words, inputs, [out / "coverage.json"], options
+        )
 
     def _campaign(self, model: _Model, form: Path | None, when: str) -> Stage:
         spec = self.spec
@@ -225,8 +301,15 @@ class _Planner:
         out, file = self.out / name, self.out / f"{name}.toml"
         data = {section: dict(content) for section, content in spec.campaign_data.items()}
         inside = model.folder.is_relative_to(self.out)
-        data["campaign"] |= {"aircraft": model.folder.relative_to(self.out).as_posix() if inside else str(model.folder)}
-        options = {**data, "campaign": {k: v for k, v in data["campaign"].items() if k != "aircraft"}}
+        data["campaign"] |= {
+            "aircraft": model.folder.relative_to(self.out).as_posix()
+            if inside
+            else str(model.folder)
+        }
+        options = {
+            **data,
+            "campaign": {k: v for k, v in data["campaign"].items() if k != "aircraft"},
+        }
         inputs = {model.label: model.folder}
         if spec.campaign.start is None:
             script = self._script(data["campaign"]["mission"], "campaign", "mission")
@@ -240,19 +323,36 @@ class _Planner:
             inputs[f"{data['epistemic']['bounds']} (bounds)"] = given
             data["epistemic"]["bounds"] = str(given)
         words = ["campaign", "run", str(file), "--out", str(out)]
-        outputs = [out / n for n in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")]
+        outputs = [
+            out / n for n in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
+        ]
         return self._stage(
-            name, "campaign", out, words, inputs, outputs, options, resumes=True, workers=True, writes=(file, data),
+            name,
+            "campaign",
+            out,
+            words,
+            inputs,
+            outputs,
+            options,
+            resumes=True,
+            workers=True,
+            writes=(file, data),
             belongs=None if form is None else (form, model.folder),
-        )  # fmt: skip
+        )
 
     def _sensitivity(self, campaign: Stage) -> Stage:
         folder = self.out / campaign.folder
         cases = campaign.outputs[0]
         return self._stage(
-            campaign.name.replace("campaign", "sensitivity"), "sensitivity", folder, ["sensitivity", str(folder)],
-            {self._label(cases): cases}, [folder / "sensitivity.csv"], {}, owns=[folder / "sensitivity.csv"],
-        )  # fmt: skip
+            campaign.name.replace("campaign", "sensitivity"),
+            "sensitivity",
+            folder,
+            ["sensitivity", str(folder)],
+            {self._label(cases): cases},
+            [folder / "sensitivity.csv"],
+            {},
+            owns=[folder / "sensitivity.csv"],
+        )
 
     def _refine(self, model: _Model) -> Stage:
         section = self.spec.refine
@@ -269,19 +369,38 @@ class _Planner:
             path = self._file(section.effects, "refine", "effects")
             words += ["--effects", _shown(path)]
             inputs[f"{section.effects} (effects)"] = path
-        options = section.model_dump(mode="json", exclude={"effects"}) | {"servos": self.spec.study.servos}
+        options = section.model_dump(mode="json", exclude={"effects"}) | {
+            "servos": self.spec.study.servos
+        }
         options["pbox"] = self.spec.campaign is None
         outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
-        return self._stage("refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True)
+        return self._stage(
+            "refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True
+        )
 
     def _stage(
-        self, name: str, kind: str, folder: Path, words: Sequence[str], inputs: Mapping[str, Path], outputs: Sequence[Path],
-        options: Mapping[str, Any], owns: Sequence[Path] | None = None, **rest: Any,
-    ) -> Stage:  # fmt: skip
+        self,
+        name: str,
+        kind: str,
+        folder: Path,
+        words: Sequence[str],
+        inputs: Mapping[str, Path],
+        outputs: Sequence[Path],
+        options: Mapping[str, Any],
+        owns: Sequence[Path] | None = None,
+        **rest: Any,
+    ) -> Stage:
         return Stage(
-            name, kind, folder.relative_to(self.out).as_posix(), tuple(words), dict(inputs), tuple(outputs), dict(options),
-            tuple([folder] if owns is None else owns), **rest,
-        )  # fmt: skip
+            name,
+            kind,
+            folder.relative_to(self.out).as_posix(),
+            tuple(words),
+            dict(inputs),
+            tuple(outputs),
+            dict(options),
+            tuple([folder] if owns is None else owns),
+            **rest,
+        )
 
     def _flight_words(self, names: Sequence[str]) -> list[str]:
         return [word for name in names for word in ("--flight", str(self.records[name]))]
@@ -316,7 +435,10 @@ class _Planner:
     def _file(self, name: str, *location: str | int) -> Path:
         path = self.spec.beside(name)
         if not path.is_file():
-            raise self._refused(f'"{name}" is no file beside {self.spec.path.name}, in {self.spec.folder}', *location)
+            raise self._refused(
+                f'"{name}" is no file beside {self.spec.path.name}, in {self.spec.folder}',
+                *location,
+            )
         return path
 
     def _tried(self, read: Callable[[Any], object], value: object, *location: str) -> None:
@@ -328,7 +450,9 @@ class _Planner:
 
     def _refused(self, why: object, *location: str | int) -> BadInputError:
         section = f"[[{location[0]}]]" if isinstance(location[1], int) else f"[{location[0]}]"
-        return BadInputError(f"{self.spec.path}:{line_of(self.spec.source, location)}: {section} {location[-1]}: {why}")
+        return BadInputError(
+            f"{self.spec.path}:{line_of(self.spec.source, location)}: {section} {location[-1]}: {why}"
+        )
 
 
 def _carries_plugin(aircraft: Aircraft) -> bool:

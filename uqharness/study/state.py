@@ -28,11 +28,15 @@ def read_study(folder: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}; choose another --out") from None
+        raise BadInputError(
+            f"{path}: cannot be read: {error.strerror or error}; choose another --out"
+        ) from None
     except ParseError as error:
         raise BadInputError(f"{path}: {error}; choose another --out") from None
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
-        raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness; choose another --out")
+        raise BadInputError(
+            f"{path}: written by another version of uqharness, or not by uqharness; choose another --out"
+        )
     return document
 
 
@@ -64,9 +68,15 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
     The same file in the same place may have been edited, and the same content may have moved: the stages tell what still holds.
     """
     if old is None:
-        others = sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART) if folder.is_dir() else []
+        others = (
+            sorted(p.name for p in folder.iterdir() if p.name != LOCK and p.suffix != PART)
+            if folder.is_dir()
+            else []
+        )
         if others:
-            raise BadInputError(f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out")
+            raise BadInputError(
+                f"--out {folder}: not empty and no study's folder (it has {others[0]}); choose another --out"
+            )
         return
     elsewhere = old["path"] != new["path"] and old["hash"] != new["hash"]
     if old["study"] != new["study"] or elsewhere:
@@ -86,7 +96,9 @@ def content(path: Path) -> str:
         return ""
 
 
-def stage_key(kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any) -> str:
+def stage_key(
+    kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any
+) -> str:
     """What a stage's result depends on, as one hash: its command's kind and settings, what it reads, what computes it."""
     text = json.dumps([kind, options, sorted(inputs.items()), versions], sort_keys=True)
     return sha256_hex(text.encode())

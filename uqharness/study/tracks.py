@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid.digests import sha256_hex
-from uqharness.campaign import Statement, cases, find_mission, hardest_of, in_condition, make_copy, needs_copy
+from uqharness.campaign import (
+    Statement,
+    cases,
+    find_mission,
+    hardest_of,
+    in_condition,
+    make_copy,
+    needs_copy,
+)
 from uqharness.campaign.execution import ProcessExecutor
 from uqharness.campaign.folder import read_manifest, spec_of
 from uqharness.errors import BadInputError
@@ -50,7 +58,11 @@ def fly_tracks(out: Path, asked: Mapping[str, Asked], workers: int | None = None
         return {"reason": "no flight of the hardest condition has a distance from its path"}
     condition = last.statement.cell.condition
     try:
-        flights = {(when, model, name): spec for when, item in asked.items() for model, name, spec in _flights(item, air)}
+        flights = {
+            (when, model, name): spec
+            for when, item in asked.items()
+            for model, name, spec in _flights(item, air)
+        }
         import pandas as pd
         import pyarrow as pa
 
@@ -72,14 +84,19 @@ def hardest(found: Sequence[Statement]) -> Statement | None:
     if not here:
         return None
     condition = hardest_of(item.cell.condition for item in here)
-    return min((item for item in here if item.cell.condition == condition), key=lambda item: item.cell.radius_m)
+    return min(
+        (item for item in here if item.cell.condition == condition),
+        key=lambda item: item.cell.radius_m,
+    )
 
 
 def _air(asked: Asked) -> int | None:
     """The air in which the worst corner went farthest."""
     assert asked.statement is not None
     rows = in_condition(asked.frame, asked.statement.cell.condition)
-    rows = rows[(rows["epistemic_id"] == asked.statement.worst.epistemic_id) & (rows["status"] == "ok")]
+    rows = rows[
+        (rows["epistemic_id"] == asked.statement.worst.epistemic_id) & (rows["status"] == "ok")
+    ]
     if _LARGEST not in rows or rows[_LARGEST].isna().any() or rows.empty:
         return None
     return int(rows["aleatory_id"].iloc[int(rows[_LARGEST].to_numpy(dtype=float).argmax())])
@@ -95,8 +112,12 @@ def _flights(asked: Asked, air: int) -> Iterator[tuple[str, str, FlightSpec]]:
     condition = asked.statement.cell.condition
     part = cases.Part(range(air, air + 1), ((condition.wind_mps, condition.turbulence),))
     wanted = asked.statement.worst.epistemic_id
-    case = next(case for case in cases.build_cases(spec, mission, part) if case.epistemic_id == wanted)
-    plain = {name: value for name, value in case.flight.properties.items() if not name.startswith("uq/")}
+    case = next(
+        case for case in cases.build_cases(spec, mission, part) if case.epistemic_id == wanted
+    )
+    plain = {
+        name: value for name, value in case.flight.properties.items() if not name.startswith("uq/")
+    }
     yield NOMINAL, "", replace(case.flight, properties=plain, levels=None, transient=None)
     yield WORST, wanted, case.flight
 
@@ -116,7 +137,11 @@ class _Recorder:
             raise BadInputError(
                 f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be drawn beside a path"
             )
-        table = {"north_m": Source(_NORTH), "east_m": Source(_EAST), "distance_m": Source(metric.true)}
+        table = {
+            "north_m": Source(_NORTH),
+            "east_m": Source(_EAST),
+            "distance_m": Source(metric.true),
+        }
         flown = record_mission(mission, replace(spec, record_rate_hz=_RATE_HZ), table)
         pd.DataFrame(flown.signals).to_parquet(self.folder / _file(spec), index=False)
         return FlightResult(flown.status, flown.reason, flown.flown_s, {}, {}, {})
@@ -130,16 +155,22 @@ def _file(spec: FlightSpec) -> str:
     return sha256_hex(repr(spec).encode()) + ".parquet"
 
 
-def _flown(flights: Mapping[tuple[str, str, str], FlightSpec], workers: int | None) -> Iterator[pd.DataFrame]:
+def _flown(
+    flights: Mapping[tuple[str, str, str], FlightSpec], workers: int | None
+) -> Iterator[pd.DataFrame]:
     import pandas as pd
 
     numbered = {str(k): spec for k, spec in enumerate(flights.values())}
     with scratch_folder() as scratch:
         folder = scratch.path
         executor = ProcessExecutor(process_count(workers), timeout_s=_timeout_s, retries=0)
-        for outcome in (item for batch in executor.run(_Recorder(folder), numbered.items()) for item in batch):
+        for outcome in (
+            item for batch in executor.run(_Recorder(folder), numbered.items()) for item in batch
+        ):
             if not (folder / _file(numbered[outcome.case_id])).is_file():
-                raise BadInputError(f"the flights of the ground track were not flown: {outcome.reason or outcome.status}")
+                raise BadInputError(
+                    f"the flights of the ground track were not flown: {outcome.reason or outcome.status}"
+                )
         for (when, model, name), spec in flights.items():
             frame = pd.read_parquet(folder / _file(spec))
             frame.insert(0, "when", when)

@@ -19,8 +19,12 @@ _ABOVE_NOISE = 1.15  # as `compare` and `refine` have it
 
 
 def judge(
-    spec: ChainSpec, stages: Sequence[Stage], rows: Sequence[Mapping[str, Any]], out: Path, flown: Mapping[str, Flown]
-) -> list[Sentence]:  # fmt: skip
+    spec: ChainSpec,
+    stages: Sequence[Stage],
+    rows: Sequence[Mapping[str, Any]],
+    out: Path,
+    flown: Mapping[str, Flown],
+) -> list[Sentence]:
     """Every sentence, from what the stages left in ``out`` and the campaigns ``flown``.
 
     Raises BadInputError for a document that is damaged.
@@ -35,10 +39,21 @@ def judge(
     if "validate-bounds" in kinds:
         found += _coverage(out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds)
     if "identify" in kinds:
-        found.append(_identified(read_document(out / "identify" / "fit.json", Fit), codes["identify"]))
-    ended = [stage.name.removeprefix("fly-") for stage in stages if stage.kind == "fly" and codes[stage.name] == 1]
+        found.append(
+            _identified(read_document(out / "identify" / "fit.json", Fit), codes["identify"])
+        )
+    ended = [
+        stage.name.removeprefix("fly-")
+        for stage in stages
+        if stage.kind == "fly" and codes[stage.name] == 1
+    ]
     if ended:
-        found.append((f"Flown but ended early: {', '.join(ended)}; what was recorded until then was used.", WARN))
+        found.append(
+            (
+                f"Flown but ended early: {', '.join(ended)}; what was recorded until then was used.",
+                WARN,
+            )
+        )
     return found
 
 
@@ -47,7 +62,9 @@ def _of_refinement(path: Path) -> list[Sentence]:
     try:
         return list(_refined(document))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInputError(f"{path}: is no refinement's document ({error}); run the study again") from None
+        raise BadInputError(
+            f"{path}: is no refinement's document ({error}); run the study again"
+        ) from None
 
 
 def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
@@ -59,7 +76,10 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
             + (f" ({e['property']})" if e["property"] else "")
             for e in effects
         )
-        yield f"Refinement named, {flights}: {named}.", GOOD if document["verdict"] == "effects-found" else WARN
+        yield (
+            f"Refinement named, {flights}: {named}.",
+            GOOD if document["verdict"] == "effects-found" else WARN,
+        )
     elif document["verdict"] == "no-missing-effect":
         yield f"Refinement found nothing missing {flights}.", GOOD
     if document["verdict"] == "unexplained":
@@ -80,10 +100,16 @@ def _refined(document: Mapping[str, Any]) -> Iterator[Sentence]:
         most = max((max(r) for r in ratios.values()), default=math.nan)
         yield f"{flown} is at most {most:.2f} in every channel, before and after.", GOOD
         return
-    words = ", ".join(f"{c} {b:.2f} to {a:.2f}" for c, (b, a) in sorted(above.items(), key=lambda item: -max(item[1])))
+    words = ", ".join(
+        f"{c} {b:.2f} to {a:.2f}"
+        for c, (b, a) in sorted(above.items(), key=lambda item: -max(item[1]))
+    )
     shrank = all(a <= b * (1 + SAME) for b, a in above.values())
     reached = all(a <= _ABOVE_NOISE for _, a in above.values())
-    yield f"{flown} went, from before to after: {words} (1: the sensors' noise).", GOOD if shrank and reached else WARN
+    yield (
+        f"{flown} went, from before to after: {words} (1: the sensors' noise).",
+        GOOD if shrank and reached else WARN,
+    )
 
 
 def _stems(names: Sequence[str]) -> list[str]:
@@ -93,9 +119,17 @@ def _stems(names: Sequence[str]) -> list[str]:
 def _unexplained(document: Mapping[str, Any]) -> str:
     withdrawn = [e["name"] for e in document["effects"] if e["withdrawn"]]
     if withdrawn:
-        return f"{', '.join(withdrawn)} did not shrink the gap on the test flights and was withdrawn"
-    where = [w.get("words") or w.get("coefficient", "") for w in document["remaining"]["where"] if "words" in w or "t" not in w]
-    return "; ".join(w for w in where if w) or "the residuals are not white, and no place stands out"
+        return (
+            f"{', '.join(withdrawn)} did not shrink the gap on the test flights and was withdrawn"
+        )
+    where = [
+        w.get("words") or w.get("coefficient", "")
+        for w in document["remaining"]["where"]
+        if "words" in w or "t" not in w
+    ]
+    return (
+        "; ".join(w for w in where if w) or "the residuals are not white, and no place stands out"
+    )
 
 
 def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentence]:
@@ -112,7 +146,9 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
         text = f"Of {named}, {100 * shares[low]:.1f} % ({low}) to {100 * shares[high]:.1f} % ({high}) lies inside"
         text += f" the 95 % bounds{which}"
         verdicts = documents[when].get("verdicts", {})
-        bad = [c for c, said in verdicts.items() if said == "fails"] or [c for c in shares if not shares[c] >= HOLDS_FROM]
+        bad = [c for c, said in verdicts.items() if said == "fails"] or [
+            c for c in shares if not shares[c] >= HOLDS_FROM
+        ]
         open_ = [c for c, said in verdicts.items() if said == "inconclusive"]
         if bad:
             text += f": those of {', '.join(bad)} do not hold."
@@ -122,12 +158,23 @@ def _coverage(out: Path, flights: Sequence[str], both: bool) -> Iterator[Sentenc
             text += "."
         yield text, BAD if bad else WARN if open_ else GOOD
     if both:
-        widths = {w: {c: row["mean_width"] for c, row in coverage.items()} for w, coverage in found.items()}
-        change = {c: _change(widths[BEFORE][c], width) for c, width in widths[AFTER].items() if c in widths[BEFORE]}
+        widths = {
+            w: {c: row["mean_width"] for c, row in coverage.items()}
+            for w, coverage in found.items()
+        }
+        change = {
+            c: _change(widths[BEFORE][c], width)
+            for c, width in widths[AFTER].items()
+            if c in widths[BEFORE]
+        }
         moved = ", ".join(f"{c} {100 * x:+.0f} %" for c, x in change.items() if abs(x) > SAME)
         still = ", ".join(c for c, x in change.items() if abs(x) <= SAME)
         unknown = ", ".join(c for c, x in change.items() if math.isnan(x))
-        ends = ((moved, ""), (still, " as before"), (unknown, " undefined, a width is 0 or not known"))
+        ends = (
+            (moved, ""),
+            (still, " as before"),
+            (unknown, " undefined, a width is 0 or not known"),
+        )
         words = "; ".join(names + end for names, end in ends if names)
         text = f"Mean width of the bounds on {named}, after against before refinement: {words}"
         shrank = [c for c, x in change.items() if x < -SAME]
@@ -143,7 +190,11 @@ def _identified(document: Mapping[str, Any], code: int) -> Sentence:
     done = [row for row in document["parameters"].values() if row["status"] == "identified"]
     flights = ", ".join(_stems(document["flights"]))
     text = f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by {document['method']}"
-    ratios = {c: v["rms"] / v["noise"] for c, v in document["fit"].items() if v["rms"] is not None and v["noise"]}
+    ratios = {
+        c: v["rms"] / v["noise"]
+        for c, v in document["fit"].items()
+        if v["rms"] is not None and v["noise"]
+    }
     worst = max(ratios, key=lambda c: ratios[c], default="")
     if worst:
         text += f"; the largest residual is {ratios[worst]:.2f} times the noise ({worst})"

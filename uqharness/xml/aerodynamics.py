@@ -76,10 +76,14 @@ def read_section(folder: Path, xml: str) -> AeroSection:
     """The aerodynamics of the aircraft ``folder/xml``. Raises BadInputError with file and line for what cannot be instrumented."""
     main = read_document(folder / xml)
     if main.root.tag != "fdm_config":
-        raise BadInputError(f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with <fdm_config>")
+        raise BadInputError(
+            f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with <fdm_config>"
+        )
     outer = main.root.find("aerodynamics")
     if outer is None:
-        raise BadInputError(f"{main.where(main.root)}: no <aerodynamics>, so there are no coefficients to add to")
+        raise BadInputError(
+            f"{main.where(main.root)}: no <aerodynamics>, so there are no coefficients to add to"
+        )
     document, node = included(folder, main, outer)
     found = [Axis(main, child) for child in outer.all("axis")]
     if document is not main:
@@ -112,7 +116,9 @@ def included(folder: Path, document: Document, node: Node) -> tuple[Document, No
         raise BadInputError(f'{document.where(node)}: file="{name}": there is no {path}')
     other = read_document(path)
     if other.root.tag != node.tag:
-        raise BadInputError(f"{other.where(other.root)}: <{other.root.tag}>, but <{node.tag}> is expected here")
+        raise BadInputError(
+            f"{other.where(other.root)}: <{other.root.tag}>, but <{node.tag}> is expected here"
+        )
     return other, other.root
 
 
@@ -177,7 +183,9 @@ def read_reference(section: AeroSection) -> tuple[float, float, float]:
             continue
         unit = attribute(node, "unit")
         if unit not in units:
-            raise BadInputError(f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}")
+            raise BadInputError(
+                f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}"
+            )
         out.append(number(node, name, document) * units[unit])
     return out[0], out[1], out[2]
 
@@ -199,6 +207,8 @@ def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
     """File and element that hold the metrics, and the element in the aircraft's XML."""
     outer = section.main.root.find("metrics")
     if outer is None:
-        raise BadInputError(f"{section.main.where(section.main.root)}: no <metrics>, which JSBSim requires")
+        raise BadInputError(
+            f"{section.main.where(section.main.root)}: no <metrics>, which JSBSim requires"
+        )
     document, metrics = included(section.folder, section.main, outer)
     return document, metrics, outer

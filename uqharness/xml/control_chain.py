@@ -16,10 +16,25 @@ from xml.sax.saxutils import escape, quoteattr
 from uqharness.xml.document import Document, Node, attribute
 from uqharness.xml.properties import declarations, declare
 
-_KINDS = frozenset({
-    "pure_gain", "scheduled_gain", "aerosurface_scale", "summer", "deadband", "fcs_function", "lag_filter", "lead_lag_filter",
-    "second_order_filter", "washout_filter", "pid", "integrator", "kinematic", "switch", "actuator",
-})  # fmt: skip
+_KINDS = frozenset(
+    {
+        "pure_gain",
+        "scheduled_gain",
+        "aerosurface_scale",
+        "summer",
+        "deadband",
+        "fcs_function",
+        "lag_filter",
+        "lead_lag_filter",
+        "second_order_filter",
+        "washout_filter",
+        "pid",
+        "integrator",
+        "kinematic",
+        "switch",
+        "actuator",
+    }
+)
 """Components that read what their elements name, and write their name's property and their outputs."""
 _SENSORS = frozenset({"sensor", "gyro", "accelerometer", "magnetometer"})
 """Components that write no more than that, but read more."""
@@ -28,9 +43,25 @@ _DRAWS = frozenset({"random", "urandom"})
 _NAME = re.compile(r"[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 _UNIT = re.compile(r"-pos-(?:rad|deg|norm|mag)$")
 _OWN = (
-    "accelerations", "aero", "atmosphere", "attitude", "buoyant_forces", "contact", "external_reactions", "flight-path", "forces",
-    "gear", "ic", "inertia", "metrics", "moments", "position", "propulsion", "simulation", "velocities",
-)  # fmt: skip
+    "accelerations",
+    "aero",
+    "atmosphere",
+    "attitude",
+    "buoyant_forces",
+    "contact",
+    "external_reactions",
+    "flight-path",
+    "forces",
+    "gear",
+    "ic",
+    "inertia",
+    "metrics",
+    "moments",
+    "position",
+    "propulsion",
+    "simulation",
+    "velocities",
+)
 """Where JSBSim keeps what it computes itself, whether an XML declares it or not. Elsewhere nothing moves but by a component, a
 function or somebody's hand, engines' levers apart."""
 _LEVERS = re.compile(r"fcs/(?:throttle|mixture|advance|feather)-(?:cmd|pos)-norm(?:\[\d+\])?")
@@ -68,7 +99,9 @@ class _Placed:
     node: Node
 
 
-def control_chain(files: ControlFiles, wanted: Iterable[str], given: Collection[str]) -> ControlChain | None:
+def control_chain(
+    files: ControlFiles, wanted: Iterable[str], given: Collection[str]
+) -> ControlChain | None:
     """What makes the properties ``wanted``; None where that reads, or may read, more than the properties ``given`` and what nothing
     in the aircraft changes."""
     channels = [node for system in files.systems for node in system.all("channel")]
@@ -100,7 +133,9 @@ def control_chain(files: ControlFiles, wanted: Iterable[str], given: Collection[
                 return None
             made[one.channel, one.number] = one.node
             ahead += [*inputs, *([bare(gate)] if gate else [])]
-    entering = frozenset(name for name in seen if not writers.get(_surface(name)) and name not in levers)
+    entering = frozenset(
+        name for name in seen if not writers.get(_surface(name)) and name not in levers
+    )
     constants = {name: next(iter(values[name])) for name in sorted(seen - levers) if name in values}
     # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the interpreter over it.
     constants |= dict.fromkeys(sorted(entering - values.keys()), "0")
@@ -132,7 +167,11 @@ def _written(node: Node) -> Iterator[str]:
     if name := attribute(node, "name"):
         yield bare(name if "/" in name else "fcs/" + re.sub(r"\s", "-", name).lower())
     yield from (bare(output.text) for output in node.all("output"))
-    yield from (bare(attribute(inner, "name")) for inner in node.walk() if inner.tag == "function" and attribute(inner, "name"))
+    yield from (
+        bare(attribute(inner, "name"))
+        for inner in node.walk()
+        if inner.tag == "function" and attribute(inner, "name")
+    )
     if node.tag not in _KINDS | _SENSORS:
         # What a distributor or another component writes may stand anywhere in it.
         yield from (bare(token) for token in _tokens(node))
@@ -181,21 +220,40 @@ def _tokens(node: Node) -> Iterator[str]:
         ahead.extend(one.children)
 
 
-def _aircraft(channels: Sequence[Node], made: dict[tuple[int, int], Node], constants: dict[str, str], levers: Sequence[str]) -> str:
+def _aircraft(
+    channels: Sequence[Node],
+    made: dict[tuple[int, int], Node],
+    constants: dict[str, str],
+    levers: Sequence[str],
+) -> str:
     lines = [
-        '<?xml version="1.0"?>', '<fdm_config name="controls" version="2.0">', "<fileheader/>", "<metrics/>",
-        "<mass_balance>", *(f'<i{a}{a} unit="SLUG*FT2">1</i{a}{a}>' for a in "xyz"), '<emptywt unit="LBS">1</emptywt>',
-        '<location name="CG" unit="IN"><x>0</x><y>0</y><z>0</z></location>', "</mass_balance>", "<ground_reactions/>",
-        '<flight_control name="controls">', *(declare(name, value) for name, value in constants.items()),
-    ]  # fmt: skip
+        '<?xml version="1.0"?>',
+        '<fdm_config name="controls" version="2.0">',
+        "<fileheader/>",
+        "<metrics/>",
+        "<mass_balance>",
+        *(f'<i{a}{a} unit="SLUG*FT2">1</i{a}{a}>' for a in "xyz"),
+        '<emptywt unit="LBS">1</emptywt>',
+        '<location name="CG" unit="IN"><x>0</x><y>0</y><z>0</z></location>',
+        "</mass_balance>",
+        "<ground_reactions/>",
+        '<flight_control name="controls">',
+        *(declare(name, value) for name, value in constants.items()),
+    ]
     if levers:
         # JSBSim copies levers before any channel runs.
         lines.append('<channel name="levers">')
         for name in levers:
-            lines.append(f'<pure_gain name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>')
+            lines.append(
+                f'<pure_gain name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>'
+            )
         lines.append("</channel>")
     for at, channel in enumerate(channels):
-        inside = [node for (place, _), node in sorted(made.items(), key=lambda item: item[0]) if place == at]
+        inside = [
+            node
+            for (place, _), node in sorted(made.items(), key=lambda item: item[0])
+            if place == at
+        ]
         if inside:
             lines += [_opened(channel), *(_text(node) for node in inside), "</channel>"]
     axis = '<aerodynamics><axis name="X"/></aerodynamics>'
@@ -209,5 +267,7 @@ def _opened(node: Node) -> str:
 def _text(node: Node) -> str:
     """An element without remarks and blank lines: conditions and tables stand in lines."""
     own = "\n".join(line.strip() for line in node.text.splitlines() if line.strip())
-    inside = "".join(_text(child) for child in node.children if child.tag not in _SILENT - {"property"})
+    inside = "".join(
+        _text(child) for child in node.children if child.tag not in _SILENT - {"property"}
+    )
     return f"{_opened(node)}{escape(own)}{inside}</{node.tag}>"

@@ -82,7 +82,9 @@ class Document:
     @property
     def encoding(self) -> str:
         """As the XML declaration has it; UTF-8 without one."""
-        said = re.match(rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw)
+        said = re.match(
+            rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw
+        )
         return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
 
     def encoded(self, text: str) -> bytes:
@@ -95,12 +97,18 @@ class Document:
         begin = node.start
         while begin and self.raw[begin - 1] in b" \t":
             begin -= 1
-        return self.raw[begin : node.start].decode("ascii") if not begin or self.raw[begin - 1] == 0x0A else ""
+        return (
+            self.raw[begin : node.start].decode("ascii")
+            if not begin or self.raw[begin - 1] == 0x0A
+            else ""
+        )
 
     def step(self) -> str:
         """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
         steps = [self.indent(child) for child in self.root.children]
-        steps = [s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)]
+        steps = [
+            s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)
+        ]
         return min((s for s in steps if s), key=len, default="  ")
 
 
@@ -118,7 +126,9 @@ def read_document(path: Path) -> Document:
 def parse_document(path: Path, raw: bytes) -> Document:
     """The same for bytes at hand; ``path`` is for messages."""
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise BadInputError(f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1")
+        raise BadInputError(
+            f"{path}:1: UTF-16 is not edited here; save the file as UTF-8 or ISO-8859-1"
+        )
     parser = expat.ParserCreate()
     # Text comes line by line otherwise, and is copied as often.
     parser.buffer_text, parser.buffer_size = True, 1 << 20
@@ -150,13 +160,17 @@ def parse_document(path: Path, raw: bytes) -> Document:
     try:
         parser.Parse(raw, True)
     except expat.ExpatError as error:
-        raise BadInputError(f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}") from None
+        raise BadInputError(
+            f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
+        ) from None
     for node in top[0].walk():
         # An element that came out of an entity has no place of its own in the bytes.
         begin = b"<" + node.tag.encode()
         behind = node.start + len(begin)
         if not raw.startswith(begin, node.start) or raw[behind : behind + 1] not in _BEHIND_NAME:
-            raise BadInputError(f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here")
+            raise BadInputError(
+                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here"
+            )
     return Document(path, raw, top[0])
 
 
@@ -184,8 +198,17 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     block = newline.join(_indented(line, inner, step) for line in lines)
     if parent.empty_tag:
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
-        opening, closing = document.encoded(f">{newline}"), document.encoded(f"{outer}</{parent.tag}>")
-        return Insertion(slash, document.encoded(f"{block}{newline}"), document.raw[slash : parent.open_end], opening, closing)
+        opening, closing = (
+            document.encoded(f">{newline}"),
+            document.encoded(f"{outer}</{parent.tag}>"),
+        )
+        return Insertion(
+            slash,
+            document.encoded(f"{block}{newline}"),
+            document.raw[slash : parent.open_end],
+            opening,
+            closing,
+        )
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
@@ -249,8 +272,12 @@ def joined(insertions: list[Insertion]) -> list[Insertion]:
     out: list[Insertion] = []
     pending: list[Insertion] = []
     for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
-        if pending and (insertion is None or not insertion.opening or insertion.at != pending[0].at):
-            text = b"".join([pending[0].opening, *(item.text for item in pending), pending[0].closing])
+        if pending and (
+            insertion is None or not insertion.opening or insertion.at != pending[0].at
+        ):
+            text = b"".join(
+                [pending[0].opening, *(item.text for item in pending), pending[0].closing]
+            )
             out.append(Insertion(pending[0].at, text, pending[0].removed))
             pending = []
         if insertion is not None:
@@ -285,7 +312,9 @@ def number(node: Node, what: str, document: Document) -> float:
     try:
         return float(node.text)
     except ValueError:
-        raise BadInputError(f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}") from None
+        raise BadInputError(
+            f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}"
+        ) from None
 
 
 def attribute(node: Node, name: str) -> str:

@@ -58,7 +58,9 @@ def call(tag: str, *arguments: Expression) -> Expression:
     return Expression(tag, "", arguments)
 
 
-def function_lines(name: str, tag: str, lines: Sequence[str], at_cg: bool = False, remark: str = "") -> list[str]:
+def function_lines(
+    name: str, tag: str, lines: Sequence[str], at_cg: bool = False, remark: str = ""
+) -> list[str]:
     """A ``<function>`` of one operation, whose arguments are given as lines."""
     attributes = ' apply_at_cg="true"' if at_cg else ""
     return [

@@ -20,8 +20,16 @@ FIELDS = (
 def protocol_xml() -> str:
     """The protocol's text; FlightGear looks for it under Protocol/ of its data folder."""
     lines = ['<?xml version="1.0"?>', "<PropertyList>", "  <generic>", "    <input>"]
-    lines += ["      <line_separator>newline</line_separator>", "      <var_separator>,</var_separator>"]
+    lines += [
+        "      <line_separator>newline</line_separator>",
+        "      <var_separator>,</var_separator>",
+    ]
     for name, kind, node in FIELDS:
-        lines += ["      <chunk>", f"        <name>{name}</name>", f"        <type>{kind}</type>", f"        <node>{node}</node>"]
+        lines += [
+            "      <chunk>",
+            f"        <name>{name}</name>",
+            f"        <type>{kind}</type>",
+            f"        <node>{node}</node>",
+        ]
         lines.append("      </chunk>")
     return "\n".join([*lines, "    </input>", "  </generic>", "</PropertyList>"]) + "\n"

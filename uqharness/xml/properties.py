@@ -17,7 +17,9 @@ from uqharness.xml.document import Document, Node, attribute, comment, parse_doc
 
 def declare(name: str, number: str, remark: str | None = None) -> str:
     """``<property value="number">name</property>``, with a remark behind it."""
-    return f'<property value="{number}">{escape(name)}</property>' + ("" if remark is None else f"  {comment(remark)}")
+    return f'<property value="{number}">{escape(name)}</property>' + (
+        "" if remark is None else f"  {comment(remark)}"
+    )
 
 
 def declarations(document: Document) -> Iterator[tuple[str, Node]]:
@@ -34,7 +36,9 @@ def declaration(document: Document, name: str) -> Node | None:
 
 def computes(document: Document, name: str) -> bool:
     """Whether a ``<function>`` of the file has that name."""
-    return any(node.tag == "function" and attribute(node, "name") == name for node in document.root.walk())
+    return any(
+        node.tag == "function" and attribute(node, "name") == name for node in document.root.walk()
+    )
 
 
 def folder_declares(folder: Path, name: str) -> bool:

@@ -21,7 +21,16 @@ from pathlib import Path
 from sysid.aerodynamics import COEFFICIENTS
 from uqharness.errors import BadInputError
 from uqharness.xml.aerodynamics import AXIAL, BODY, STABILITY, WIND, AeroSection
-from uqharness.xml.document import Document, Insertion, Node, after, append_child, apply, before, joined
+from uqharness.xml.document import (
+    Document,
+    Insertion,
+    Node,
+    after,
+    append_child,
+    apply,
+    before,
+    joined,
+)
 from uqharness.xml.expressions import Expression, call, function_lines, prop, value
 
 # One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or roll, pitch, yaw).
@@ -90,7 +99,11 @@ class SectionEdit:
 
     def files(self) -> dict[Path, bytes]:
         """Path (inside the aircraft's folder as it was read) to the file's new content, for every file that changes."""
-        return {document.path: apply(document, mine) for document in self.section.documents if (mine := self.made_in(document))}
+        return {
+            document.path: apply(document, mine)
+            for document in self.section.documents
+            if (mine := self.made_in(document))
+        }
 
     def made_in(self, document: Document) -> list[Insertion]:
         """The insertions into one file, in its order."""
@@ -113,7 +126,9 @@ def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
 
 def add_functions(edit: SectionEdit, lines: Sequence[str]) -> SectionEdit:
     """Properties and functions at the end of the aerodynamics section; JSBSim computes them before any axis, in their order."""
-    return edit.plus(edit.section.document, append_child(edit.section.document, edit.section.node, list(lines)))
+    return edit.plus(
+        edit.section.document, append_child(edit.section.document, edit.section.node, list(lines))
+    )
 
 
 def add_deltas(
@@ -131,15 +146,22 @@ def add_deltas(
     """
     for name in summands:
         if name not in COEFFICIENTS:
-            raise BadInputError(f"coefficient '{name}' is unknown; allowed are {', '.join(COEFFICIENTS)}")
+            raise BadInputError(
+                f"coefficient '{name}' is unknown; allowed are {', '.join(COEFFICIENTS)}"
+            )
     section, reference = edit.section, reference or Reference()
-    names = [*(f"{prefix}/force/{n}" for n in _NAMES[section.force]), *(f"{prefix}/moment/{n}" for n in _MOMENT_NAMES)]
+    names = [
+        *(f"{prefix}/force/{n}" for n in _NAMES[section.force]),
+        *(f"{prefix}/moment/{n}" for n in _MOMENT_NAMES),
+    ]
     refuse_names(section, names)
     triples = [[list(summands.get(c, ())) for c in COEFFICIENTS[k : k + 3]] for k in (0, 3)]
     for slot in range(6):
         terms = (_ROWS[section.force] if slot < 3 else _ROWS[section.moment])[slot % 3]
         force = slot < 3
-        body = _sum(terms, triples[0] if force else triples[1], None if force else reference.lengths)
+        body = _sum(
+            terms, triples[0] if force else triples[1], None if force else reference.lengths
+        )
         if not body:
             continue
         sign = -1 if force and section.force != BODY and slot != 1 else 1
@@ -162,7 +184,9 @@ def _into_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
     if slot in section.axes:
         axis = section.axes[slot]
         return edit.plus(axis.document, append_child(axis.document, axis.node, lines))
-    frame = {WIND: "WIND", STABILITY: "STABILITY"}.get(section.moment if slot >= 3 else section.force, "")
+    frame = {WIND: "WIND", STABILITY: "STABILITY"}.get(
+        section.moment if slot >= 3 else section.force, ""
+    )
     # LIFT, DRAG and their like carry their axes in the name.
     frame = "" if slot < 3 and section.force != STABILITY else frame
     name = axis_name(section, slot)
@@ -170,7 +194,9 @@ def _into_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
     return add_functions(edit, [opening, *(f"  {line}" for line in lines), "</axis>"])
 
 
-def _sum(terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: Sequence[Expression] | None) -> list[str]:
+def _sum(
+    terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: Sequence[Expression] | None
+) -> list[str]:
     """XML of the sum over the row's terms; empty where no coefficient of the row has a summand."""
     pieces = []
     for sign, trig, index in terms:
@@ -183,7 +209,11 @@ def _sum(terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: Sequen
         pieces.append(factors)
     if len(pieces) == 1:
         return [factor.line() for factor in pieces[0]]
-    return ["<sum>", *(f"  {call('product', *factors).line()}" for factors in pieces), "</sum>"] if pieces else []
+    return (
+        ["<sum>", *(f"  {call('product', *factors).line()}" for factors in pieces), "</sum>"]
+        if pieces
+        else []
+    )
 
 
 def refuse_names(section: AeroSection, names: Sequence[str]) -> None:
@@ -199,4 +229,8 @@ def refuse_names(section: AeroSection, names: Sequence[str]) -> None:
 
 def functions(section: AeroSection) -> list[tuple[int, Document, Node]]:
     """(place, file, element) of every force and moment function that JSBSim adds up."""
-    return [(slot, axis.document, node) for slot, axis in sorted(section.axes.items()) for node in axis.functions]
+    return [
+        (slot, axis.document, node)
+        for slot, axis in sorted(section.axes.items())
+        for node in axis.functions
+    ]

@@ -36,7 +36,12 @@ def check_channel(c: Channel, grid_step_s: float, seen: set[str]) -> list[Findin
         # Guidance messages come and go with the flight mode; their gaps harm nobody.
         severity = "info" if c.name in _GUIDANCE else "warning"
         out += _times(message, c) + _gaps(message, c, severity)
-    out += _hold(c.name, c, grid_step_s) + _wrap(c.name, c) + _range(c.name, c.label, c.values) + _stuck_beneath(c)
+    out += (
+        _hold(c.name, c, grid_step_s)
+        + _wrap(c.name, c)
+        + _range(c.name, c.label, c.values)
+        + _stuck_beneath(c)
+    )
     if c.estimate:
         text = (
             f"{c.name} ({c.label}) is computed by the autopilot's estimator, no vane measured it. In gusts it misses"
@@ -54,7 +59,9 @@ def _times(message: str, c: Channel) -> list[Finding]:
         out.append(Finding("time-backwards", message, "warning", text, numbers))
     if c.clean.repeats:
         text = f"{c.clean.repeats} records of {message} repeat the time of the one before; left out"
-        out.append(Finding("time-repeats", message, "info", text, {"records": float(c.clean.repeats)}))
+        out.append(
+            Finding("time-repeats", message, "info", text, {"records": float(c.clean.repeats)})
+        )
     return out
 
 
@@ -85,9 +92,13 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
     if ratio > 1.3:
         kind = "held" if name in COMMANDS else "interpolated"
         late = 0.5 * (c.clean.step_s - grid_step_s) if name in COMMANDS else 0.0
-        text = f"{name} is logged at {c.rate_hz:.1f} Hz, {kind} onto a {1 / grid_step_s:.1f} Hz grid"
+        text = (
+            f"{name} is logged at {c.rate_hz:.1f} Hz, {kind} onto a {1 / grid_step_s:.1f} Hz grid"
+        )
         if late:
-            text += f"; it comes {late * 1e3:.0f} ms late on average, {2 * late * 1e3:.0f} ms at most"
+            text += (
+                f"; it comes {late * 1e3:.0f} ms late on average, {2 * late * 1e3:.0f} ms at most"
+            )
         numbers = {"native_hz": c.rate_hz, "grid_hz": 1 / grid_step_s, "mean_late_s": late}
         return [Finding("slower-than-grid", name, "info", text, numbers)]
     return _kept(name, c)
@@ -105,7 +116,11 @@ def _kept(name: str, c: Channel) -> list[Finding]:
             f" run {found.run:.1f} samples): it lags by {0.5 * (found.run - 1) * c.clean.step_s * 1e3:.0f} ms on average"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate, "mean_run": found.run}
-        return [Finding("sample-and-hold", name, "warning", text, numbers, "phases: dampings and delays")]
+        return [
+            Finding(
+                "sample-and-hold", name, "warning", text, numbers, "phases: dampings and delays"
+            )
+        ]
     if found is not None:
         text = f"{name} moves in steps of {found.quantum:.3g}: its noise is at least {found.quantum / 12**0.5:.2g} (step / sqrt 12)"
         return [Finding("quantised", name, "info", text, {"quantum": found.quantum})]
@@ -117,11 +132,30 @@ def _kept(name: str, c: Channel) -> list[Finding]:
             " interpolated it; its noise looks smaller than it is, and its samples are not independent"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate}
-        return [Finding("interpolated", name, "warning", text, numbers, "standard errors, and what is faster than its own rate")]
+        return [
+            Finding(
+                "interpolated",
+                name,
+                "warning",
+                text,
+                numbers,
+                "standard errors, and what is faster than its own rate",
+            )
+        ]
     return []
 
 
-_MAY_STAND = frozenset({"elevator_pos_deg", "aileron_pos_deg", "rudder_pos_deg", "rpm", "thrust_N", "rho_kgpm3", *_GUIDANCE})
+_MAY_STAND = frozenset(
+    {
+        "elevator_pos_deg",
+        "aileron_pos_deg",
+        "rudder_pos_deg",
+        "rpm",
+        "thrust_N",
+        "rho_kgpm3",
+        *_GUIDANCE,
+    }
+)
 """Channels that may stand still in flight; of them noise has to tell a sensor that has stopped."""
 
 
@@ -135,7 +169,11 @@ def _stuck_beneath(c: Channel) -> list[Finding]:
     if c.raw is None or not has_factor(c.label) or c.name in COMMANDS:
         return []
     found = stuck(c.raw, c.clean.step_s, noisy=c.name in _MAY_STAND)
-    return [] if found is None else [_stood(c.name, float(c.raw[found[0]]), (c.time_s[found[0]], c.time_s[found[1]]))]
+    return (
+        []
+        if found is None
+        else [_stood(c.name, float(c.raw[found[0]]), (c.time_s[found[0]], c.time_s[found[1]]))]
+    )
 
 
 def _stood(name: str, value: float, span_s: tuple[float, float]) -> Finding:
@@ -148,11 +186,20 @@ def _stuck(record: FlightRecord) -> list[Finding]:
     """Channels that stood still for seconds while their noise moves them with every sample else."""
     out = []
     for name, values in record.columns.items():
-        if name in LABELS or name in COMMANDS or name == "time_s" or has_factor(record.metadata.channels.get(name, "")):
+        if (
+            name in LABELS
+            or name in COMMANDS
+            or name == "time_s"
+            or has_factor(record.metadata.channels.get(name, ""))
+        ):
             continue
         found = stuck(values, record.dt_s, noisy=name in _MAY_STAND)
         if found is not None:
-            out.append(_stood(name, values[found[0]], (record["time_s"][found[0]], record["time_s"][found[1]])))
+            out.append(
+                _stood(
+                    name, values[found[0]], (record["time_s"][found[0]], record["time_s"][found[1]])
+                )
+            )
     return out
 
 
@@ -164,7 +211,11 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
     if min(rates) < 0.75 / flight.dt_s or any(interpolated(flight[n]) for n in AIR):
         return []
     with np.errstate(all="ignore"):
-        between = [found for c in components_of(*(flight[n] for n in AIR)) if (found := interpolated(c)) is not None]
+        between = [
+            found
+            for c in components_of(*(flight[n] for n in AIR))
+            if (found := interpolated(c)) is not None
+        ]
     if len(between) < 2:
         return []
     logged = 1.0 / flight.dt_s
@@ -186,7 +237,11 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     if found is None:
         return []
     text = f"{name} ({c.label}) jumps by {found[1]:g} {found[0]} times from one end of its range to the other: a {found[2]} wrap"
-    numbers = {"jumps": float(found[0]), "span": found[1], "values": 256.0 if found[2].startswith("8-") else 65536.0}
+    numbers = {
+        "jumps": float(found[0]),
+        "span": found[1],
+        "values": 256.0 if found[2].startswith("8-") else 65536.0,
+    }
     return [Finding("wraps", name, "error", text, numbers, spoils(name))]
 
 
@@ -201,7 +256,11 @@ def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
     if share <= 0:
         return []
     hint = ""
-    if signal.unit.startswith("rad") and share > 0.01 and float(np.quantile(np.abs(good), 0.99)) > 3.2:
+    if (
+        signal.unit.startswith("rad")
+        and share > 0.01
+        and float(np.quantile(np.abs(good), 0.99)) > 3.2
+    ):
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
     text = (
         f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {100 * share:.2g} % of the log"
@@ -229,7 +288,15 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
         if below > 0.5:
             text = f"airspeed is negative in {100 * below:.0f} % of the samples (median {np.median(speed):.2f} m/s)"
-            out.append(Finding("negative-airspeed", "V_mps", "error", text, {"share": below, "median": float(np.median(speed))}))
+            out.append(
+                Finding(
+                    "negative-airspeed",
+                    "V_mps",
+                    "error",
+                    text,
+                    {"share": below, "median": float(np.median(speed))},
+                )
+            )
     if free_s is not None:
         out += check_motion(flight)
     return out
@@ -239,15 +306,27 @@ def check_motion(flight: FlightRecord) -> list[Finding]:
     """Channels of free flight against one another: units, signs, lateness, the surfaces' effects, the accelerometers' place."""
     if len(flight) < 3:
         return []
-    absurd = {n: np.where(np.abs(v) < _ABSURD, v, np.nan) for n, v in flight.columns.items() if n not in LABELS and n != "time_s"}
-    flight = flight.with_columns({n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)})
+    absurd = {
+        n: np.where(np.abs(v) < _ABSURD, v, np.nan)
+        for n, v in flight.columns.items()
+        if n not in LABELS and n != "time_s"
+    }
+    flight = flight.with_columns(
+        {n: v for n, v in absurd.items() if not np.array_equal(v, flight[n], equal_nan=True)}
+    )
     found = check_physics(flight)
     # A surface's effect shows in a rate: one that is reversed would reverse the surface.
-    slips = {f.channel: flight[f.channel] / f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
+    slips = {
+        f.channel: flight[f.channel] / f.numbers["slope"]
+        for f in found
+        if f.code in ("unit", "sign")
+    }
     mended = flight.with_columns(slips)
     found += [*check_surfaces(mended), *check_estimates(mended)]
     # With a unit or a sign wrong, or angles that were not measured, what is left over would pass for a lever arm.
-    spoilt = any(f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found)
+    spoilt = any(
+        f.severity == "error" or (f.code == "estimate" and f.channel in AIR) for f in found
+    )
     return found if spoilt else [*found, *lever_arm_finding(flight)]
 
 
@@ -255,20 +334,28 @@ _ABSURD = 1e7
 """Larger than any channel in any unit: damage."""
 
 
-_TOGETHER = (("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
-             ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"))  # fmt: skip
+_TOGETHER = (
+    ("V_mps", "alpha_rad", "theta_rad", "q_radps", "ax_mps2", "az_mps2", "h_m"),
+    ("beta_rad", "phi_rad", "psi_rad", "p_radps", "r_radps", "ay_mps2"),
+)
 """Channels of which none stands still while another moves."""
 _STILL = 1e-9
 
 
 def _frozen(flight: FlightRecord) -> list[Finding]:
     out = []
-    spans = {n: np.ptp(v[np.isfinite(v)]) for n, v in flight.columns.items() if n not in LABELS and np.isfinite(v).sum() > 50}
+    spans = {
+        n: np.ptp(v[np.isfinite(v)])
+        for n, v in flight.columns.items()
+        if n not in LABELS and np.isfinite(v).sum() > 50
+    }
     for name, span in spans.items():
         if span != 0.0 or name in COMMANDS or name == "time_s":
             continue
         value = float(flight[name][np.isfinite(flight[name])][0])
-        moving = [n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL]
+        moving = [
+            n for group in _TOGETHER if name in group for n in group if spans.get(n, 0.0) > _STILL
+        ]
         if moving:
             text = f"{name} stands at {value:g} throughout while {moving[0]} moves: sensor absent or not logged"
             out.append(Finding("frozen", name, "error", text, {"value": value}, spoils(name)))
@@ -288,14 +375,31 @@ def check_units(record: FlightRecord) -> list[Finding]:
 
 def check_ranges(record: FlightRecord) -> list[Finding]:
     """Channels outside the vocabulary's ranges."""
-    found = [_range(n, record.metadata.channels.get(n, "column"), v) for n, v in record.columns.items() if n not in LABELS]
+    found = [
+        _range(n, record.metadata.channels.get(n, "column"), v)
+        for n, v in record.columns.items()
+        if n not in LABELS
+    ]
     return [f for group in found for f in group]
 
 
-_AT_RECORD = frozenset({
-    "unit", "sign", "kinematics-disagree", "delay", "lever-arm", "frozen", "stuck", "negative-airspeed", "dropouts", "out-of-range",
-    "sample-and-hold", "interpolated", "quantised",
-})  # fmt: skip
+_AT_RECORD = frozenset(
+    {
+        "unit",
+        "sign",
+        "kinematics-disagree",
+        "delay",
+        "lever-arm",
+        "frozen",
+        "stuck",
+        "negative-airspeed",
+        "dropouts",
+        "out-of-range",
+        "sample-and-hold",
+        "interpolated",
+        "quantised",
+    }
+)
 """Findings that a record itself shows, whatever was known when it was made."""
 
 
@@ -308,7 +412,8 @@ def check_again(record: FlightRecord) -> list[Finding]:
     kept = [
         f
         for f in record.metadata.findings
-        if (f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own)) or (f.code == "stuck" and f.channel in beneath)
+        if (f.code not in _AT_RECORD and (f.code != "estimate" or f.channel in own))
+        or (f.code == "stuck" and f.channel in beneath)
     ]
     free = record.metadata.free_flight_s
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
@@ -323,11 +428,18 @@ def _samples(record: FlightRecord) -> list[Finding]:
     out = []
     rate = 1.0 / record.dt_s if len(record) > 1 else float("nan")
     for name, values in record.columns.items():
-        if name in LABELS or name == "time_s" or SIGNALS[name].kind == "heading" or name in _GUIDANCE:
+        if (
+            name in LABELS
+            or name == "time_s"
+            or SIGNALS[name].kind == "heading"
+            or name in _GUIDANCE
+        ):
             continue
         if record.metadata.native_hz.get(name, rate) < 0.75 * rate:
             continue
-        nothing = CleanTime(np.ones(len(values), dtype=bool), record.dt_s, 0, 0, 0.0, np.zeros((0, 2)))
+        nothing = CleanTime(
+            np.ones(len(values), dtype=bool), record.dt_s, 0, 0, 0.0, np.zeros((0, 2))
+        )
         out += _kept(name, Channel(name, "column", record["time_s"], values, nothing, False))
     return out
 
@@ -336,5 +448,11 @@ def in_degrees(finding: Finding) -> bool:
     """Does this finding say that a channel is off by the factor between degrees and radians?"""
     ratio = abs(finding.numbers.get("slope", 1.0))
     beyond = max(abs(finding.numbers.get("low", 0.0)), abs(finding.numbers.get("high", 0.0)))
-    by_range = finding.code == "out-of-range" and finding.severity == "error" and SIGNALS[finding.channel].unit == "rad"
-    return (by_range and beyond > 2.0 * np.pi) or (finding.code == "unit" and not 1 / 45.0 <= ratio <= 45.0)
+    by_range = (
+        finding.code == "out-of-range"
+        and finding.severity == "error"
+        and SIGNALS[finding.channel].unit == "rad"
+    )
+    return (by_range and beyond > 2.0 * np.pi) or (
+        finding.code == "unit" and not 1 / 45.0 <= ratio <= 45.0
+    )

@@ -47,20 +47,41 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
         return []
     found = []
     for name in _computed_rates(flight):
-        found.append((name, "equals the derivative of the logged attitude: no gyro's noise is in it"))
+        found.append(
+            (name, "equals the derivative of the logged attitude: no gyro's noise is in it")
+        )
     if "V_mps" not in told and _smooth_speed(flight):
-        found.append(("V_mps", "changes as the accelerometers say from sample to sample: no airspeed sensor's noise is in it"))
+        found.append(
+            (
+                "V_mps",
+                "changes as the accelerometers say from sample to sample: no airspeed sensor's noise is in it",
+            )
+        )
     for name in _computed_angles(flight):
         if name not in told:
-            found.append((name, "has the attitude's noise and none of its own: it was computed from attitude and ground velocity"))
+            found.append(
+                (
+                    name,
+                    "has the attitude's noise and none of its own: it was computed from attitude and ground velocity",
+                )
+            )
     return [
-        Finding("estimate", name, "warning", f"{name} {why}; it is an estimate (estimate = true in a map)", {}, _SPOILS)
+        Finding(
+            "estimate",
+            name,
+            "warning",
+            f"{name} {why}; it is an estimate (estimate = true in a map)",
+            {},
+            _SPOILS,
+        )
         for name, why in found
     ]
 
 
 def _noisy(flight: FlightRecord, name: str) -> bool:
-    return name in flight and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
+    return (
+        name in flight and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
+    )
 
 
 def _stride(flight: FlightRecord, name: str) -> int:
@@ -101,11 +122,18 @@ def _computed_rates(flight: FlightRecord) -> list[str]:
     derivative = body_rates_of_attitude(phi, theta, psi, flight.dt_s)
     out = []
     for name, made in zip(RATES, derivative, strict=True):
-        good = np.isfinite(made) & np.isfinite(flight[name]) if name in flight else np.zeros(0, dtype=bool)
+        good = (
+            np.isfinite(made) & np.isfinite(flight[name])
+            if name in flight
+            else np.zeros(0, dtype=bool)
+        )
         if good.sum() > _LEAST:
             size = float(np.std(flight[name][good]))
             # The middle of the differences: ends of gaps and the heading's turns differ.
-            if size > 0.0 and float(np.median(np.abs(flight[name][good] - made[good]))) < _SAME * size:
+            if (
+                size > 0.0
+                and float(np.median(np.abs(flight[name][good] - made[good]))) < _SAME * size
+            ):
                 out.append(name)
     return out
 
@@ -141,7 +169,9 @@ def _computed_angles(flight: FlightRecord) -> list[str]:
         rows = _beat(flight, name)
         # Between its own samples an interpolated channel has less noise than at them.
         first = max(range(rows), key=lambda k: np.nan_to_num(_fast(flight[name][k::rows])))
-        own, *left = (_fast(x[first::rows]) for x in (flight[name], *(flight[name] - way for way in ways)))
+        own, *left = (
+            _fast(x[first::rows]) for x in (flight[name], *(flight[name] - way for way in ways))
+        )
         if min(left) < _OWN * own:
             out.append(name)
     return out

@@ -71,14 +71,22 @@ def interpolated(values: FloatArray) -> float | None:
     tolerance = max(8.0 * float(np.finfo(np.float32).eps) * float(np.abs(good).max()), 1e-4 * usual)
     kinks = bend > tolerance
     starts = np.flatnonzero(kinks & ~np.concatenate([[False], kinks[:-1]]))
-    if usual <= 4.0 * tolerance or len(starts) < _LEAST_CHANGES or float(np.median(bend[kinks])) < 20.0 * tolerance:
+    if (
+        usual <= 4.0 * tolerance
+        or len(starts) < _LEAST_CHANGES
+        or float(np.median(bend[kinks])) < 20.0 * tolerance
+    ):
         return None
     if float(np.median(bend[kinks])) < _ALIKE * float(np.quantile(bend[kinks], 0.05)):
         return None  # corners of one size are those of a slow motion in coarse steps
     spacing = np.diff(starts)
     middle = float(np.median(spacing))
     regular = float(np.mean(np.abs(spacing - middle) <= 1.0)) > 0.8
-    return float(spacing.mean()) if middle >= 2.0 and regular and float(kinks.mean()) < 2.2 / middle else None
+    return (
+        float(spacing.mean())
+        if middle >= 2.0 and regular and float(kinks.mean()) < 2.2 / middle
+        else None
+    )
 
 
 def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, int] | None:
@@ -101,7 +109,10 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     first, last = int(begins[longest]), int(ends[longest])
     around = max(20, round(1.0 / step_s))
     before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
-    lively = all(len(side) > 10 and np.mean(np.abs(np.diff(side)) > least) > _COMMON for side in (before, after))
+    lively = all(
+        len(side) > 10 and np.mean(np.abs(np.diff(side)) > least) > _COMMON
+        for side in (before, after)
+    )
     if noisy:
         lively = lively and all(_noisy(side) for side in (before, after))
     others = np.delete(ends - begins, longest)
@@ -123,7 +134,9 @@ def _lattice(steps: FloatArray) -> list[tuple[float, str]]:
         return []
     unit = float(steps.min())
     counts = steps / unit
-    if counts.max() > 2.0**16 or float(np.abs(counts - np.round(counts)).max()) > _ON_LATTICE * max(1.0, counts.max() / 2**8):
+    if counts.max() > 2.0**16 or float(np.abs(counts - np.round(counts)).max()) > _ON_LATTICE * max(
+        1.0, counts.max() / 2**8
+    ):
         return []
     return [(2.0**bits * unit, f"{bits}-bit, {unit:.3g}") for bits in _BITS]
 
@@ -143,7 +156,11 @@ def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
         jumps = np.flatnonzero(np.abs(np.abs(steps) - span) < 0.25 * span)
         if not len(jumps) or high - low > 1.02 * span or len(jumps) > 0.2 * len(steps):
             continue
-        usual = float(np.quantile(np.delete(np.abs(steps), jumps), 0.99)) if len(moving) > len(jumps) else 0.0
+        usual = (
+            float(np.quantile(np.delete(np.abs(steps), jumps), 0.99))
+            if len(moving) > len(jumps)
+            else 0.0
+        )
         near = max(2.0 * usual, 0.01 * span)
         ends = np.minimum(values[jumps], values[jumps + 1]) - low < near
         ends &= high - np.maximum(values[jumps], values[jumps + 1]) < near

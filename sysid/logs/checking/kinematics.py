@@ -58,7 +58,9 @@ class Stretches:
     native_hz: float
 
 
-def body_rates_of_attitude(phi: FloatArray, theta: FloatArray, psi: FloatArray, dt_s: float) -> FloatArray:
+def body_rates_of_attitude(
+    phi: FloatArray, theta: FloatArray, psi: FloatArray, dt_s: float
+) -> FloatArray:
     """(3, n) p, q, r by central differences of the Euler angles (psi on any branch)."""
     dphi = np.gradient(np.unwrap(phi), dt_s)
     dtheta = np.gradient(theta, dt_s)
@@ -75,27 +77,42 @@ def to_earth(c: Columns, vector: FloatArray) -> FloatArray:
     across = np.sin(phi) * vector[1] + np.cos(phi) * vector[2]
     forward = np.cos(theta) * vector[0] + np.sin(theta) * across
     side = np.cos(phi) * vector[1] - np.sin(phi) * vector[2]
-    north, east = np.cos(psi) * forward - np.sin(psi) * side, np.sin(psi) * forward + np.cos(psi) * side
+    north, east = (
+        np.cos(psi) * forward - np.sin(psi) * side,
+        np.sin(psi) * forward + np.cos(psi) * side,
+    )
     return np.stack([north, east, -np.sin(theta) * vector[0] + np.cos(theta) * across])
 
 
 def to_body(c: Columns, vector: FloatArray) -> FloatArray:
     """(3, n) in body axes of a vector (3, n) in north, east, down; the inverse of `to_earth`."""
     phi, theta, psi = (c[n] for n in ATTITUDE)
-    level, side = np.cos(psi) * vector[0] + np.sin(psi) * vector[1], np.cos(psi) * vector[1] - np.sin(psi) * vector[0]
-    forward, down = np.cos(theta) * level - np.sin(theta) * vector[2], np.sin(theta) * level + np.cos(theta) * vector[2]
-    return np.stack([forward, np.cos(phi) * side + np.sin(phi) * down, np.cos(phi) * down - np.sin(phi) * side])
+    level, side = (
+        np.cos(psi) * vector[0] + np.sin(psi) * vector[1],
+        np.cos(psi) * vector[1] - np.sin(psi) * vector[0],
+    )
+    forward, down = (
+        np.cos(theta) * level - np.sin(theta) * vector[2],
+        np.sin(theta) * level + np.cos(theta) * vector[2],
+    )
+    return np.stack(
+        [forward, np.cos(phi) * side + np.sin(phi) * down, np.cos(phi) * down - np.sin(phi) * side]
+    )
 
 
 def gravity(c: Columns) -> FloatArray:
     """(3, n) gravity in body axes, m/s2."""
     phi, theta = c["phi_rad"], c["theta_rad"]
-    return G0_MPS2 * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
+    return G0_MPS2 * np.stack(
+        [-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)]
+    )
 
 
 def _rate(axis: int) -> Callable[[Columns, float], Pair]:
     def sides(c: Columns, dt: float) -> Pair:
-        return body_rates_of_attitude(c["phi_rad"], c["theta_rad"], c["psi_rad"], dt)[axis], c[RATES[axis]]
+        return body_rates_of_attitude(c["phi_rad"], c["theta_rad"], c["psi_rad"], dt)[axis], c[
+            RATES[axis]
+        ]
 
     return sides
 
@@ -118,7 +135,9 @@ def air_velocity(c: Columns) -> FloatArray:
 def _felt_in_air(axis: int) -> Callable[[Columns, float], Pair]:
     def sides(c: Columns, dt: float) -> Pair:
         v, omega = air_velocity(c), np.stack([c[n] for n in RATES])
-        return (np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - gravity(c))[axis], c[ACCELERATIONS[axis]]
+        return (np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - gravity(c))[axis], c[
+            ACCELERATIONS[axis]
+        ]
 
     return sides
 
@@ -137,7 +156,9 @@ def _alpha_change(c: Columns, dt: float) -> Pair:
     alpha, beta = c["alpha_rad"], c["beta_rad"]
     speed = np.maximum(np.abs(c["V_mps"]), 1.0)
     turned = q - np.tan(beta) * (p * np.cos(alpha) + r * np.sin(alpha))
-    return turned + (force[2] * np.cos(alpha) - force[0] * np.sin(alpha)) / (speed * np.cos(beta)), np.gradient(alpha, dt)
+    return turned + (force[2] * np.cos(alpha) - force[0] * np.sin(alpha)) / (
+        speed * np.cos(beta)
+    ), np.gradient(alpha, dt)
 
 
 def _beta_change(c: Columns, dt: float) -> Pair:
@@ -151,7 +172,9 @@ def _beta_change(c: Columns, dt: float) -> Pair:
 
 def _weight(c: Columns, dt: float) -> Pair:
     """Specific force downwards of flight that neither climbs ever faster nor sinks ever faster: minus gravity."""
-    down = to_earth({**c, "psi_rad": np.zeros(c["phi_rad"].size)}, np.stack([c[n] for n in ACCELERATIONS]))[2]
+    down = to_earth(
+        {**c, "psi_rad": np.zeros(c["phi_rad"].size)}, np.stack([c[n] for n in ACCELERATIONS])
+    )[2]
     return np.full(down.size, -G0_MPS2), down
 
 
@@ -167,7 +190,9 @@ def _climb_on_path(c: Columns, dt: float) -> Pair:
 
 
 def _climb_in_air(c: Columns, dt: float) -> Pair:
-    return -to_earth({**c, "psi_rad": np.zeros(c["phi_rad"].size)}, air_velocity(c))[2], np.gradient(c["h_m"], dt)
+    return -to_earth({**c, "psi_rad": np.zeros(c["phi_rad"].size)}, air_velocity(c))[
+        2
+    ], np.gradient(c["h_m"], dt)
 
 
 def _climb_by_pitch(c: Columns, dt: float) -> Pair:
@@ -183,28 +208,75 @@ def _position(place: str, speed: str) -> Callable[[Columns, float], Pair]:
 
 def _laws() -> tuple[Law, ...]:
     moving = (*ATTITUDE, *RATES, *ACCELERATIONS)
-    found = [Law(n, "the rate of the logged attitude", (*ATTITUDE, n), _rate(k)) for k, n in enumerate(RATES)]
+    found = [
+        Law(n, "the rate of the logged attitude", (*ATTITUDE, n), _rate(k))
+        for k, n in enumerate(RATES)
+    ]
     for k, n in enumerate(ACCELERATIONS):
-        found.append(Law(n, "the ground velocity's change less gravity", (*GROUND, *ATTITUDE, n), _felt_on_path(k)))
-        found.append(Law(n, "what the motion through the air demands", (*AIR, *ATTITUDE, *RATES, n), _felt_in_air(k)))
+        found.append(
+            Law(
+                n,
+                "the ground velocity's change less gravity",
+                (*GROUND, *ATTITUDE, n),
+                _felt_on_path(k),
+            )
+        )
+        found.append(
+            Law(
+                n,
+                "what the motion through the air demands",
+                (*AIR, *ATTITUDE, *RATES, n),
+                _felt_in_air(k),
+            )
+        )
     found += [
-        Law(n, "what rates and accelerations say", (*AIR, *moving[:2], *RATES, *ACCELERATIONS), sides)
+        Law(
+            n,
+            "what rates and accelerations say",
+            (*AIR, *moving[:2], *RATES, *ACCELERATIONS),
+            sides,
+        )
         for n, sides in zip(AIR, (speed_change, _alpha_change, _beta_change), strict=True)
     ]
     found += [
-        Law("az_mps2", "the weight that has to be carried", (*ATTITUDE[:2], *ACCELERATIONS), _weight, means=True),
-        Law("V_mps", "the turns that the accelerometers feel", ("V_mps", *ATTITUDE, *ACCELERATIONS[1:]), _turn, means=True),
+        Law(
+            "az_mps2",
+            "the weight that has to be carried",
+            (*ATTITUDE[:2], *ACCELERATIONS),
+            _weight,
+            means=True,
+        ),
+        Law(
+            "V_mps",
+            "the turns that the accelerometers feel",
+            ("V_mps", *ATTITUDE, *ACCELERATIONS[1:]),
+            _turn,
+            means=True,
+        ),
         Law("h_m", "the vertical speed", ("vd_mps", "h_m"), _climb_on_path),
         Law("h_m", "the climb through the air", (*AIR, *ATTITUDE[:2], "h_m"), _climb_in_air),
-        Law("h_m", "airspeed and pitch angle", ("V_mps", "theta_rad", "h_m"), _climb_by_pitch, high_hz=_SLOW_HZ),
-        Law("north_m", "the ground velocity", ("vn_mps", "north_m"), _position("north_m", "vn_mps")),
+        Law(
+            "h_m",
+            "airspeed and pitch angle",
+            ("V_mps", "theta_rad", "h_m"),
+            _climb_by_pitch,
+            high_hz=_SLOW_HZ,
+        ),
+        Law(
+            "north_m", "the ground velocity", ("vn_mps", "north_m"), _position("north_m", "vn_mps")
+        ),
         Law("east_m", "the ground velocity", ("ve_mps", "east_m"), _position("east_m", "ve_mps")),
     ]
     return tuple(found)
 
 
 LAWS = _laws()
-WIND_LAW = Law("V_mps", "ground speed and a steady wind", ("V_mps", "vn_mps", "ve_mps"), lambda c, dt: (c["vn_mps"], c["V_mps"]))
+WIND_LAW = Law(
+    "V_mps",
+    "ground speed and a steady wind",
+    ("V_mps", "vn_mps", "ve_mps"),
+    lambda c, dt: (c["vn_mps"], c["V_mps"]),
+)
 """Judged by `against_wind`; here for its names."""
 
 
@@ -250,7 +322,10 @@ def _means(values: FloatArray, dt_s: float) -> FloatArray:
     return values[: values.size // n * n].reshape(-1, n).mean(axis=1)
 
 
-_WIND_MPS, _WIND_SHARE = 5.0, 0.3  # what a wind may be before anything is measured, one standard deviation
+_WIND_MPS, _WIND_SHARE = (
+    5.0,
+    0.3,
+)  # what a wind may be before anything is measured, one standard deviation
 
 
 def against_wind(found: Stretches) -> Relation:
@@ -258,7 +333,9 @@ def against_wind(found: Stretches) -> Relation:
 
     A flight that never turns tells little of either: a prior on the wind stands for what is then unknown.
     """
-    v, n, e = (np.concatenate([_means(c[name], found.dt_s) for c in found.parts]) for name in WIND_LAW.uses)
+    v, n, e = (
+        np.concatenate([_means(c[name], found.dt_s) for c in found.parts]) for name in WIND_LAW.uses
+    )
     if v.size < 4:
         return NOTHING
     ground = float(np.median(np.hypot(n, e)))

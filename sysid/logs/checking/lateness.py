@@ -128,8 +128,15 @@ class _Band:
         k = scale[None, :]
         own = np.sum(np.abs(on_base) ** 2, axis=1)[:, None]
         on = _power(along) - 2.0 * k * np.real(np.conj(on_base) @ along)[:, None] + k**2 * own
-        whole = _power(self.y) - 2.0 * k * np.real(np.conj(turned) @ self.y)[:, None] + k**2 * _power(self.x)
-        rest = np.maximum(whole - on, 0.0) / (self.count - self.instruments) + (_FLOOR * k) ** 2 * own / self.instruments
+        whole = (
+            _power(self.y)
+            - 2.0 * k * np.real(np.conj(turned) @ self.y)[:, None]
+            + k**2 * _power(self.x)
+        )
+        rest = (
+            np.maximum(whole - on, 0.0) / (self.count - self.instruments)
+            + (_FLOOR * k) ** 2 * own / self.instruments
+        )
         return np.maximum(on, 0.0), rest
 
     def at(self, late_s: float, scale: float) -> _Told:
@@ -146,7 +153,9 @@ class _Band:
         told = np.conj(on.T) @ on - by_chance * np.conj(off.T) @ off
         chance = by_chance * np.conj(free.T) @ free
         factor = (on - np.outer(self._on(r), common)) / rest
-        return _Told(2.0 * np.real(told) / rest, 2.0 * np.real(chance) / rest, self.instruments, factor, r)
+        return _Told(
+            2.0 * np.real(told) / rest, 2.0 * np.real(chance) / rest, self.instruments, factor, r
+        )
 
     def _on(self, values: ComplexArray) -> ComplexArray:
         return np.asarray(self.base @ (np.conj(self.base.T) @ values))
@@ -198,7 +207,9 @@ def _by(found: Stretches, law: Law, controls: Sequence[str]) -> Late:
     row_s = _ROW * found.dt_s
     if controls:
         return replace(late, std_s=math.hypot(late.std_s, row_s))
-    return replace(late, std_s=math.hypot(late.std_s, row_s, _gusts_s(parts, groups, late)), by="motion")
+    return replace(
+        late, std_s=math.hypot(late.std_s, row_s, _gusts_s(parts, groups, late)), by="motion"
+    )
 
 
 def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: Late) -> float:
@@ -209,7 +220,10 @@ def _gusts_s(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]], late: L
         share = _power(b.y - turned) / max(_power(turned), 1e-300)
         information = 1.0 / (share / (2.0 * b.count) + _FLOOR**2)
         omega = math.sqrt(float(np.mean(b.omega**2)))
-        turn, weight = turn + information * omega * math.sqrt(share), weight + information * omega**2
+        turn, weight = (
+            turn + information * omega * math.sqrt(share),
+            weight + information * omega**2,
+        )
     return turn / weight
 
 
@@ -228,11 +242,19 @@ def lateness(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> Late
         return UNKNOWN
     inverse = np.linalg.inv(information)
     spread = information + np.sum([t.chance for t in told], axis=0)
-    variances = [float((inverse @ m @ inverse)[0, 0]) for m in (spread, _score_variance(parts, bands, told))]
+    variances = [
+        float((inverse @ m @ inverse)[0, 0]) for m in (spread, _score_variance(parts, bands, told))
+    ]
     freedom = 2.0 * sum(b.instruments for b in bands) - 1.0
     # Instruments that follow gusts: the part that passes for lateness may be as large as all that does not.
     broken = 1.0 + max(0.0, misfit - float(chdtri(freedom, _BROKEN)))
-    return Late(late_s, math.sqrt(broken * max(*variances, _variance_by_likelihood(bands, late_s, misfit))), scale, misfit, freedom)
+    return Late(
+        late_s,
+        math.sqrt(broken * max(*variances, _variance_by_likelihood(bands, late_s, misfit))),
+        scale,
+        misfit,
+        freedom,
+    )
 
 
 def _variance_by_likelihood(bands: Sequence[_Band], late_s: float, misfit: float) -> float:
@@ -257,7 +279,9 @@ def _bands(parts: Sequence[Part], groups: Sequence[NDArray[np.bool_]]) -> list[_
         if mean < LEAK * max(means):
             continue
         left, sizes, _ = np.linalg.svd(z[:, group].T, full_matrices=False)
-        base = left[:, sizes > _DEPENDENT * sizes[0]] if sizes.size and sizes[0] > 0.0 else left[:, :0]
+        base = (
+            left[:, sizes > _DEPENDENT * sizes[0]] if sizes.size and sizes[0] > 0.0 else left[:, :0]
+        )
         if base.shape[1] > 0 and np.count_nonzero(group) / TAPERED > 2 * base.shape[1] + 1:
             out.append(_Band(2.0 * np.pi * f[group], x[group], y[group], base, group))
     return out
@@ -271,7 +295,10 @@ def _least(bands: Sequence[_Band]) -> tuple[float, float, float]:
         i, j = np.unravel_index(int(np.argmin(q)), q.shape)
         best = float(late[i]), float(np.exp(logs[j])), float(q[i, j])
         steps = (late[1] - late[0]) / _FINER, (logs[1] - logs[0]) / _FINER
-        late, logs = (v[n] + step * np.arange(-8.0, 9.0) for v, n, step in zip((late, logs), (i, j), steps, strict=True))
+        late, logs = (
+            v[n] + step * np.arange(-8.0, 9.0)
+            for v, n, step in zip((late, logs), (i, j), steps, strict=True)
+        )
     return best
 
 
@@ -285,7 +312,9 @@ def _misfits(bands: Sequence[_Band], late_s: FloatArray, log_scales: FloatArray)
     return q
 
 
-def _score_variance(parts: Sequence[Part], bands: Sequence[_Band], told: Sequence[_Told]) -> FloatArray:
+def _score_variance(
+    parts: Sequence[Part], bands: Sequence[_Band], told: Sequence[_Told]
+) -> FloatArray:
     """(2, 2) variance of the score by how it comes about in time: a roll turns slow gusts into fast ones, where controls move."""
     count = bands[0].which.size
     factor, left = np.zeros((count, 2), dtype=np.complex128), np.zeros(count, dtype=np.complex128)

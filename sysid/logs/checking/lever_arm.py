@@ -30,7 +30,9 @@ def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | Non
         return None
     best = max(segments, key=lambda s: s.stop - s.start)
     # Ten minutes are plenty, and keep the check quick on long logs.
-    part = record.rows(slice(best.start, min(best.stop, best.start + int(_LONGEST_S / record.dt_s))))
+    part = record.rows(
+        slice(best.start, min(best.stop, best.start + int(_LONGEST_S / record.dt_s)))
+    )
     return part if len(part) >= _MIN_ROWS and 0.4 / part.dt_s > BAND_HZ[0] else None
 
 
@@ -68,8 +70,16 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
     speed, alpha, beta = part["V_mps"], part["alpha_rad"], part["beta_rad"]
     phi, theta = part["phi_rad"], part["theta_rad"]
     p, q, r = (part[n] for n in _RATES)
-    v = np.stack([speed * np.cos(alpha) * np.cos(beta), speed * np.sin(beta), speed * np.sin(alpha) * np.cos(beta)])
-    g = G0_MPS2 * np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)])
+    v = np.stack(
+        [
+            speed * np.cos(alpha) * np.cos(beta),
+            speed * np.sin(beta),
+            speed * np.sin(alpha) * np.cos(beta),
+        ]
+    )
+    g = G0_MPS2 * np.stack(
+        [-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)]
+    )
     omega = np.stack([p, q, r])
     acceleration = np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - g
     measured = np.stack([part[n] for n in _ACCELERATIONS])
@@ -91,7 +101,9 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
         position = np.linalg.solve(information, a.T @ (weight * b))
         residual = b - a @ position
         # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's own on another.
-        weight = np.repeat(1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size)
+        weight = np.repeat(
+            1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size
+        )
     # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over some seconds scatter
     # (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
     block = np.tile(np.arange(speed.size) * dt // _BLOCK_S, 3).astype(int)
@@ -102,7 +114,9 @@ def lever_arm(record: FlightRecord) -> LeverArm | None:
         return None
     inverse = np.linalg.inv(information)
     scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
-    return LeverArm(np.asarray(position, dtype=float), np.sqrt(np.diag(inverse @ scatter @ inverse)))
+    return LeverArm(
+        np.asarray(position, dtype=float), np.sqrt(np.diag(inverse @ scatter @ inverse))
+    )
 
 
 def lever_arm_finding(record: FlightRecord) -> list[Finding]:
@@ -110,11 +124,18 @@ def lever_arm_finding(record: FlightRecord) -> list[Finding]:
     found = lever_arm(record)
     if found is None:
         return []
-    off = (np.abs(found.position_m) > np.maximum(_SURE * found.std_m, 0.03)) & (found.std_m < _TOLD_M)
+    off = (np.abs(found.position_m) > np.maximum(_SURE * found.std_m, 0.03)) & (
+        found.std_m < _TOLD_M
+    )
     if not off.any():
         return []
-    pairs = ", ".join(f"{n} {v:+.2f} +- {s:.2f}" for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True))
+    pairs = ", ".join(
+        f"{n} {v:+.2f} +- {s:.2f}"
+        for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True)
+    )
     numbers = {f"{n}_m": float(v) for n, v in zip("xyz", found.position_m, strict=True)}
     numbers |= {f"{n}_std_m": float(v) for n, v in zip("xyz", found.std_m, strict=True)}
-    text = f"the accelerometers sit off the CG: {pairs} m; put it into the card's [sensors] position_m"
+    text = (
+        f"the accelerometers sit off the CG: {pairs} m; put it into the card's [sensors] position_m"
+    )
     return [Finding("lever-arm", "ax_mps2", "warning", text, numbers)]

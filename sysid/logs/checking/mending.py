@@ -35,11 +35,19 @@ def spoils(channel: str) -> str:
 def mend(channel: str, factor: float, meta: Metadata) -> str:
     """Lines of a signal map after which the channel is ``factor`` times what it is now."""
     label = meta.channels.get(channel, "")
-    shipped = shipped_map(meta.dialect.removesuffix("-text")) if meta.dialect.removesuffix("-text") in shipped_dialects() else None
+    shipped = (
+        shipped_map(meta.dialect.removesuffix("-text"))
+        if meta.dialect.removesuffix("-text") in shipped_dialects()
+        else None
+    )
     entries = () if shipped is None else shipped.entries.get(channel, ())
     for entry in entries:
         if entry.label == label:
-            fields = f'field = "{entry.fields[0]}"' if len(entry.fields) == 1 else f"fields = {_listed(entry.fields)}"
+            fields = (
+                f'field = "{entry.fields[0]}"'
+                if len(entry.fields) == 1
+                else f"fields = {_listed(entry.fields)}"
+            )
             extra = "" if entry.function == "value" else f'\nfunction = "{entry.function}"'
             extra += "" if entry.times is None else f"\ntimes = {_listed(entry.times)}"
             extra += f"\ninstance = {entry.instance}" if entry.instance else ""

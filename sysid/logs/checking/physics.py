@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
-from sysid.logs.checking.kinematics import ACCELERATIONS, AIR, ATTITUDE, GROUND, RATES, Law, all_laws, judged, stretches
+from sysid.logs.checking.kinematics import (
+    ACCELERATIONS,
+    AIR,
+    ATTITUDE,
+    GROUND,
+    RATES,
+    Law,
+    all_laws,
+    judged,
+    stretches,
+)
 from sysid.logs.checking.lateness import channel_lateness
 from sysid.logs.checking.mending import mend, spoils
 from sysid.logs.checking.spectra import Relation
@@ -32,7 +42,13 @@ _MOST_HZ = 40.0
 _ALIKE = 8.0  # factor within which the noise of sensors of one kind is the same
 _DEG = 180.0 / math.pi
 
-_SPEEDS = {1.0 / KT_MPS: "knots", 3.6: "km/h", 1.0 / FT_M: "feet per second", 2.236936: "miles per hour", 100.0: "cm/s"}
+_SPEEDS = {
+    1.0 / KT_MPS: "knots",
+    3.6: "km/h",
+    1.0 / FT_M: "feet per second",
+    2.236936: "miles per hour",
+    100.0: "cm/s",
+}
 _LENGTHS = {1.0 / FT_M: "feet", 100.0: "cm", 1000.0: "mm", 1e-3: "km"}
 _FORCES = {1.0 / G0_MPS2: "g", 1000.0 / G0_MPS2: "mg", 1.0 / FT_M: "ft/s2", 100.0: "cm/s2"}
 _TURNS = {_DEG: "degrees per second", 1000.0: "mrad/s"}
@@ -40,10 +56,16 @@ _ANGLES = {_DEG: "degrees"}
 _PLACES = ("north_m", "east_m")
 _FAMILIES: tuple[tuple[tuple[str, ...], Mapping[float, str], str], ...] = (
     # Channels that share a unit, units that come instead of the due one, and the due one.
-    (("V_mps",), _SPEEDS, "m/s"), (("h_m",), _LENGTHS, "m"), (ACCELERATIONS, _FORCES, "m/s2"), (RATES, _TURNS, "rad/s"),
-    (ATTITUDE, _ANGLES, "rad"), (("alpha_rad",), _ANGLES, "rad"), (("beta_rad",), _ANGLES, "rad"), (GROUND, _SPEEDS, "m/s"),
+    (("V_mps",), _SPEEDS, "m/s"),
+    (("h_m",), _LENGTHS, "m"),
+    (ACCELERATIONS, _FORCES, "m/s2"),
+    (RATES, _TURNS, "rad/s"),
+    (ATTITUDE, _ANGLES, "rad"),
+    (("alpha_rad",), _ANGLES, "rad"),
+    (("beta_rad",), _ANGLES, "rad"),
+    (GROUND, _SPEEDS, "m/s"),
     (_PLACES, _LENGTHS, "m"),
-)  # fmt: skip
+)
 
 
 _LEAST_LATE_S, _LATE_SURE = 0.01, 4.0
@@ -65,7 +87,9 @@ class Slip:
 
     def undone(self, record: FlightRecord) -> FlightRecord:
         """The record without it."""
-        return record.with_columns({c: record[c] / self.factor for c in self.channels if c in record})
+        return record.with_columns(
+            {c: record[c] / self.factor for c in self.channels if c in record}
+        )
 
 
 @dataclass(frozen=True)
@@ -108,7 +132,11 @@ def check_physics(record: FlightRecord) -> list[Finding]:
             break
         found = _explanation(mended, before)
         if found is None:
-            out += [_unexplained(h) for h in before if h.differs and not h.in_air and h.relation.coherence > _COHERENT]
+            out += [
+                _unexplained(h)
+                for h in before
+                if h.differs and not h.in_air and h.relation.coherence > _COHERENT
+            ]
             break
         slip, rivals = found
         out += _named(slip, rivals, record, before, _heard_anew(mended, before, slip))
@@ -118,7 +146,11 @@ def check_physics(record: FlightRecord) -> list[Finding]:
 
 def heard(record: FlightRecord) -> list[Heard]:
     """Every law that the record has the channels for, and what the flight says of it."""
-    return [Heard(law, judged(law, found)) for law in all_laws() if (found := stretches(record, law)) is not None]
+    return [
+        Heard(law, judged(law, found))
+        for law in all_laws()
+        if (found := stretches(record, law)) is not None
+    ]
 
 
 def _heard_anew(record: FlightRecord, before: Sequence[Heard], slip: Slip) -> list[Heard]:
@@ -177,7 +209,11 @@ def _in_radians(record: FlightRecord) -> FlightRecord:
     most = {"phi_rad": 3.3, "theta_rad": 1.65, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
     wrong = {}
     for name, limit in most.items():
-        if name in record and np.isfinite(record[name]).any() and float(np.nanquantile(np.abs(record[name]), 0.99)) > limit:
+        if (
+            name in record
+            and np.isfinite(record[name]).any()
+            and float(np.nanquantile(np.abs(record[name]), 0.99)) > limit
+        ):
             wrong[name] = record[name] / _DEG
     return record.with_columns(wrong) if wrong else record
 
@@ -194,8 +230,15 @@ def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
             yield Slip(channels, -1.0, "the sign is reversed", 1)
             for factor, unit in units.items():
                 yield Slip(channels, factor, f"it is in {unit}, not in {due}", usual)
-                yield Slip(channels, 1.0 / factor, f"it was in {due} and has been converted from {unit} once too often", 2)
-                yield Slip(channels, -factor, f"it is in {unit}, not in {due}, and its sign is reversed", 3)
+                yield Slip(
+                    channels,
+                    1.0 / factor,
+                    f"it was in {due} and has been converted from {unit} once too often",
+                    2,
+                )
+                yield Slip(
+                    channels, -factor, f"it is in {unit}, not in {due}, and its sign is reversed", 3
+                )
     for h in wrong:
         if h.in_air:
             continue
@@ -229,27 +272,44 @@ def _explanation(record: FlightRecord, before: Sequence[Heard]) -> tuple[Slip, l
         if gain > 0:
             # As near as the measured scales are to 1 afterwards, of what mends as much.
             left = [abs(math.log(abs(h.relation.scale))) for h in after if h.agrees]
-            scored.append((-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip))
+            scored.append(
+                (-gain, slip.rank, round(float(np.mean(left)), 2), len(slip.channels), slip)
+            )
     if not scored:
         return None
     scored.sort(key=lambda row: row[:-1])
     best = scored[0]
-    rivals = [s for g, rank, *_, s in scored[1:] if g == best[0] and rank <= best[1] and set(s.channels) != set(best[-1].channels)]
+    rivals = [
+        s
+        for g, rank, *_, s in scored[1:]
+        if g == best[0] and rank <= best[1] and set(s.channels) != set(best[-1].channels)
+    ]
     return best[-1], rivals[:2]
 
 
 def _named(
-    slip: Slip, rivals: Sequence[Slip], record: FlightRecord, before: Sequence[Heard], after: Sequence[Heard]
+    slip: Slip,
+    rivals: Sequence[Slip],
+    record: FlightRecord,
+    before: Sequence[Heard],
+    after: Sequence[Heard],
 ) -> Iterator[Finding]:
     """A finding for each channel of a slip."""
     now = {h.law: h for h in after}
     mended = [h for h in before if h.law in now and now[h.law].agrees and not h.agrees]
     broke = [h for h in before if h.differs]
     about = [h for h in mended if h.law.subject in slip.channels] or mended or broke
-    best = min(about, key=lambda h: h.relation.high / h.relation.low if h.relation.evident and h.relation.low else math.inf)
+    best = min(
+        about,
+        key=lambda h: (
+            h.relation.high / h.relation.low if h.relation.evident and h.relation.low else math.inf
+        ),
+    )
     after_it = now[best.law].relation if best.law in now and now[best.law].agrees else None
     relation = after_it or best.relation
-    low, high = sorted((slip.factor if after_it else 1.0) * end for end in (relation.low, relation.high))
+    low, high = sorted(
+        (slip.factor if after_it else 1.0) * end for end in (relation.low, relation.high)
+    )
     size = f"{slip.factor:.4g}" if slip.factor == -1.0 else f"{slip.factor:.3g}"
     either = "".join(f"; or {' '.join(r.channels)}: {r.words}" for r in rivals)
     for channel in slip.channels:
@@ -258,11 +318,23 @@ def _named(
             f" {slip.words}; without it {len(mended)} of {len(broke)} relations between channels hold that do not{either}"
         )
         numbers = {
-            "slope": slip.factor, "low": low, "high": high, "correlation": math.sqrt(max(relation.coherence, 0.0)),
-            "relations_mended": float(len(mended)), "relations_broken": float(len(broke)),
-        }  # fmt: skip
+            "slope": slip.factor,
+            "low": low,
+            "high": high,
+            "correlation": math.sqrt(max(relation.coherence, 0.0)),
+            "relations_mended": float(len(mended)),
+            "relations_broken": float(len(broke)),
+        }
         code = "sign" if -SAME < slip.factor < 0.0 else "unit"
-        yield Finding(code, channel, "error", text, numbers, spoils(channel), mend(channel, 1.0 / slip.factor, record.metadata))
+        yield Finding(
+            code,
+            channel,
+            "error",
+            text,
+            numbers,
+            spoils(channel),
+            mend(channel, 1.0 / slip.factor, record.metadata),
+        )
 
 
 def _unexplained(h: Heard) -> Finding:
@@ -271,8 +343,15 @@ def _unexplained(h: Heard) -> Finding:
         f"{h.law.subject} is {r.scale:.3g} times {h.law.says} (between {r.low:.3g} and {r.high:.3g}, coherence {r.coherence:.2f}),"
         f" and no unit or sign of one channel explains it: look at {', '.join(h.law.uses)}"
     )
-    numbers = {"slope": r.scale, "low": r.low, "high": r.high, "correlation": math.sqrt(max(r.coherence, 0.0))}
-    return Finding("kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject))
+    numbers = {
+        "slope": r.scale,
+        "low": r.low,
+        "high": r.high,
+        "correlation": math.sqrt(max(r.coherence, 0.0)),
+    }
+    return Finding(
+        "kinematics-disagree", h.law.subject, "warning", text, numbers, spoils(h.law.subject)
+    )
 
 
 def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -> list[Finding]:
@@ -284,13 +363,26 @@ def _delays(record: FlightRecord, laws: Sequence[Heard], ground_late_s: float) -
     ]
     for h in laws:
         if h.law.subject in AIR and "rates" in h.law.says and not h.differs:
-            late = channel_lateness(record, h.law, h.agrees and h.relation.coherence > _LATE_COHERENCE)
+            late = channel_lateness(
+                record, h.law, h.agrees and h.relation.coherence > _LATE_COHERENCE
+            )
             if surely_late(late.late_s, late.std_s):
-                out.append(_delay(h.law.subject, "rates and accelerations", late.late_s, late.std_s, h.relation.coherence, late.by))
+                out.append(
+                    _delay(
+                        h.law.subject,
+                        "rates and accelerations",
+                        late.late_s,
+                        late.std_s,
+                        h.relation.coherence,
+                        late.by,
+                    )
+                )
     return out
 
 
-def _together(channel: str, reference: str, members: Sequence[Heard], known_s: float) -> Iterator[Finding]:
+def _together(
+    channel: str, reference: str, members: Sequence[Heard], known_s: float
+) -> Iterator[Finding]:
     """Delay that several laws have in common, into none of which gusts enter; ``known_s``: the part already corrected."""
     good = [h.relation for h in members if h.agrees and h.relation.coherence > _LATE_COHERENCE]
     if good:
@@ -324,10 +416,14 @@ def surely_late(late_s: float, std_s: float) -> bool:
     return _LEAST_LATE_S < size < _LATEST_S and size > _LATE_SURE * std_s
 
 
-def _delay(channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str) -> Finding:
+def _delay(
+    channel: str, reference: str, late_s: float, std_s: float, coherence: float, by: str
+) -> Finding:
     how = "in what the controls moved" if by == "controls" else f"coherence {coherence:.2f}"
     side = "after" if late_s > 0 else "before"
     text = f"{channel} comes {abs(late_s) * 1e3:.0f} +- {std_s * 1e3:.1f} ms {side} {reference} ({how})"
     numbers = {"delay_s": late_s, "std_s": std_s, "correlation": math.sqrt(max(coherence, 0.0))}
     severity = "info" if abs(late_s) < 0.05 else "warning"
-    return Finding("delay", channel, severity, text, numbers, "phases, and with them damping derivatives")
+    return Finding(
+        "delay", channel, severity, text, numbers, "phases, and with them damping derivatives"
+    )

@@ -57,7 +57,11 @@ class Relation:
     @property
     def scale(self) -> float:
         """Geometric middle of ``low`` and ``high``."""
-        return math.copysign(math.sqrt(self.low * self.high), self.low) if self.evident else float("nan")
+        return (
+            math.copysign(math.sqrt(self.low * self.high), self.low)
+            if self.evident
+            else float("nan")
+        )
 
     def allows(self, scale: float, tolerance: float = 0.0) -> bool:
         """Whether the scale can be this one; ``tolerance`` relative on either side."""
@@ -69,7 +73,9 @@ class Relation:
 NOTHING = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 0)
 
 
-def relate(x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz: float, high_hz: float) -> Relation:
+def relate(
+    x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz: float, high_hz: float
+) -> Relation:
     """The relation of y to x, from stretches (n,) without gaps, ``dt_s`` apart, in a band of frequencies."""
     parts = [spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
     if not parts:
@@ -88,17 +94,32 @@ def relate(x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz
         if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * most:
             continue
         a, b, k = fx[group], turned[group], float(np.count_nonzero(group))
-        xx, yy, xy = float(np.sum(np.abs(a) ** 2)), float(np.sum(np.abs(b) ** 2)), complex(np.sum(np.conj(a) * b))
+        xx, yy, xy = (
+            float(np.sum(np.abs(a) ** 2)),
+            float(np.sum(np.abs(b) ** 2)),
+            complex(np.sum(np.conj(a) * b)),
+        )
         shared = abs(xy) ** 2 / (xx * yy) if xx * yy > 0.0 else 0.0
         chance = (1.0 - min(shared, 1.0)) ** (k - 1.0)
         if chance * len(groups) >= _CHANCE:
             continue
         variance = (1.0 - min(shared, 1.0)) / (2.0 * k * shared) + _FLOOR**2
         center = 2.0 * np.pi * float(np.sum(np.abs(a) ** 2 * frequency[group]) / xx)
-        rows.append((1.0 / variance, math.log(abs(xy) / xx), math.log(yy / abs(xy)), np.angle(xy), center, shared))
+        rows.append(
+            (
+                1.0 / variance,
+                math.log(abs(xy) / xx),
+                math.log(yy / abs(xy)),
+                np.angle(xy),
+                center,
+                shared,
+            )
+        )
     if not rows:
         return NOTHING
-    weight, first, second, phase, omega, shared_all = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
+    weight, first, second, phase, omega, shared_all = (
+        np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)
+    )
     if not np.all(np.isfinite(first + second)) or np.sum(weight * np.cos(phase)) <= 0.0:
         return NOTHING
     information = float(weight.sum())
@@ -111,9 +132,13 @@ def relate(x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz
     miss = max(1.0, float(weight @ (phase + omega * fine) ** 2) / max(1, len(rows) - 1))
     ends = (middle - SURE * spread, float(weight @ second) / information + SURE * spread)
     return Relation(
-        sign * math.exp(ends[0]), sign * math.exp(ends[1]), late + fine, math.sqrt(miss / about),
-        float(weight @ shared_all) / information, len(rows),
-    )  # fmt: skip
+        sign * math.exp(ends[0]),
+        sign * math.exp(ends[1]),
+        late + fine,
+        math.sqrt(miss / about),
+        float(weight @ shared_all) / information,
+        len(rows),
+    )
 
 
 def relate_means(x: FloatArray, y: FloatArray) -> Relation:
@@ -134,7 +159,12 @@ def relate_means(x: FloatArray, y: FloatArray) -> Relation:
     sign = math.copysign(1.0, xy)
     first, second = math.log(abs(xy) / xx), math.log(yy / abs(xy))
     return Relation(
-        sign * math.exp(first - SURE * spread), sign * math.exp(second + SURE * spread), float("nan"), float("inf"), shared, 1
+        sign * math.exp(first - SURE * spread),
+        sign * math.exp(second + SURE * spread),
+        float("nan"),
+        float("inf"),
+        shared,
+        1,
     )
 
 
@@ -144,7 +174,9 @@ def spectrum(
     """Frequencies inside the band and the Fourier transforms there, tapered at the ends, straight lines taken out."""
     n = x.size
     at = np.linspace(-1.0, 1.0, n)
-    edge = np.clip(np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / max(1.0, _TAPER * n), 0.0, 1.0)
+    edge = np.clip(
+        np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / max(1.0, _TAPER * n), 0.0, 1.0
+    )
     taper = 0.5 - 0.5 * np.cos(np.pi * edge)
     frequency = np.asarray(np.fft.rfftfreq(n, dt_s), dtype=np.float64)
     inside = (frequency >= low_hz) & (frequency <= high_hz)
@@ -164,7 +196,9 @@ def band_passed(x: FloatArray, dt_s: float, low_hz: float, high_hz: float) -> Fl
     n = x.shape[-1]
     frequency = np.arange(1, n) / (2.0 * n * dt_s)
     gain = 1.0 / ((1.0 + (low_hz / frequency) ** 4) * (1.0 + (frequency / high_hz) ** 4))
-    return np.asarray(fft.idct(fft.dct(x, norm="ortho") * np.concatenate([[0.0], gain]), norm="ortho"))
+    return np.asarray(
+        fft.idct(fft.dct(x, norm="ortho") * np.concatenate([[0.0], gain]), norm="ortho")
+    )
 
 
 def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDArray[np.bool_]]:
@@ -182,19 +216,27 @@ def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDAr
     return found or [np.ones(frequency.size, dtype=bool)]
 
 
-def _coarse(frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
+def _coarse(
+    frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: Sequence[NDArray[np.bool_]]
+) -> tuple[float, float]:
     """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its own correlation."""
     late = np.arange(-_MOST_LATE_S, _MOST_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
     total = np.zeros(late.size)
     # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to 1e-13.
-    turns = np.broadcast_to(np.exp(2j * np.pi * _LATE_STEP_S * frequency), (late.size, frequency.size)).copy()
+    turns = np.broadcast_to(
+        np.exp(2j * np.pi * _LATE_STEP_S * frequency), (late.size, frequency.size)
+    ).copy()
     turns[0] = np.exp(2j * np.pi * late[0] * frequency)
     np.multiply.accumulate(turns, axis=0, out=turns)
     for group in groups:
         cross = np.conj(fx[group]) * fy[group]
-        size = math.sqrt(float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2)))
+        size = math.sqrt(
+            float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2))
+        )
         if size > 0.0:
-            along = np.real((turns[:, group] * cross).sum(axis=1)) / size  # no BLAS, whose threads cost more than they do
+            along = (
+                np.real((turns[:, group] * cross).sum(axis=1)) / size
+            )  # no BLAS, whose threads cost more than they do
             total += np.count_nonzero(group) * along * np.abs(along)
     # Of equals the least lateness.
     total *= 1.0 - 1e-3 * np.abs(late)

@@ -66,7 +66,11 @@ class Effect:
     @property
     def certain(self) -> bool:
         """Whether the flight tells the sign."""
-        return abs(self.slope) > _SURE * self.std and self.share > _SHARE and self.against < _AGAINST * self.share
+        return (
+            abs(self.slope) > _SURE * self.std
+            and self.share > _SHARE
+            and self.against < _AGAINST * self.share
+        )
 
 
 def effect(record: FlightRecord, axis: Axis) -> Effect | None:
@@ -75,7 +79,9 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     if column is None or axis.rate not in record or len(record) < 3:
         return None
     dt = record.dt_s
-    native = min((record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt)
+    native = min(
+        (record.metadata.native_hz.get(n, 1.0 / dt) for n in (column, axis.rate)), default=1.0 / dt
+    )
     if native < _LEAST_HZ:
         return None  # an autopilot answers a gust within a sample: what it does and what that does cannot be told apart
     high = min(_BAND_HZ[1], 0.2 * native)
@@ -89,7 +95,11 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
     for c in rows:
         c[_TURNING] = np.gradient(c[axis.rate], dt)
     lags = range(round(_LATEST_S / dt) + 1)
-    found = [e for lag in lags if (e := _regressed(rows, column, (axis.rate, *others), lag, dt)) is not None]
+    found = [
+        e
+        for lag in lags
+        if (e := _regressed(rows, column, (axis.rate, *others), lag, dt)) is not None
+    ]
     if not found:
         return None
     best = max(found, key=lambda e: e.share)
@@ -105,20 +115,43 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
         if found is None or not found.certain or found.slope * axis.sense > 0.0:
             continue
         column = _column(record, axis.surface) or axis.surface
-        does = {"elevator_deg": "pitches the nose up", "aileron_deg": "rolls left", "rudder_deg": "yaws the nose right"}
+        does = {
+            "elevator_deg": "pitches the nose up",
+            "aileron_deg": "rolls left",
+            "rudder_deg": "yaws the nose right",
+        }
         text = (
             f"+ {column} {does[axis.surface]}: {axis.rate} changes by {found.slope:+.3g} +- {found.std:.2g} rad/s2 a degree,"
             f" {found.late_s * 1e3:.0f} ms later ({100 * found.share:.0f} % of what else is left): its sign is reversed"
         )
-        numbers = {"slope": -1.0, "effect": found.slope, "std": found.std, "late_s": found.late_s, "share": found.share}
-        out.append(Finding("sign", column, "error", text, numbers, spoils(column), mend(column, -1.0, record.metadata)))
+        numbers = {
+            "slope": -1.0,
+            "effect": found.slope,
+            "std": found.std,
+            "late_s": found.late_s,
+            "share": found.share,
+        }
+        out.append(
+            Finding(
+                "sign",
+                column,
+                "error",
+                text,
+                numbers,
+                spoils(column),
+                mend(column, -1.0, record.metadata),
+            )
+        )
     return out
 
 
 def _column(record: FlightRecord, surface: str) -> str | None:
     """The measured position where it was measured, else the command."""
     position = surface.replace("_deg", "_pos_deg")
-    return next((n for n in (position, surface) if n in record and np.isfinite(record[n]).mean() > 0.5), None)
+    return next(
+        (n for n in (position, surface) if n in record and np.isfinite(record[n]).mean() > 0.5),
+        None,
+    )
 
 
 def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict[str, FloatArray]]:
@@ -134,7 +167,7 @@ def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict
 
 def _regressed(
     rows: list[dict[str, FloatArray]], column: str, others: tuple[str, ...], lag: int, dt: float
-) -> Effect | None:  # fmt: skip
+) -> Effect | None:
     """Regression with the surface ``lag`` samples earlier; errors from sums over some seconds (Liang and Zeger 1986)."""
     targets, designs, blocks, first = [], [], [], 0
     for c in rows:
@@ -151,7 +184,11 @@ def _regressed(
     own, left = (both - rest @ np.linalg.lstsq(rest, both, rcond=1e-9)[0]).T
     power = float(own @ own)
     count = int(block[-1]) + 1
-    if not power > 1e-6 * float(a[:, 0] @ a[:, 0]) or count < _LEAST_BLOCKS or not float(left @ left) > 0.0:
+    if (
+        not power > 1e-6 * float(a[:, 0] @ a[:, 0])
+        or count < _LEAST_BLOCKS
+        or not float(left @ left) > 0.0
+    ):
         return None
     slope = float(own @ left) / power
     sums = np.zeros(count)

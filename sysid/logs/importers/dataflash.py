@@ -19,11 +19,22 @@ from numpy.typing import NDArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.importers.dataflash_format import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format, make_format, scaled, text
+from sysid.logs.importers.dataflash_format import (
+    CHARACTERS,
+    FMT_LENGTH,
+    FMT_TYPE,
+    MAGIC,
+    Format,
+    make_format,
+    scaled,
+    text,
+)
 from sysid.logs.importers.dataflash_tables import ALWAYS, Columns, assemble
 
 BLOCK_BYTES = 8 << 20
-_FMT_FORMAT = Format(FMT_TYPE, FMT_LENGTH, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+_FMT_FORMAT = Format(
+    FMT_TYPE, FMT_LENGTH, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns")
+)
 
 
 class _Walker:
@@ -35,7 +46,9 @@ class _Walker:
         self.lengths = [0] * 256
         self.lengths[FMT_TYPE] = FMT_LENGTH
         # One growing buffer per field: thousands of small arrays would leave the memory in pieces.
-        self.collected: dict[str, dict[str, bytearray]] = defaultdict(lambda: defaultdict(bytearray))
+        self.collected: dict[str, dict[str, bytearray]] = defaultdict(
+            lambda: defaultdict(bytearray)
+        )
         # The format that a message's columns were collected by.
         self.kept: dict[str, Format] = {}
         self.counts: dict[str, int] = defaultdict(int)
@@ -124,7 +137,9 @@ class _Walker:
         starts = np.asarray(found, dtype=np.int64) + 3
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
-            columns[column] += buffer[starts[:, None] + (offset + np.arange(base.itemsize))].tobytes()
+            columns[column] += buffer[
+                starts[:, None] + (offset + np.arange(base.itemsize))
+            ].tobytes()
 
     def _fields(self, fmt: Format) -> list[str]:
         if fmt.name in ALWAYS or self.wanted is None:
@@ -139,7 +154,9 @@ class _Walker:
         out: dict[str, Columns] = {}
         for name, columns in self.collected.items():
             characters = dict(zip(self.kept[name].columns, self.kept[name].characters, strict=True))
-            out[name] = {c: scaled(_array(data, characters[c]), characters[c]) for c, data in columns.items()}
+            out[name] = {
+                c: scaled(_array(data, characters[c]), characters[c]) for c, data in columns.items()
+            }
         return out
 
     def findings(self, size: int) -> list[Finding]:
@@ -153,7 +170,11 @@ class _Walker:
                     "warning",
                     f"{self.skipped_bytes} of {size} bytes could not be read ({self.skips} places, the first at offset"
                     f" {self.first_skip}): the log is damaged, cut short, or was not closed",
-                    {"bytes": self.skipped_bytes, "places": self.skips, "first_offset": self.first_skip},
+                    {
+                        "bytes": self.skipped_bytes,
+                        "places": self.skips,
+                        "first_offset": self.first_skip,
+                    },
                 )
             )
         if self.bad_formats:

@@ -84,7 +84,12 @@ def make_format(kind: int, length: int, name: str, characters: str, columns: str
     """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the reader)."""
     names = tuple(columns.split(",")) if columns else ()
     printable = name.isascii() and name.isidentifier() and len(name) <= 4
-    if not printable or len(names) != len(characters) or len(set(names)) != len(names) or not all(names):
+    if (
+        not printable
+        or len(names) != len(characters)
+        or len(set(names)) != len(names)
+        or not all(names)
+    ):
         return None
     if any(c not in CHARACTERS for c in characters):
         return None
@@ -96,7 +101,9 @@ def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
     """Field values in the field's unit: multiplied where the format says so, text decoded, the rest unchanged."""
     kind, multiplier = CHARACTERS[character]
     if kind.startswith("S"):
-        return np.array([v.split(b"\0", 1)[0].decode("latin-1") for v in values.tolist()], dtype=object)
+        return np.array(
+            [v.split(b"\0", 1)[0].decode("latin-1") for v in values.tolist()], dtype=object
+        )
     return values.astype(np.float64) * multiplier if multiplier != 1.0 else values
 
 

@@ -19,10 +19,26 @@ Columns = dict[str, NDArray[Any]]
 MOST_INSTANCES = 256  # of one kind of message
 ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
 # VER.BU, the number of the firmware's build type.
-_BUILD = {1: "ArduRover", 2: "ArduCopter", 3: "ArduPlane", 4: "AntennaTracker", 7: "ArduSub", 12: "Blimp", 13: "Heli"}
-_ONLY_IN = {"ATC_RAT_RLL_P": "ArduCopter", "RATE_RLL_P": "ArduCopter", "WPNAV_SPEED": "ArduCopter", "ATC_STR_RAT_P": "ArduRover",
-            "RLL2SRV_TCONST": "ArduPlane", "ARSPD_FBW_MIN": "ArduPlane"}  # fmt: skip
-_VEHICLE = re.compile(r"^(Ardu|APM[: ]?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover)", re.IGNORECASE)
+_BUILD = {
+    1: "ArduRover",
+    2: "ArduCopter",
+    3: "ArduPlane",
+    4: "AntennaTracker",
+    7: "ArduSub",
+    12: "Blimp",
+    13: "Heli",
+}
+_ONLY_IN = {
+    "ATC_RAT_RLL_P": "ArduCopter",
+    "RATE_RLL_P": "ArduCopter",
+    "WPNAV_SPEED": "ArduCopter",
+    "ATC_STR_RAT_P": "ArduRover",
+    "RLL2SRV_TCONST": "ArduPlane",
+    "ARSPD_FBW_MIN": "ArduPlane",
+}
+_VEHICLE = re.compile(
+    r"^(Ardu|APM[: ]?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover)", re.IGNORECASE
+)
 
 
 def assemble(
@@ -43,12 +59,17 @@ def assemble(
         table = columns[name]
         time_s = table[stamp[0]] / np.float64(round(1.0 / stamp[1]))
         for instance, rows in _instances(table, fmt.instance_column):
-            fields = {c: v[rows] for c, v in table.items() if c not in (stamp[0], fmt.instance_column)}
+            fields = {
+                c: v[rows] for c, v in table.items() if c not in (stamp[0], fmt.instance_column)
+            }
             messages[(name, instance)] = MessageTable(time_s[rows], fields)
         if name not in ALWAYS:
             del columns[name]  # the messages hold what is needed; a big log must not be there twice
     if not messages:
-        raise LogError("no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time", path)
+        raise LogError(
+            "no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time",
+            path,
+        )
     texts, parameters = _texts(messages), _parameters(columns)
     return RawLog(
         dialect=dialect,
@@ -69,14 +90,20 @@ def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
     if len(numbers) and numbers.min() == numbers.max():
         return [(int(numbers[0]), slice(None))]
     found = np.unique(numbers)
-    return [(int(i), numbers == i) for i in found] if len(found) <= MOST_INSTANCES else [(0, slice(None))]
+    return (
+        [(int(i), numbers == i) for i in found]
+        if len(found) <= MOST_INSTANCES
+        else [(0, slice(None))]
+    )
 
 
 def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[float, str], ...]:
     table = messages.get(("MSG", 0))
     if table is None or "Message" not in table.fields:
         return ()
-    return tuple((float(t), str(m)) for t, m in zip(table.time_s, table.fields["Message"], strict=True))
+    return tuple(
+        (float(t), str(m)) for t, m in zip(table.time_s, table.fields["Message"], strict=True)
+    )
 
 
 def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
@@ -86,13 +113,21 @@ def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
     return {str(n): float(v) for n, v in zip(table["Name"], table["Value"], strict=True)}
 
 
-def _vehicle(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns], parameters: Mapping[str, float]) -> str:
+def _vehicle(
+    texts: tuple[tuple[float, str], ...],
+    columns: dict[str, Columns],
+    parameters: Mapping[str, float],
+) -> str:
     """What the log calls itself, else what its parameters are of; an aeroplane that takes off on rotors says VTOL."""
     named = _named(texts, columns)
     if not named:
         # Parameters that one kind of vehicle alone has.
         named = next((kind for name, kind in _ONLY_IN.items() if name in parameters), "")
-    return f"{named or 'ArduPlane'} VTOL" if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named else named
+    return (
+        f"{named or 'ArduPlane'} VTOL"
+        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named
+        else named
+    )
 
 
 def _named(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:

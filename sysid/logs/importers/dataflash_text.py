@@ -46,7 +46,10 @@ class _Collector:
 
     def columns(self) -> Columns:
         pairs = zip(self.keep, self.values, self.text, strict=True)
-        return {c: np.array(v, dtype=object) if text else np.frombuffer(v, dtype=np.float64) for c, v, text in pairs}
+        return {
+            c: np.array(v, dtype=object) if text else np.frombuffer(v, dtype=np.float64)
+            for c, v, text in pairs
+        }
 
 
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
@@ -89,13 +92,19 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
                 bad_lines += 1
                 first_bad = first_bad or line_number
     if not any(n for name, n in counts.items() if name != "FMT"):
-        raise LogError(f"no DataFlash record could be read in {line_number} lines; copy the log again", path)
+        raise LogError(
+            f"no DataFlash record could be read in {line_number} lines; copy the log again", path
+        )
     findings = []
     if bad_lines:
-        message = f"{bad_lines} of {line_number} lines could not be read (the first is line {first_bad})"
+        message = (
+            f"{bad_lines} of {line_number} lines could not be read (the first is line {first_bad})"
+        )
         numbers = {"lines": float(bad_lines), "first_line": float(first_bad)}
         findings.append(Finding("damaged-lines", "", "warning", message, numbers))
-    columns = {name: c.columns() for name, c in collectors.items() if c is not None and counts[name]}
+    columns = {
+        name: c.columns() for name, c in collectors.items() if c is not None and counts[name]
+    }
     return assemble("dataflash-text", columns, formats, dict(counts), findings, path)
 
 
@@ -113,6 +122,10 @@ def _format(rest: str) -> Format | None:
     if len(cells) < 4 or not cells[0].isdigit() or not cells[1].isdigit():
         return None
     columns = tuple(c for c in cells[4:] if c)
-    if len(columns) != len(cells[3]) or any(c not in CHARACTERS for c in cells[3]) or len(set(columns)) != len(columns):
+    if (
+        len(columns) != len(cells[3])
+        or any(c not in CHARACTERS for c in cells[3])
+        or len(set(columns)) != len(columns)
+    ):
         return None
     return Format(int(cells[0]), int(cells[1]), cells[2], cells[3], columns)

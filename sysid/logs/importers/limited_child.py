@@ -131,7 +131,11 @@ _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
 
 def _wanted(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
     wanted = order["wanted"]
-    return None if wanted is None else {message: frozenset(fields) for message, fields in wanted.items()}
+    return (
+        None
+        if wanted is None
+        else {message: frozenset(fields) for message, fields in wanted.items()}
+    )
 
 
 def _log_parts(raw: RawLog) -> Parts:
@@ -141,14 +145,17 @@ def _log_parts(raw: RawLog) -> Parts:
         "about",
         {
             "dialect": raw.dialect,
-            "counted": _texts(raw.counts), "counts": np.array(list(raw.counts.values()), dtype=np.int64),
-            "parameters": _texts(raw.parameters), "values": np.array(list(raw.parameters.values()), dtype=np.float64),
-            "said_s": np.array([t for t, _ in raw.texts], dtype=np.float64), "said": _texts(text for _, text in raw.texts),
+            "counted": _texts(raw.counts),
+            "counts": np.array(list(raw.counts.values()), dtype=np.int64),
+            "parameters": _texts(raw.parameters),
+            "values": np.array(list(raw.parameters.values()), dtype=np.float64),
+            "said_s": np.array([t for t, _ in raw.texts], dtype=np.float64),
+            "said": _texts(text for _, text in raw.texts),
             "vehicle": raw.vehicle,
             "facts": dict(raw.facts),
             "findings": [finding.as_dict() for finding in raw.findings],
         },
-    )  # fmt: skip
+    )
 
 
 def _texts(texts: Any) -> np.ndarray[Any, Any]:

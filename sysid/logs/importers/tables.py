@@ -74,7 +74,11 @@ def read_parquet(path: Path, wanted: Wanted | None = None, most_bytes: int | Non
         file = _opened(handle, path)
         names = [str(name).strip() for name in file.schema_arrow.names]
         kept = _kept(names, wanted, path)
-        chosen = [(name, column) for name, column in zip(names, file.schema_arrow.names, strict=True) if name in kept]
+        chosen = [
+            (name, column)
+            for name, column in zip(names, file.schema_arrow.names, strict=True)
+            if name in kept
+        ]
         columns = _read_columns(file, [column for _, column in chosen], path, most_bytes)
         named = [(name, values) for (name, _), values in zip(chosen, columns, strict=True)]
         return _from_columns(named, file.metadata.num_rows, path, False)
@@ -114,7 +118,9 @@ def _record_csv(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
         if not pd.api.types.is_integer_dtype(frame.iloc[:, 0]):
             _refuse_unknown(names, path)
         frame = frame.iloc[:, 1:]
-    return {str(name): _record_column(frame[name], str(name), path) for name in frame.columns}, metadata
+    return {
+        str(name): _record_column(frame[name], str(name), path) for name in frame.columns
+    }, metadata
 
 
 def _record_parquet(path: Path, most_bytes: int | None) -> tuple[dict[str, NDArray[Any]], str]:
@@ -124,16 +130,23 @@ def _record_parquet(path: Path, most_bytes: int | None) -> tuple[dict[str, NDArr
         _refuse_unknown(names, path)
         columns = {
             name: _record_column(values, name, path)
-            for name, values in zip(names, _read_columns(file, names, path, most_bytes), strict=True)
+            for name, values in zip(
+                names, _read_columns(file, names, path, most_bytes), strict=True
+            )
         }
-        return columns, (file.schema_arrow.metadata or {}).get(_METADATA_KEY, b"").decode("utf-8", "replace")
+        return columns, (file.schema_arrow.metadata or {}).get(_METADATA_KEY, b"").decode(
+            "utf-8", "replace"
+        )
 
 
 def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
     allowed = {*SIGNALS, *(COMPONENTS if set(COMPONENTS) <= {str(name) for name in names} else ())}
     unknown = next((name for name in names if str(name) not in allowed), None)
     if unknown is not None:
-        raise LogError(f"unknown column '{str(unknown)[:80]}'; allowed are {sorted(SIGNALS)}, or give a --map", path)
+        raise LogError(
+            f"unknown column '{str(unknown)[:80]}'; allowed are {sorted(SIGNALS)}, or give a --map",
+            path,
+        )
 
 
 def _record_column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:
@@ -142,7 +155,11 @@ def _record_column(series: pd.Series, name: str, path: Path) -> NDArray[Any]:
     numbers, bad = _numbers(series)
     if bool(bad.any()):
         row = int(np.argmax(bad))
-        raise LogError(f"column {name} holds '{series.iloc[row]}', which is not a number", path, f"row {row + 1}")
+        raise LogError(
+            f"column {name} holds '{series.iloc[row]}', which is not a number",
+            path,
+            f"row {row + 1}",
+        )
     return numbers
 
 
@@ -168,7 +185,15 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
         yield
     except (LogError, MemoryError):
         raise
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (
+        pa.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         why = in_a_line(error)
         raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
 
@@ -182,7 +207,11 @@ def _check_csv(path: Path) -> None:
             number += 1
             most = MOST_COMMENT if line.startswith(b"#") else MOST_LINE
             if len(line) > most:
-                raise LogError(f"has more than {in_words(most)}; a table's lines are shorter", path, f"line {number}")
+                raise LogError(
+                    f"has more than {in_words(most)}; a table's lines are shorter",
+                    path,
+                    f"line {number}",
+                )
             if not line.startswith(b"#") and line.strip():
                 rows_seen += 1
                 columns = max(columns, line.count(b",") + 1)
@@ -193,7 +222,11 @@ def _check_csv(path: Path) -> None:
         (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
         if found > named:
             # The reader would take what is too much for names of rows, and every column for its neighbour.
-            raise LogError(f"has {found} cells, the header {named}; give every column a name", path, f"line {first}")
+            raise LogError(
+                f"has {found} cells, the header {named}; give every column a name",
+                path,
+                f"line {first}",
+            )
         handle.seek(0)
         rows = size = 0
         while block := handle.read(1 << 20):
@@ -209,17 +242,23 @@ def _opened(handle: Any, path: Path) -> pq.ParquetFile:
     with _readable("Parquet file", path):
         schema = pq.read_schema(handle)
         if len(schema.names) > MOST_COLUMNS:
-            raise LogError(f"has {len(schema.names)} columns; at most {MOST_COLUMNS} are read", path)
+            raise LogError(
+                f"has {len(schema.names)} columns; at most {MOST_COLUMNS} are read", path
+            )
         texts = [field.name for field in schema if _is_text(field.type)]
         handle.seek(0)
         return pq.ParquetFile(handle, read_dictionary=texts)
 
 
 def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind))
+    return bool(
+        pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind)
+    )
 
 
-def _read_columns(file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None) -> Iterator[pd.Series]:
+def _read_columns(
+    file: pq.ParquetFile, names: Sequence[str], path: Path, most_bytes: int | None
+) -> Iterator[pd.Series]:
     """One column after another, so that packed and unpacked are never both there as a whole."""
     twice = next((name for name in names if file.schema_arrow.names.count(name) > 1), None)
     if twice is not None:
@@ -227,16 +266,24 @@ def _read_columns(file: pq.ParquetFile, names: Sequence[str], path: Path, most_b
     for name in names:
         kind = file.schema_arrow.field(name).type
         if pa.types.is_nested(kind):
-            raise LogError(f"column {name} holds {str(kind)[:60]}, not one number a row; export it flat", path)
+            raise LogError(
+                f"column {name} holds {str(kind)[:60]}, not one number a row; export it flat", path
+            )
     rows = file.metadata.num_rows
-    needed, allowed = 8 * rows * len(names), (LIMITS["parquet"].bytes(0) if most_bytes is None else most_bytes) // 2
+    needed, allowed = (
+        8 * rows * len(names),
+        (LIMITS["parquet"].bytes(0) if most_bytes is None else most_bytes) // 2,
+    )
     if needed > allowed:
         raise LogError(too_much(f"{rows} rows of {len(names)} columns", needed, allowed), path)
     for name in names:
         with _readable("Parquet file", path):
             column = file.read(columns=[name], use_threads=False).column(name)
             if len(column) != rows:
-                raise LogError(f"column {name} has {len(column)} rows, the file says {rows}; export it again", path)
+                raise LogError(
+                    f"column {name} has {len(column)} rows, the file says {rows}; export it again",
+                    path,
+                )
             values = _series(column)
         yield values
 
@@ -248,7 +295,9 @@ def _series(column: pa.ChunkedArray) -> pd.Series:
     texts = column.chunk(0).dictionary.to_pylist() if column.num_chunks else []
     if any(isinstance(text, bytes) for text in texts):
         texts = [text.decode("utf-8") for text in texts]
-    codes = np.concatenate([chunk.indices.fill_null(-1).to_numpy() for chunk in column.chunks] or [[]]).astype(np.int64)
+    codes = np.concatenate(
+        [chunk.indices.fill_null(-1).to_numpy() for chunk in column.chunks] or [[]]
+    ).astype(np.int64)
     values = np.empty(len(texts) + 1, dtype=object)
     values[:-1] = texts
     return pd.Series(values[codes])
@@ -269,7 +318,9 @@ def _time_name(names: Sequence[str], path: Path) -> str:
     found = next((name for name in _TIME_NAMES if name in names), None)
     if found is None:
         received = [name[:80] for name in names[:8]]
-        raise LogError(f"no time column; it must be one of {_TIME_NAMES}, received {received}", path)
+        raise LogError(
+            f"no time column; it must be one of {_TIME_NAMES}, received {received}", path
+        )
     return found
 
 
@@ -287,7 +338,15 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
         if bad:
             row = int(np.argmax(wrong)) + 2
             text = f"{bad} cells of column {name} are no numbers (the first in line {row}); they count as dropouts"
-            findings.append(Finding("damaged-cells", name, "warning", text, {"cells": float(bad), "line": float(row)}))
+            findings.append(
+                Finding(
+                    "damaged-cells",
+                    name,
+                    "warning",
+                    text,
+                    {"cells": float(bad), "line": float(row)},
+                )
+            )
         fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
     time_name = _time_name(list(fields), path)
     time_s = fields.pop(time_name)
@@ -299,4 +358,10 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
     fields = {n: v[good] for n, v in fields.items()}
     dialect = "jsbsim-csv" if jsbsim else "csv"
     table = MessageTable(time_s[good], fields)
-    return RawLog(dialect, {(_MESSAGE, 0): table}, {_MESSAGE: rows}, vehicle="JSBSim" if jsbsim else "", findings=tuple(findings))
+    return RawLog(
+        dialect,
+        {(_MESSAGE, 0): table},
+        {_MESSAGE: rows},
+        vehicle="JSBSim" if jsbsim else "",
+        findings=tuple(findings),
+    )

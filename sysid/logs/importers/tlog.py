@@ -25,10 +25,31 @@ from sysid.logs.importers.detect import frame_length, frame_time
 FloatArray = NDArray[np.float64]
 BLOCK_BYTES = 4 << 20
 _SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's
-_AUTOPILOT_TYPES = {1: "fixed wing", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 11: "boat",
-                    12: "submarine", 13: "hexarotor", 14: "octorotor", 15: "tricopter", 16: "flapping wing",
-                    19: "VTOL tail-sitter", 20: "VTOL tail-sitter", 21: "VTOL tiltrotor", 22: "VTOL"}  # fmt: skip
-_NOT_VEHICLES = {5, 6, 18, 26, 27, 30}  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
+_AUTOPILOT_TYPES = {
+    1: "fixed wing",
+    2: "quadrotor",
+    3: "coaxial helicopter",
+    4: "helicopter",
+    10: "rover",
+    11: "boat",
+    12: "submarine",
+    13: "hexarotor",
+    14: "octorotor",
+    15: "tricopter",
+    16: "flapping wing",
+    19: "VTOL tail-sitter",
+    20: "VTOL tail-sitter",
+    21: "VTOL tiltrotor",
+    22: "VTOL",
+}
+_NOT_VEHICLES = {
+    5,
+    6,
+    18,
+    26,
+    27,
+    30,
+}  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
 _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
 
@@ -36,7 +57,11 @@ class _Tlog:
     def __init__(self, wanted: Wanted | None) -> None:
         # `mavlink.mavlink_map` is keyed by packet number; MAVLink classes know their fields.
         everything = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
-        names = set(everything if wanted is None else wanted) | {"HEARTBEAT", "STATUSTEXT", "PARAM_VALUE"}
+        names = set(everything if wanted is None else wanted) | {
+            "HEARTBEAT",
+            "STATUSTEXT",
+            "PARAM_VALUE",
+        }
         self.wanted = wanted
         self.names = {everything[n]: n for n in names if n in everything}
         self.all_names = {number: n for n, number in everything.items()}
@@ -45,7 +70,9 @@ class _Tlog:
         self.place: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.kept = 0
         self.boot: dict[str, array[float]] = defaultdict(lambda: array("d"))
-        self.values: dict[str, dict[str, array[float]]] = defaultdict(lambda: defaultdict(lambda: array("d")))
+        self.values: dict[str, dict[str, array[float]]] = defaultdict(
+            lambda: defaultdict(lambda: array("d"))
+        )
         self.counts: dict[str, int] = defaultdict(int)
         self.texts: list[tuple[float, str]] = []
         self.parameters: dict[str, float] = {}
@@ -88,7 +115,9 @@ class _Tlog:
             message = self.parser.decode(bytearray(data[pos + 8 : end]))
         except MemoryError:
             raise
-        except Exception:  # pymavlink raises struct.error, KeyError, MAVError... for a damaged packet
+        except (
+            Exception
+        ):  # pymavlink raises struct.error, KeyError, MAVError... for a damaged packet
             self.bad_packets += 1
             return
         self._keep(name, message, frame_time(data, pos))
@@ -110,12 +139,17 @@ class _Tlog:
         self.receipt[name].append(receipt_s)
         self.kept += 1
         self.place[name].append(self.kept)
-        boot = next((getattr(message, f) * s for f, s in _BOOT_FIELDS if f in message.fieldnames), float("nan"))
+        boot = next(
+            (getattr(message, f) * s for f, s in _BOOT_FIELDS if f in message.fieldnames),
+            float("nan"),
+        )
         self.boot[name].append(boot)
         store = self.values[name]
         for f in message.fieldnames:
             value = getattr(message, f)
-            if isinstance(value, int | float) and (self.wanted is None or f in self.wanted.get(name, ())):
+            if isinstance(value, int | float) and (
+                self.wanted is None or f in self.wanted.get(name, ())
+            ):
                 store[f].append(float(value))
 
 
@@ -149,9 +183,13 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         boot = np.frombuffer(state.boot[name], dtype=np.float64)
         # Some senders put the date into time_usec; it is then as good as the time of receipt.
         on_clock = np.isfinite(boot) & (np.abs(boot - arrived) < 3600.0)
-        time_s = np.where(on_clock, boot, clock(np.frombuffer(state.place[name], dtype=np.float64), arrived))
+        time_s = np.where(
+            on_clock, boot, clock(np.frombuffer(state.place[name], dtype=np.float64), arrived)
+        )
         fields = {f: np.frombuffer(v, dtype=np.float64) for f, v in state.values[name].items()}
-        messages[(name, 0)] = MessageTable(time_s, {f: v for f, v in fields.items() if len(v) == len(time_s)})
+        messages[(name, 0)] = MessageTable(
+            time_s, {f: v for f, v in fields.items() if len(v) == len(time_s)}
+        )
     kind = state.vehicle_type
     return RawLog(
         dialect="tlog",
@@ -170,7 +208,9 @@ def _vehicle_clock(state: _Tlog, offset: float) -> Callable[[FloatArray, FloatAr
     place, stamp = [], []
     for name, receipt in state.receipt.items():
         boot = np.frombuffer(state.boot[name], dtype=np.float64)
-        good = np.isfinite(boot) & (np.abs(boot - (np.frombuffer(receipt, dtype=np.float64) - offset)) < _SAME_CLOCK_S)
+        good = np.isfinite(boot) & (
+            np.abs(boot - (np.frombuffer(receipt, dtype=np.float64) - offset)) < _SAME_CLOCK_S
+        )
         place.append(np.frombuffer(state.place[name], dtype=np.float64)[good])
         stamp.append(boot[good])
     at, when = np.concatenate(place), np.concatenate(stamp)
@@ -194,7 +234,9 @@ def _clock_offset(state: _Tlog) -> float:
     best = []
     for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2"):
         if name in state.receipt:
-            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(state.boot[name], dtype=np.float64)
+            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(
+                state.boot[name], dtype=np.float64
+            )
             late = late[np.isfinite(late)]
             if len(late):
                 # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.
@@ -206,8 +248,12 @@ def _findings(state: _Tlog, size: int) -> list[Finding]:
     out = []
     if state.skipped_bytes:
         text = f"{state.skipped_bytes} of {size} bytes belong to no packet: the log is damaged or cut short"
-        out.append(Finding("damaged-bytes", "", "warning", text, {"bytes": float(state.skipped_bytes)}))
+        out.append(
+            Finding("damaged-bytes", "", "warning", text, {"bytes": float(state.skipped_bytes)})
+        )
     if state.bad_packets:
         text = f"{state.bad_packets} packets failed their checksum and were left out"
-        out.append(Finding("damaged-packets", "", "warning", text, {"packets": float(state.bad_packets)}))
+        out.append(
+            Finding("damaged-packets", "", "warning", text, {"packets": float(state.bad_packets)})
+        )
     return out

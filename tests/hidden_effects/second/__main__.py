@@ -41,19 +41,50 @@ def ask(asked: Question, folder: Path, place: Path) -> dict[str, Any]:
     shutil.rmtree(out, ignore_errors=True)
     out.parent.mkdir(parents=True, exist_ok=True)
     train, test = (list(map(str, files[which])) for which in ("train", "test"))
-    given = ["refine", str(aircraft), "--train", *train, "--test", *test, "--no-pbox", "--no-figures", "--workers", "1"]
-    done = sealed.run_measured(place, ["-m", "uqharness.cli.main", *given, "--out", str(out)], TIMEOUT_S)
+    given = [
+        "refine",
+        str(aircraft),
+        "--train",
+        *train,
+        "--test",
+        *test,
+        "--no-pbox",
+        "--no-figures",
+        "--workers",
+        "1",
+    ]
+    done = sealed.run_measured(
+        place, ["-m", "uqharness.cli.main", *given, "--out", str(out)], TIMEOUT_S
+    )
     path = out / "refinement.json"
     good = done.returncode in (0, 1) and path.is_file()
     found = json.loads(path.read_text(encoding="utf-8")) if good else {}
-    error = "" if good else (done.stderr.strip().splitlines() or [f"exit code {done.returncode} without refinement.json"])[-1]
-    apart = compared(found, out / "aircraft" / asked.aircraft, test[0], out / "compare", place) if good else None
+    error = (
+        ""
+        if good
+        else (
+            done.stderr.strip().splitlines()
+            or [f"exit code {done.returncode} without refinement.json"]
+        )[-1]
+    )
+    apart = (
+        compared(found, out / "aircraft" / asked.aircraft, test[0], out / "compare", place)
+        if good
+        else None
+    )
     return {
-        "found": found, "exit": done.returncode, "error": error, "cpu_s": done.cpu_s, "peak_MB": done.peak_MB, "apart": apart,
-    }  # fmt: skip
+        "found": found,
+        "exit": done.returncode,
+        "error": error,
+        "cpu_s": done.cpu_s,
+        "peak_MB": done.peak_MB,
+        "apart": apart,
+    }
 
 
-def compared(found: Mapping[str, Any], model: Path, flight: str, out: Path, place: Path) -> float | None:
+def compared(
+    found: Mapping[str, Any], model: Path, flight: str, out: Path, place: Path
+) -> float | None:
     """Largest relative difference of rms over noise, channel by channel, between refine's table of the test flight and `compare`.
 
     None where the two answer different questions: a fault of sensor or clock is no part of the model that was written.
@@ -62,10 +93,24 @@ def compared(found: Mapping[str, Any], model: Path, flight: str, out: Path, plac
         return None
     if (found.get("timing") or {}).get("controls_late_s"):
         return None
-    given = ["compare", str(model), "--flight", flight, "--out", str(out), "--no-figures", "--workers", "1"]
+    given = [
+        "compare",
+        str(model),
+        "--flight",
+        flight,
+        "--out",
+        str(out),
+        "--no-figures",
+        "--workers",
+        "1",
+    ]
     sealed.run_measured(place, ["-m", "uqharness.cli.main", *given], TIMEOUT_S)
     path = out / "compare.json"
-    return apart_of(found, json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else math.inf
+    return (
+        apart_of(found, json.loads(path.read_text(encoding="utf-8")))
+        if path.is_file()
+        else math.inf
+    )
 
 
 def apart_of(found: Mapping[str, Any], other: Mapping[str, Any]) -> float:
@@ -76,7 +121,9 @@ def apart_of(found: Mapping[str, Any], other: Mapping[str, Any]) -> float:
     return max((abs(a / b - 1.0) for a, b in both), default=math.inf)
 
 
-def todo(lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], commit: str, again: bool) -> list[int]:
+def todo(
+    lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], commit: str, again: bool
+) -> list[int]:
     """Numbers still to be asked: those never met; with ``again`` those that were met, but not by this commit."""
     first = {int(r["number"]) for r in lines if int(r["draw"]) == draw and r["met"] == table.FIRST}
     now = {int(r["number"]) for r in lines if int(r["draw"]) == draw and r["commit"] == commit}
@@ -84,7 +131,10 @@ def todo(lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], 
 
 
 def answers(
-    numbers: Sequence[int], made: Callable[[int], Question | None], ask: Callable[[Question], dict[str, Any]], workers: int = 1
+    numbers: Sequence[int],
+    made: Callable[[int], Question | None],
+    ask: Callable[[Question], dict[str, Any]],
+    workers: int = 1,
 ) -> Iterator[tuple[Question, dict[str, Any]]]:
     """Questions with their answers as they come, ``workers`` asked side by side; none where ``made`` gives none. A stop ends those
     that are being answered, and they are not told."""
@@ -108,23 +158,38 @@ def answers(
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--draw", type=int, choices=sorted(SEEDS))
     which.add_argument("--development", action="store_true", help="the development draw")
-    parser.add_argument("--out", type=Path, required=True, help="folder for flights, aircraft and answers")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for flights, aircraft and answers"
+    )
     parser.add_argument("--again", action="store_true", help="ask what was met before again")
-    parser.add_argument("--numbers", type=int, nargs="+", metavar="N", help="of the development draw, these alone")
-    parser.add_argument("--seconds", type=float, help="of the development draw, length of a flight (default 90)")
-    parser.add_argument("--workers", type=int, default=1, help="cases answered side by side (default 1)")
-    parser.add_argument("--keep", action="store_true", help="keep all that refine wrote, not refinement.json alone")
+    parser.add_argument(
+        "--numbers", type=int, nargs="+", metavar="N", help="of the development draw, these alone"
+    )
+    parser.add_argument(
+        "--seconds", type=float, help="of the development draw, length of a flight (default 90)"
+    )
+    parser.add_argument(
+        "--workers", type=int, default=1, help="cases answered side by side (default 1)"
+    )
+    parser.add_argument(
+        "--keep", action="store_true", help="keep all that refine wrote, not refinement.json alone"
+    )
     given = parser.parse_args(argv)
     draw = DEVELOPMENT if given.development else given.draw
     if draw != DEVELOPMENT and (given.numbers or given.seconds):
         parser.error("--numbers and --seconds are for --development: a draw is met whole")
     commit, changed = table.code_of()
     if changed and draw != DEVELOPMENT:
-        print("sysid, uqharness, aircraft, scripts or the examination differ from the commit: commit them first", file=sys.stderr)
+        print(
+            "sysid, uqharness, aircraft, scripts or the examination differ from the commit: commit them first",
+            file=sys.stderr,
+        )
         return 2
     commit += "+" if changed else ""
     folder = given.out.resolve()
@@ -152,12 +217,18 @@ def main(argv: list[str] | None = None) -> int:
     still = todo(table.read(path), draw, numbers, commit, given.again)
     for asked, got in answers(still, made, lambda asked: ask(asked, folder, place), given.workers):
         verdict = judge(asked, got["found"], got["exit"])
-        line = table.line_of(asked, verdict, got, commit, table.LATER if given.again else table.FIRST)
+        line = table.line_of(
+            asked, verdict, got, commit, table.LATER if given.again else table.FIRST
+        )
         table.add(path, line)
         if not given.keep:
             _clear(folder / "refined" / asked.id)
-        print(f"{asked.number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} -> {line['verdict']} {line['answer']} "
-              f"({got['cpu_s']:.0f} s) {got['error']}", file=sys.stderr, flush=True)  # fmt: skip
+        print(
+            f"{asked.number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} -> {line['verdict']} {line['answer']} "
+            f"({got['cpu_s']:.0f} s) {got['error']}",
+            file=sys.stderr,
+            flush=True,
+        )
     rows = table.of_draw(table.read(path), draw, table.LATER if given.again else table.FIRST)
     reached, text = marks(rows, whole=draw != DEVELOPMENT)
     print(text)

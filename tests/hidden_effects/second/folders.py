@@ -28,12 +28,18 @@ def state(aircraft: Path, stated: Stated) -> None:
         for surface, value in values.items():
             text = _servo(text, surface, tag, value)
     if stated.thrust != 1.0:
-        text = _once(text, r'(<property value=")[^"]*(">propulsion/thrust-scale<)', rf"\g<1>{stated.thrust!r}\g<2>")
+        text = _once(
+            text,
+            r'(<property value=")[^"]*(">propulsion/thrust-scale<)',
+            rf"\g<1>{stated.thrust!r}\g<2>",
+        )
     xml.write_text(text, encoding="utf-8")
     if any(stated.accelerometer):
         card = aircraft / "airframe.toml"
         text = card.read_text(encoding="utf-8")
-        text = _once(text, r"accelerometer = \[[^\]]*\]", f"accelerometer = {list(stated.accelerometer)!r}")
+        text = _once(
+            text, r"accelerometer = \[[^\]]*\]", f"accelerometer = {list(stated.accelerometer)!r}"
+        )
         card.write_text(text, encoding="utf-8")
 
 
@@ -42,7 +48,10 @@ def _servo(text: str, surface: str, tag: str, value: float | None) -> str:
     if found is None:
         raise ValueError(f"no actuator of {surface}")
     block = found[0]
-    return text.replace(block, _once(block, rf"<{tag}>.*?</{tag}>", "" if value is None else f"<{tag}>{value!r}</{tag}>"))
+    return text.replace(
+        block,
+        _once(block, rf"<{tag}>.*?</{tag}>", "" if value is None else f"<{tag}>{value!r}</{tag}>"),
+    )
 
 
 def _once(text: str, pattern: str, new: str) -> str:

@@ -40,14 +40,20 @@ def marks(rows: Sequence[Row], whole: bool = True) -> tuple[bool, str]:
         # Whoever met a case first had not seen it, whatever was mended on the cases before it.
         text += f"\nmet by {len(commits)} commits: {', '.join(f'{n} by {c}' for c, n in commits.items())}"
     weak = [bool(int(n)) for r in rows if r["kind"] == "weak" for n in str(r["named"]).split()]
-    return all(ok for ok, _ in lines), text + f"\nreported only: |t| 3 to 4 named {sum(weak)} of {len(weak)}"
+    return all(
+        ok for ok, _ in lines
+    ), text + f"\nreported only: |t| 3 to 4 named {sum(weak)} of {len(weak)}"
 
 
 def _at_least(name: str, good: Sequence[bool], wanted: int, of: int, whole: bool) -> list[Line]:
     """A whole draw must have every case, and as many right as asked; a part is judged in proportion."""
     if not good and not whole:
         return []
-    ok = (len(good) >= of and sum(good) >= wanted) if whole else sum(good) >= math.floor(wanted / of * len(good))
+    ok = (
+        (len(good) >= of and sum(good) >= wanted)
+        if whole
+        else sum(good) >= math.floor(wanted / of * len(good))
+    )
     return [(ok, f"{name}: {sum(good)} of {len(good)} (asked: {wanted} of {of})")]
 
 
@@ -65,7 +71,9 @@ def _names(rows: Sequence[Row], whole: bool) -> list[Line]:
         *_at_least("marginal effects named", _flags(rows, ("marginal",)), 48, 60, whole),
         *_at_least("nulls without an effect", clean, 49, 50, whole),
         *_at_least("wrong cards named as such", cards, 37, 40, whole),
-        *_at_least("off the catalogue: unexplained, or fair proxies at the floor", fair, 11, 12, whole),
+        *_at_least(
+            "off the catalogue: unexplained, or fair proxies at the floor", fair, 11, 12, whole
+        ),
         (false <= 0.02 * effects, f"false effects: {false} of {effects} named (at most 2 %)"),
     ]
 
@@ -81,30 +89,48 @@ def _intervals(rows: Sequence[Row]) -> list[Line]:
         if not here:
             continue
         told = f"{sum(inside)} of {len(inside)} hold the truth; z {_spread(z)}"
-        out.append((bool(inside) and covered(sum(inside), len(inside)), f"intervals of effects, {words}: {told}"))
+        out.append(
+            (
+                bool(inside) and covered(sum(inside), len(inside)),
+                f"intervals of effects, {words}: {told}",
+            )
+        )
         told = f"{held} of {len(own)} hold the truth; z {_spread(own)}"
-        out.append((bool(own) and covered(held, len(own)), f"intervals of parameters, {words}: {told}"))
+        out.append(
+            (bool(own) and covered(held, len(own)), f"intervals of parameters, {words}: {told}")
+        )
     return out
 
 
 def _spread(z: Sequence[float]) -> str:
     if not z:
         return "none"
-    return f"rms {math.sqrt(sum(v * v for v in z) / len(z)):.2f}, largest {max(abs(v) for v in z):.1f}"
+    return (
+        f"rms {math.sqrt(sum(v * v for v in z) / len(z)):.2f}, largest {max(abs(v) for v in z):.1f}"
+    )
 
 
 def _rest(rows: Sequence[Row]) -> list[Line]:
     left = sum(int(r["left_out"]) for r in rows)
     placed = [bool(int(r["placed"])) for r in rows if r["placed"] not in ("", None)]
-    apart = [float(r["apart"]) for r in rows if r["apart"] not in ("", None) and math.isfinite(float(r["apart"]))]
+    apart = [
+        float(r["apart"])
+        for r in rows
+        if r["apart"] not in ("", None) and math.isfinite(float(r["apart"]))
+    ]
     failed = [r["case"] for r in rows if r["faults"]]
     out = [
         (left == 0, f"causes and candidates above |t| 10 that an answer leaves out: {left}"),
-        (all(placed), f"unexplained with channel, interval, band and three candidates: {sum(placed)} of {len(placed)}"),
-        (all(a <= SAME_TABLE for a in apart),
-         f"refine's table and compare: {sum(a <= SAME_TABLE for a in apart)} of {len(apart)} within {SAME_TABLE:.0%}"),
+        (
+            all(placed),
+            f"unexplained with channel, interval, band and three candidates: {sum(placed)} of {len(placed)}",
+        ),
+        (
+            all(a <= SAME_TABLE for a in apart),
+            f"refine's table and compare: {sum(a <= SAME_TABLE for a in apart)} of {len(apart)} within {SAME_TABLE:.0%}",
+        ),
         (not failed, f"files that keep their contract: {len(rows) - len(failed)} of {len(rows)}"),
-    ]  # fmt: skip
+    ]
     for air, most in CPU_S.items():
         here = [r for r in rows if r["air"] == air]
         out += _limit(f"CPU seconds, {air}", here, lambda r: float(r["cpu_s"]), most)

@@ -13,7 +13,15 @@ from tests.hidden_effects.effects import SURFACES, Effect
 from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
 from tests.hidden_effects.manoeuvres import card
 from tests.hidden_effects.motion import IDEAL, LAG, Model, evaluate, trim
-from tests.hidden_effects.second.drawn import DEVELOPMENT, DEVELOPMENT_SEED, SEEDS, THIRD, drawn, shortened, slots
+from tests.hidden_effects.second.drawn import (
+    DEVELOPMENT,
+    DEVELOPMENT_SEED,
+    SEEDS,
+    THIRD,
+    drawn,
+    shortened,
+    slots,
+)
 from tests.hidden_effects.second.folders import folder_of, state
 from tests.hidden_effects.second.weighing import question, sized
 from tests.hidden_effects.second.wrongs import KINDS, Stated, wrong
@@ -21,7 +29,15 @@ from tests.hidden_effects.strength import strengths_alone
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import find_aircraft
 
-NEEDED = {"clear": 60, "pair": 5, "marginal": 60, "weak": 10, "null": 50, "card": 40, "off-form": 12}
+NEEDED = {
+    "clear": 60,
+    "pair": 5,
+    "marginal": 60,
+    "weak": 10,
+    "null": 50,
+    "card": 40,
+    "off-form": 12,
+}
 
 
 @pytest.mark.parametrize("draw", sorted(SEEDS))
@@ -40,7 +56,10 @@ def test_draws_differ_and_development_is_none_of_them():
     assert len({*SEEDS.values(), DEVELOPMENT_SEED}) == 4
     assert DEVELOPMENT not in SEEDS
     assert [s.kind for s in slots(1)] != [s.kind for s in slots(2)]
-    assert len({drawn(d, n).id for d in (DEVELOPMENT, *SEEDS) for n in range(len(slots(d)))}) == 16 + 3 * 237
+    assert (
+        len({drawn(d, n).id for d in (DEVELOPMENT, *SEEDS) for n in range(len(slots(d)))})
+        == 16 + 3 * 237
+    )
 
 
 def test_chance_spreads_over_aeroplanes_rates_air_and_servos():
@@ -76,15 +95,22 @@ def test_cards_are_wrong_either_way():
 
 def test_the_folder_says_what_is_stated(tmp_path):
     asked = replace(
-        drawn(DEVELOPMENT, 8), stated=Stated({"rudder": 60.0, "elevator": None}, {"aileron": 40.0}, 0.9, (0.1, 0.0, -0.2))
+        drawn(DEVELOPMENT, 8),
+        stated=Stated({"rudder": 60.0, "elevator": None}, {"aileron": 40.0}, 0.9, (0.1, 0.0, -0.2)),
     )
     folder = folder_of(asked, tmp_path)
     aircraft = find_aircraft(str(folder))
     servos = actuators(aircraft, SURFACES)
-    assert (servos["rudder"].lag, servos["elevator"].lag, servos["aileron"].lag) == (60.0, None, 25.0)
+    assert (servos["rudder"].lag, servos["elevator"].lag, servos["aileron"].lag) == (
+        60.0,
+        None,
+        25.0,
+    )
     assert (servos["rudder"].rate, servos["aileron"].rate) == (240.0, 40.0)
     assert aircraft.card.sensors.position_m["accelerometer"] == (0.1, 0.0, -0.2)
-    assert '<property value="0.9">propulsion/thrust-scale<' in (folder / f"{asked.aircraft}.xml").read_text(encoding="utf-8")
+    assert '<property value="0.9">propulsion/thrust-scale<' in (
+        folder / f"{asked.aircraft}.xml"
+    ).read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="stands 0 times"):
         state(folder, Stated({"elevator": 30.0}))
 
@@ -95,7 +121,10 @@ def test_accelerometers_and_vanes_feel_their_place():
     x = 0.3 * rng.normal(size=(12, 3))
     x[0] += 22.0
     r = np.array([0.2, -0.1, 0.3])
-    moved = tuple(Effect("sensor.accelerometer", f"place_{a}", float(v)) for a, v in zip("xyz", r, strict=True))
+    moved = tuple(
+        Effect("sensor.accelerometer", f"place_{a}", float(v))
+        for a, v in zip("xyz", r, strict=True)
+    )
     plain, there = (
         evaluate(Model([Airframe()] * 3, [e] * 3), x, np.full((4, 3), 1.0), None)
         for e in ((), (*moved, Effect("sensor.vane", "place_x", 0.7)))
@@ -117,12 +146,24 @@ def test_accelerometers_and_vanes_feel_their_place():
 def test_servos_at_once_and_clocks_of_commands():
     flown = replace(card(9, 22.0, seconds=11.0), noise=0.0, positions=True)
     late = Effect("record", "delay", 0.02)
-    at_once, lagging, shifted = fly_and_tell([Flight(flown, Airframe(), (), IDEAL), Flight(flown, Airframe()),
-                                              Flight(flown, Airframe(), (late,), IDEAL)])  # fmt: skip
-    np.testing.assert_allclose(at_once.record["elevator_pos_deg"][1:], at_once.record["elevator_deg"][:-1], atol=1e-9)
-    assert np.abs(lagging.record["elevator_pos_deg"][1:] - lagging.record["elevator_deg"][:-1]).max() > 1.0
+    at_once, lagging, shifted = fly_and_tell(
+        [
+            Flight(flown, Airframe(), (), IDEAL),
+            Flight(flown, Airframe()),
+            Flight(flown, Airframe(), (late,), IDEAL),
+        ]
+    )
+    np.testing.assert_allclose(
+        at_once.record["elevator_pos_deg"][1:], at_once.record["elevator_deg"][:-1], atol=1e-9
+    )
+    assert (
+        np.abs(lagging.record["elevator_pos_deg"][1:] - lagging.record["elevator_deg"][:-1]).max()
+        > 1.0
+    )
     # A record whose commands act 20 ms late has them a row early.
-    np.testing.assert_array_equal(shifted.record["elevator_deg"][:-1], at_once.record["elevator_deg"][1:])
+    np.testing.assert_array_equal(
+        shifted.record["elevator_deg"][:-1], at_once.record["elevator_deg"][1:]
+    )
     np.testing.assert_array_equal(shifted.record["q_radps"], at_once.record["q_radps"])
     assert earlier(np.arange(4.0), -1).tolist() == [0.0, 0.0, 1.0, 2.0]
 

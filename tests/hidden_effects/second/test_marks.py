@@ -15,14 +15,19 @@ from tests.hidden_effects.second.wrongs import Wrong
 from tests.hidden_effects.test_answers import effect, refinement
 
 NULL = drawn(DEVELOPMENT, 8)
-CLEAR = replace(NULL, kind="clear", entries=("CX:q_hat",), effects=(Effect("CX", "q_hat", 0.4),), t=(20.0,))
+CLEAR = replace(
+    NULL, kind="clear", entries=("CX:q_hat",), effects=(Effect("CX", "q_hat", 0.4),), t=(20.0,)
+)
 CARD = replace(NULL, kind="card", wrong=Wrong("propulsion:thrust_scale", 0.10), t=(40.0,))
 LATE = replace(NULL, kind="card", wrong=Wrong("record:delay", -0.02), t=(12.0,))
 OFF = replace(drawn(DEVELOPMENT, 14), t=(40.0,))
 
 
 def named(key, value, std, reach=1.96):
-    return {**effect(key, value, std), "evidence": {"t": value / std, "interval_95": [value - reach * std, value + reach * std]}}
+    return {
+        **effect(key, value, std),
+        "evidence": {"t": value / std, "interval_95": [value - reach * std, value + reach * std]},
+    }
 
 
 def test_a_named_effect_and_a_missed_one():
@@ -35,9 +40,13 @@ def test_a_named_effect_and_a_missed_one():
     assert (wrong.named, wrong.spurious, wrong.left_out) == ((False,), 1, 1)
     weak = replace(CLEAR, t=(6.0,))
     assert judge(weak, refinement(), 0).left_out == 0
-    large = effect("CX:de", alternatives=tuple((f"CX:{k}", False) for k in ("q_hat", "alpha*de", "V_rel")))
+    large = effect(
+        "CX:de", alternatives=tuple((f"CX:{k}", False) for k in ("q_hat", "alpha*de", "V_rel"))
+    )
     assert judge(CLEAR, refinement(large), 0).named == (False,)
-    second = judge(CLEAR, refinement(named("Cm:beta^2", 0.1, 0.01), named("CX:q_hat", 0.4, 0.02)), 0)
+    second = judge(
+        CLEAR, refinement(named("Cm:beta^2", 0.1, 0.01), named("CX:q_hat", 0.4, 0.02)), 0
+    )
     assert (second.named, second.spurious) == ((True,), 1)
 
 
@@ -67,15 +76,36 @@ def test_a_clock_is_named_by_the_timing_that_was_put_right():
 def test_parameters_count_where_the_answer_vouches_for_them():
     truth = NULL.airframe.coefficients
     own = {f"aero/{k}": {"value": truth[k] + 0.5 * 0.01, "std": 0.01} for k in ("Cm_q", "Cl_p")}
-    assert judge(NULL, {**refinement(), "parameters": own}, 0).parameters == pytest.approx((0.5, 0.5))
+    assert judge(NULL, {**refinement(), "parameters": own}, 0).parameters == pytest.approx(
+        (0.5, 0.5)
+    )
     assert judge(NULL, {**refinement(verdict="unexplained"), "parameters": own}, 1).parameters == ()
-    assert judge(NULL, {**refinement(), "parameters": {"aero/Cm_q": {"value": 0.0, "std": None}}}, 0).parameters == ()
+    assert (
+        judge(
+            NULL, {**refinement(), "parameters": {"aero/Cm_q": {"value": 0.0, "std": None}}}, 0
+        ).parameters
+        == ()
+    )
 
 
 def unexplained(**place):
-    candidates = [{"coefficient": "CX", "term": t, "t": 4.0, "leaves": 1.2} for t in ("beta^2", "de", "dr^2")]
-    told = {"channel": "ax_mps2", "from_s": 1.0, "to_s": 2.0, "from_Hz": 0.1, "to_Hz": 2.0, "candidates": candidates, **place}
-    remaining = {"unexplained": True, "where": [{"coefficient": "CX", "term": "beta^2", "t": 12.0}], "place": told}
+    candidates = [
+        {"coefficient": "CX", "term": t, "t": 4.0, "leaves": 1.2} for t in ("beta^2", "de", "dr^2")
+    ]
+    told = {
+        "channel": "ax_mps2",
+        "from_s": 1.0,
+        "to_s": 2.0,
+        "from_Hz": 0.1,
+        "to_Hz": 2.0,
+        "candidates": candidates,
+        **place,
+    }
+    remaining = {
+        "unexplained": True,
+        "where": [{"coefficient": "CX", "term": "beta^2", "t": 12.0}],
+        "place": told,
+    }
     return {**refinement(verdict="unexplained"), "remaining": remaining}
 
 
@@ -85,7 +115,9 @@ def test_something_else_is_told_with_its_place():
     assert judge(OFF, unexplained(from_Hz=None), 1).placed is False
     assert judge(OFF, unexplained(from_Hz=None, reason="by chance"), 1).placed is True
     assert judge(OFF, unexplained(candidates=[]), 1).placed is False
-    strong = [{"coefficient": "CX", "term": t, "t": 30.0, "leaves": 1.2} for t in ("beta^2", "de", "dr^2")]
+    strong = [
+        {"coefficient": "CX", "term": t, "t": 30.0, "leaves": 1.2} for t in ("beta^2", "de", "dr^2")
+    ]
     assert judge(OFF, unexplained(candidates=strong), 1).left_out == 2
     subject = OFF.hidden[0].subject
     assert judge(OFF, refinement(effect(f"{subject}:beta^2")), 0).fair
@@ -96,24 +128,66 @@ def test_something_else_is_told_with_its_place():
 def test_what_the_file_shows_and_does_not_list_is_left_out():
     withdrawn = {**refinement(), "withdrawn": [named("Cl:beta*CT", 0.2, 0.01)]}
     assert judge(NULL, withdrawn, 0).left_out == 1
-    assert judge(NULL, {**refinement(), "best_refused": {"effect": "CZ/q_hat", "t": -11.0, "why": ""}}, 0).left_out == 1
-    assert judge(NULL, {**refinement(), "best_refused": {"effect": "CZ/q_hat", "t": -3.0, "why": ""}}, 0).left_out == 0
+    assert (
+        judge(
+            NULL, {**refinement(), "best_refused": {"effect": "CZ/q_hat", "t": -11.0, "why": ""}}, 0
+        ).left_out
+        == 1
+    )
+    assert (
+        judge(
+            NULL, {**refinement(), "best_refused": {"effect": "CZ/q_hat", "t": -3.0, "why": ""}}, 0
+        ).left_out
+        == 0
+    )
 
 
 def row(kind="clear", air="calm", **change):
-    one = {"kind": kind, "air": air, "commit": "a", "case": "c", "named": "1", "card": "", "effects": 1, "spurious": 0,
-           "z": "0.5", "inside": "1", "parameters": " ".join(["0.5"] * 19 + ["2.4"]), "left_out": 0, "placed": "", "fair": "",
-           "apart": "0.001", "cpu_s": 12.0 if air == "calm" else 50.0, "peak_MB": 800.0, "faults": ""}  # fmt: skip
+    one = {
+        "kind": kind,
+        "air": air,
+        "commit": "a",
+        "case": "c",
+        "named": "1",
+        "card": "",
+        "effects": 1,
+        "spurious": 0,
+        "z": "0.5",
+        "inside": "1",
+        "parameters": " ".join(["0.5"] * 19 + ["2.4"]),
+        "left_out": 0,
+        "placed": "",
+        "fair": "",
+        "apart": "0.001",
+        "cpu_s": 12.0 if air == "calm" else 50.0,
+        "peak_MB": 800.0,
+        "faults": "",
+    }
     return {**one, **change}
 
 
 def whole():
     rows = []
     for kind, count, change in (
-        ("clear", 80, {}), ("marginal", 60, {}), ("weak", 10, {"named": "0", "effects": 0, "inside": "", "z": ""}),
-        ("null", 50, {"named": "", "effects": 0, "inside": "", "z": ""}), ("card", 40, {"named": "", "card": 1}),
-        ("off-form", 12, {"named": "", "fair": 1, "placed": 1, "effects": 0, "inside": "", "z": "", "parameters": ""}),
-    ):  # fmt: skip
+        ("clear", 80, {}),
+        ("marginal", 60, {}),
+        ("weak", 10, {"named": "0", "effects": 0, "inside": "", "z": ""}),
+        ("null", 50, {"named": "", "effects": 0, "inside": "", "z": ""}),
+        ("card", 40, {"named": "", "card": 1}),
+        (
+            "off-form",
+            12,
+            {
+                "named": "",
+                "fair": 1,
+                "placed": 1,
+                "effects": 0,
+                "inside": "",
+                "z": "",
+                "parameters": "",
+            },
+        ),
+    ):
         rows += [row(kind, "light" if i % 3 == 0 else "calm", **change) for i in range(count)]
     chosen = [i for i, r in enumerate(rows) if r["inside"]]
     for air in ("calm", "light"):

@@ -22,7 +22,9 @@ COST = {"cpu_s": 10.0, "peak_MB": 500.0, "exit": 0, "error": "", "apart": 0.001}
 def test_lines_are_written_read_back_and_kept_apart(tmp_path):
     path = tmp_path / "met.csv"
     asked = drawn(DEVELOPMENT, 8)
-    first = table.line_of(asked, judge(asked, refinement(effect("CX:de")), 0), COST, "aaa", table.FIRST)
+    first = table.line_of(
+        asked, judge(asked, refinement(effect("CX:de")), 0), COST, "aaa", table.FIRST
+    )
     later = table.line_of(asked, judge(asked, refinement(), 0), COST, "bbb", table.LATER)
     assert tuple(first) == table.COLUMNS
     for line in (first, later):
@@ -31,7 +33,11 @@ def test_lines_are_written_read_back_and_kept_apart(tmp_path):
     assert [r["effects"] for r in table.of_draw(lines, DEVELOPMENT, table.FIRST)] == ["1"]
     assert [r["effects"] for r in table.of_draw(lines, DEVELOPMENT, table.LATER)] == ["0"]
     assert table.of_draw(lines, 1, table.FIRST) == []
-    assert (lines[0]["commit"], lines[1]["commit"], lines[0]["generator"]) == ("aaa", "bbb", table.generator_digest())
+    assert (lines[0]["commit"], lines[1]["commit"], lines[0]["generator"]) == (
+        "aaa",
+        "bbb",
+        table.generator_digest(),
+    )
 
 
 def test_what_is_still_to_be_asked():
@@ -76,7 +82,9 @@ def test_several_are_asked_side_by_side_and_a_stop_tells_none_of_them():
     found = dict(run.answers(range(7), lambda number: number, ask, 3))
     assert found == {n: {"number": n} for n in range(7)}
     assert max(seen) > 1
-    assert dict(run.answers(range(4), lambda number: None if number == 2 else number, ask)) == {n: {"number": n} for n in (0, 1, 3)}
+    assert dict(run.answers(range(4), lambda number: None if number == 2 else number, ask)) == {
+        n: {"number": n} for n in (0, 1, 3)
+    }
 
     def stopped(number):
         if number == 2:
@@ -89,7 +97,9 @@ def test_several_are_asked_side_by_side_and_a_stop_tells_none_of_them():
     assert time.monotonic() - begun < 30.0
 
 
-def test_a_case_that_cannot_be_drawn_is_left_out_and_told_and_not_tried_again(tmp_path, monkeypatch, capsys):
+def test_a_case_that_cannot_be_drawn_is_left_out_and_told_and_not_tried_again(
+    tmp_path, monkeypatch, capsys
+):
     tried = []
 
     def never(draw, number, *_):
@@ -116,24 +126,41 @@ def test_a_draw_is_not_met_by_code_that_is_not_committed(tmp_path, monkeypatch, 
 
 def test_two_tables_of_one_flight():
     found = refinement(effect("CX:de"), after=1.0)
-    other = {"channels": {"q_radps": {"ratio": 1.0, "judged": True}, "h_m": {"ratio": 9.0, "judged": False}}}
+    other = {
+        "channels": {
+            "q_radps": {"ratio": 1.0, "judged": True},
+            "h_m": {"ratio": 9.0, "judged": False},
+        }
+    }
     assert run.apart_of(found, other) == pytest.approx(0.0, abs=1e-9)
     assert run.apart_of(refinement(after=1.27), other) == pytest.approx(0.27)
     assert run.apart_of({}, other) == math.inf
     # What a sensor has wrong is not in the model that was written.
-    assert run.compared(refinement(effect("sensor.alpha_rad:scale")), tmp := None, "", tmp, tmp) is None
-    assert run.compared({**refinement(), "timing": {"controls_late_s": 0.02}}, tmp, "", tmp, tmp) is None
+    assert (
+        run.compared(refinement(effect("sensor.alpha_rad:scale")), tmp := None, "", tmp, tmp)
+        is None
+    )
+    assert (
+        run.compared({**refinement(), "timing": {"controls_late_s": 0.02}}, tmp, "", tmp, tmp)
+        is None
+    )
 
 
 def test_a_measured_process_tells_what_it_cost(tmp_path):
-    busy = sealed.run_measured(tmp_path, ["-c", "x = bytearray(150_000_000)\nfor _ in range(10**7): pass\nprint('done')"], 60.0)
+    busy = sealed.run_measured(
+        tmp_path,
+        ["-c", "x = bytearray(150_000_000)\nfor _ in range(10**7): pass\nprint('done')"],
+        60.0,
+    )
     idle = sealed.run_measured(tmp_path, ["-c", "import time; time.sleep(0.2)"], 60.0)
     assert (busy.returncode, busy.stdout.strip()) == (0, "done")
     assert busy.peak_MB > 140.0 > idle.peak_MB
     assert busy.cpu_s > 2.0 * idle.cpu_s
     child = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'x = bytearray(150_000_000)'])"
     assert sealed.run_measured(tmp_path, ["-c", child], 60.0).peak_MB > 140.0
-    assert sealed.run_measured(tmp_path, ["-c", "import time; time.sleep(60)"], 0.5).returncode == -1
+    assert (
+        sealed.run_measured(tmp_path, ["-c", "import time; time.sleep(60)"], 0.5).returncode == -1
+    )
     assert sealed.run_measured(tmp_path, ["-c", "raise SystemExit(2)"], 60.0).returncode == 2
 
 

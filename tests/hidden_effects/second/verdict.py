@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tests.hidden_effects.answers import LARGEST_SET, accepted, at_floor, canonical, contract_faults, stands_for, test_gap
+from tests.hidden_effects.answers import (
+    LARGEST_SET,
+    accepted,
+    at_floor,
+    canonical,
+    contract_faults,
+    stands_for,
+    test_gap,
+)
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.second.drawn import Question
 from tests.hidden_effects.second.wrongs import SAME_NUMBER
@@ -57,23 +65,39 @@ def judge(asked: Question, found: Mapping[str, Any], exit_code: int) -> Verdict:
     card = set(asked.wrong.accepted) if asked.wrong else set()
     allowed = set().union(card, *ways)
     if off:
-        spurious = sum(not any(k.startswith(f"{asked.hidden[0].subject}:") for k in s) for s in sets)
+        spurious = sum(
+            not any(k.startswith(f"{asked.hidden[0].subject}:") for k in s) for s in sets
+        )
     else:
         spurious = sum(not s & allowed for s in sets)
     moved = asked.wrong is not None and asked.wrong.key == "record:delay"
     spurious += bool(late_s) and not moved
     named = tuple(_named(sets, way) for way in ways)
-    has_card = None if asked.wrong is None else _named(sets, card) or (moved and late_s * (asked.wrong.value or 0.0) > 0.0)
+    has_card = (
+        None
+        if asked.wrong is None
+        else _named(sets, card) or (moved and late_s * (asked.wrong.value or 0.0) > 0.0)
+    )
     pairs = [] if off else _estimates(asked, effects)
     vouched = verdict in ("effects-found", "no-missing-effect") and not off
     return Verdict(
-        verdict, tuple(" | ".join(sorted(s)) for s in sets) + (("record:delay",) if late_s else ()), named, has_card,
-        len(sets) + bool(late_s), spurious, tuple(z for z, _ in pairs), tuple(held for _, held in pairs if held is not None),
-        _parameters(asked, found) if vouched else (), left_out(asked, found, named, has_card),
+        verdict,
+        tuple(" | ".join(sorted(s)) for s in sets) + (("record:delay",) if late_s else ()),
+        named,
+        has_card,
+        len(sets) + bool(late_s),
+        spurious,
+        tuple(z for z, _ in pairs),
+        tuple(held for _, held in pairs if held is not None),
+        _parameters(asked, found) if vouched else (),
+        left_out(asked, found, named, has_card),
         _placed(found) if verdict == "unexplained" else None,
-        (spurious == 0 and (verdict == "unexplained" or (bool(effects) and at_floor(found)))) if off else None,
-        test_gap(found), tuple(contract_faults(found, exit_code)),
-    )  # fmt: skip
+        (spurious == 0 and (verdict == "unexplained" or (bool(effects) and at_floor(found))))
+        if off
+        else None,
+        test_gap(found),
+        tuple(contract_faults(found, exit_code)),
+    )
 
 
 def _ways(key: str) -> set[str]:
@@ -84,12 +108,16 @@ def _named(sets: Sequence[set[str]], way: set[str]) -> bool:
     return any(s & way and len(s) <= LARGEST_SET for s in sets)
 
 
-def _estimates(asked: Question, effects: Sequence[Mapping[str, Any]]) -> list[tuple[float, bool | None]]:
+def _estimates(
+    asked: Question, effects: Sequence[Mapping[str, Any]]
+) -> list[tuple[float, bool | None]]:
     """(z, inside) of what was named by its own name, or one whose number is the same, and has a number as truth."""
     truths = {e.key: e.size for e in asked.effects if not e.form}
     if asked.wrong is not None and asked.wrong.value is not None:
         truths[asked.wrong.key] = asked.wrong.value
-    truths |= {SAME_NUMBER[k][0]: SAME_NUMBER[k][1] * v for k, v in truths.items() if k in SAME_NUMBER}
+    truths |= {
+        SAME_NUMBER[k][0]: SAME_NUMBER[k][1] * v for k, v in truths.items() if k in SAME_NUMBER
+    }
     out: list[tuple[float, bool | None]] = []
     for e in effects:
         truth = truths.get(canonical(e))
@@ -115,21 +143,33 @@ def _parameters(asked: Question, found: Mapping[str, Any]) -> tuple[float, ...]:
     return tuple(out)
 
 
-def left_out(asked: Question, found: Mapping[str, Any], named: Sequence[bool], card: bool | None) -> int:
+def left_out(
+    asked: Question, found: Mapping[str, Any], named: Sequence[bool], card: bool | None
+) -> int:
     """Hidden causes above |t| 10 of which an answer says nothing, and candidates above it that its file shows but does not list."""
     remaining = found.get("remaining") or {}
     where = remaining.get("where") or []
-    listed = {canonical(w) for w in where} | {k for e in found.get("effects") or [] for k in stands_for(e)}
-    listed |= {canonical(a) for e in found.get("effects") or [] for a in e.get("alternatives") or []}
+    listed = {canonical(w) for w in where} | {
+        k for e in found.get("effects") or [] for k in stands_for(e)
+    }
+    listed |= {
+        canonical(a) for e in found.get("effects") or [] for a in e.get("alternatives") or []
+    }
     t = asked.t or asked.aimed
     missed = [not n for n in named] + ([not card] if card is not None else [])
     hidden = sum(m and s > STRONG_T for m, s in zip(missed, t, strict=False)) if not where else 0
-    shown = [(canonical(c), c.get("t")) for c in (remaining.get("place") or {}).get("candidates") or []]
-    shown += [(canonical(c), (c.get("evidence") or {}).get("t")) for c in found.get("withdrawn") or []]
+    shown = [
+        (canonical(c), c.get("t")) for c in (remaining.get("place") or {}).get("candidates") or []
+    ]
+    shown += [
+        (canonical(c), (c.get("evidence") or {}).get("t")) for c in found.get("withdrawn") or []
+    ]
     refused = found.get("best_refused") or {}
     if refused:
         shown.append((str(refused.get("effect", "?")).replace("/", ":", 1), refused.get("t")))
-    return hidden + len({k for k, size in shown if size is not None and abs(size) > STRONG_T and k not in listed})
+    return hidden + len(
+        {k for k, size in shown if size is not None and abs(size) > STRONG_T and k not in listed}
+    )
 
 
 def _placed(found: Mapping[str, Any]) -> bool:

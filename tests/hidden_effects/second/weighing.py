@@ -11,7 +11,14 @@ import numpy as np
 from tests.hidden_effects.catalogue import Entry
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly_and_tell
-from tests.hidden_effects.second.drawn import CLEAR_T, LEAST_CARD_T, Question, drawn, linear, shortened
+from tests.hidden_effects.second.drawn import (
+    CLEAR_T,
+    LEAST_CARD_T,
+    Question,
+    drawn,
+    linear,
+    shortened,
+)
 from tests.hidden_effects.strength import strengths, strengths_alone
 
 COARSE_S = 0.02
@@ -37,7 +44,11 @@ def question(draw: int, number: int, folder: Path, seconds: float | None = None)
         found = sized(asked)
         if found is not None:
             folder.mkdir(parents=True, exist_ok=True)
-            kept = {"attempt": attempt, "sizes": [e.size for e in found.effects], "t": list(found.t)}
+            kept = {
+                "attempt": attempt,
+                "sizes": [e.size for e in found.effects],
+                "t": list(found.t),
+            }
             path.write_text(json.dumps(kept), encoding="utf-8")
             return found
     raise RuntimeError(f"draw {draw}, case {number}: no flight in {ATTEMPTS} attempts")
@@ -49,7 +60,9 @@ def _drawn(draw: int, number: int, attempt: int, seconds: float | None) -> Quest
 
 
 def _with(asked: Question, sizes: list[float], t: list[float]) -> Question:
-    effects = tuple(Effect(e.subject, e.term, size, e.form) for e, size in zip(asked.hidden, sizes, strict=True))
+    effects = tuple(
+        Effect(e.subject, e.term, size, e.form) for e, size in zip(asked.hidden, sizes, strict=True)
+    )
     return replace(asked, effects=effects, t=tuple(t))
 
 
@@ -64,7 +77,10 @@ def sized(asked: Question) -> Question | None:
             alone = strengths_alone(plain, flown, effects, corrected, COARSE_S)
             factors = [t / max(s.t, 1e-9) for s, t in zip(alone, asked.aimed, strict=True)]
             limits = [(0.0, np.inf) if linear(e) else (0.02, 50.0) for e in asked.hidden]
-            effects = [e.scaled(float(np.clip(f, *span))) for e, f, span in zip(effects, factors, limits, strict=True)]
+            effects = [
+                e.scaled(float(np.clip(f, *span)))
+                for e, f, span in zip(effects, factors, limits, strict=True)
+            ]
         found = replace(asked, effects=tuple(effects))
         if effects:
             told = fly_and_tell([*found.flights("train"), *found.flights("test")], COARSE_S)
@@ -76,7 +92,10 @@ def sized(asked: Question) -> Question | None:
             beside = fly_and_tell(found.flights("train"), COARSE_S)
             own = LEAST_CARD_T
             if trace is not None:
-                base = [Flight(f.card, f.airframe, found.effects, f.drive) for f in found.flights("train")]
+                base = [
+                    Flight(f.card, f.airframe, found.effects, f.drive)
+                    for f in found.flights("train")
+                ]
                 own = strengths_alone(base, beside, [trace], corrected, COARSE_S)[0].t
             if not own >= LEAST_CARD_T:
                 return None
@@ -85,7 +104,11 @@ def sized(asked: Question) -> Question | None:
 
 
 def _unit(entry: Entry, sign: float) -> Effect:
-    unit = Effect(entry.subject, entry.term, entry.guess, entry.form) if entry.form else entry.effect(10.0, "calm")
+    unit = (
+        Effect(entry.subject, entry.term, entry.guess, entry.form)
+        if entry.form
+        else entry.effect(10.0, "calm")
+    )
     return unit if sign > 0.0 else unit.scaled(sign)
 
 
@@ -94,7 +117,9 @@ def _measured(found: Question, corrected: bool) -> tuple[float, ...]:
     if len(found.effects) < 2 and all(map(linear, found.hidden)):
         return found.aimed
     flights = [Flight(f.card, f.airframe, found.effects, f.drive) for f in found.flights("train")]
-    return tuple(s.t for s in strengths(flights, fly_and_tell(flights, COARSE_S), corrected, COARSE_S))
+    return tuple(
+        s.t for s in strengths(flights, fly_and_tell(flights, COARSE_S), corrected, COARSE_S)
+    )
 
 
 def _as_aimed(found: Question, t: tuple[float, ...]) -> bool:
@@ -107,4 +132,6 @@ def _as_aimed(found: Question, t: tuple[float, ...]) -> bool:
 
 def _flies(x: np.ndarray) -> bool:
     """Whether a flight stays one: states finite, angle of attack within what an aeroplane bears."""
-    return bool(np.isfinite(x).all() and np.abs(np.arctan2(x[:, 2], x[:, 0])).max() < LARGEST_ALPHA_RAD)
+    return bool(
+        np.isfinite(x).all() and np.abs(np.arctan2(x[:, 2], x[:, 0])).max() < LARGEST_ALPHA_RAD
+    )

@@ -16,13 +16,24 @@ SAME: Mapping[str, tuple[str, ...]] = {
     "sensor.accelerometer:place_x": ("mass:cg_x",),
 }
 SAME_NUMBER: Mapping[str, tuple[str, float]] = {
-    "propulsion:thrust_scale": ("CX:CT", 1.0), "sensor.accelerometer:place_x": ("mass:cg_x", -1.0),
-}  # fmt: skip
+    "propulsion:thrust_scale": ("CX:CT", 1.0),
+    "sensor.accelerometer:place_x": ("mass:cg_x", -1.0),
+}
 """Key -> its other name, and by what its number is to be multiplied there."""
 TRUE_LAG, TRUE_RATE = LAG[0], RATE[0]
 _BIASES = {"ax_mps2": (0.1, 0.4), "theta_rad": (0.01, 0.03), "phi_rad": (0.01, 0.03)}
-_SCALES = {"V_mps": (0.03, 0.10), "alpha_rad": (0.04, 0.20), "beta_rad": (0.04, 0.20), "r_radps": (0.02, 0.08)}
-_LATE = {"alpha_rad": (0.02, 0.08), "beta_rad": (0.02, 0.08), "V_mps": (0.1, 0.4), "p_radps": (0.008, 0.03)}
+_SCALES = {
+    "V_mps": (0.03, 0.10),
+    "alpha_rad": (0.04, 0.20),
+    "beta_rad": (0.04, 0.20),
+    "r_radps": (0.02, 0.08),
+}
+_LATE = {
+    "alpha_rad": (0.02, 0.08),
+    "beta_rad": (0.02, 0.08),
+    "V_mps": (0.1, 0.4),
+    "p_radps": (0.008, 0.03),
+}
 
 
 @dataclass(frozen=True)
@@ -66,10 +77,19 @@ class Wrong:
 
 
 KINDS = (
-    *("lag faster",) * 5, *("lag slower",) * 5, *("rate lower",) * 3, *("rate higher",) * 2, *("sensor late",) * 4,
-    *("controls late",) * 2, *("controls early",) * 2, *("scale",) * 4, *("bias",) * 3, *("accelerometer",) * 4, *("vane",) * 2,
+    *("lag faster",) * 5,
+    *("lag slower",) * 5,
+    *("rate lower",) * 3,
+    *("rate higher",) * 2,
+    *("sensor late",) * 4,
+    *("controls late",) * 2,
+    *("controls early",) * 2,
+    *("scale",) * 4,
+    *("bias",) * 3,
+    *("accelerometer",) * 4,
+    *("vane",) * 2,
     *("thrust",) * 4,
-)  # fmt: skip
+)
 """Kinds of the forty wrong cards of a draw; faster, slower, lower, higher: the flights against the folder."""
 
 
@@ -87,7 +107,9 @@ def wrong(kind: str, rate_hz: float, rng: np.random.Generator) -> Wrong:
         return _sensor("bias", _BIASES, sign, rng)
     if kind.startswith("controls"):
         rows = int(rng.integers(1, 3)) * (1 if kind == "controls late" else -1)
-        return Wrong("record:delay", rows / rate_hz, effects=(Effect("record", "delay", rows / rate_hz),))
+        return Wrong(
+            "record:delay", rows / rate_hz, effects=(Effect("record", "delay", rows / rate_hz),)
+        )
     if kind == "accelerometer":
         axis = int(rng.integers(3))
         size = sign * float(rng.uniform(0.08, 0.30))
@@ -96,18 +118,26 @@ def wrong(kind: str, rate_hz: float, rng: np.random.Generator) -> Wrong:
             return Wrong(effect.key, size, effects=(effect,), trace=effect)
         place = [0.0, 0.0, 0.0]
         place[axis] = -size
-        return Wrong(effect.key, size, Stated(accelerometer=(place[0], place[1], place[2])), trace=effect)
+        return Wrong(
+            effect.key, size, Stated(accelerometer=(place[0], place[1], place[2])), trace=effect
+        )
     if kind == "vane":
         effect = Effect("sensor.vane", "place_x", sign * float(rng.uniform(0.3, 0.9)))
         return Wrong(effect.key, effect.size, effects=(effect,), trace=effect)
     if kind == "thrust":
         share = sign * float(rng.uniform(0.06, 0.20))
-        return Wrong("propulsion:thrust_scale", share, Stated(thrust=1.0 / (1.0 + share)),
-                     trace=Effect("propulsion", "thrust_scale", -share / (1.0 + share)))  # fmt: skip
+        return Wrong(
+            "propulsion:thrust_scale",
+            share,
+            Stated(thrust=1.0 / (1.0 + share)),
+            trace=Effect("propulsion", "thrust_scale", -share / (1.0 + share)),
+        )
     raise ValueError(f"unknown wrong card {kind}; known are {sorted(set(KINDS))}")
 
 
-def _sensor(term: str, ranges: Mapping[str, tuple[float, float]], sign: float, rng: np.random.Generator) -> Wrong:
+def _sensor(
+    term: str, ranges: Mapping[str, tuple[float, float]], sign: float, rng: np.random.Generator
+) -> Wrong:
     channel = str(rng.choice(list(ranges)))
     effect = Effect(f"sensor.{channel}", term, sign * float(rng.uniform(*ranges[channel])))
     return Wrong(effect.key, effect.size, effects=(effect,), trace=effect)
@@ -122,28 +152,52 @@ def _servo(kind: str, surface: str, rng: np.random.Generator) -> Wrong:
         return Wrong(effect.key, lag, effects=(effect,), trace=effect)
     if kind == "lag slower":
         stated = float(rng.uniform(45.0, 120.0))
-        return Wrong(f"{subject}:lag", TRUE_LAG, Stated(lag={surface: stated}), trace=Effect(subject, "lag", stated))
+        return Wrong(
+            f"{subject}:lag",
+            TRUE_LAG,
+            Stated(lag={surface: stated}),
+            trace=Effect(subject, "lag", stated),
+        )
     if kind == "lag faster" and rng.random() < 0.5:
         stated = float(rng.uniform(8.0, 17.0))
-        return Wrong(f"{subject}:lag", TRUE_LAG, Stated(lag={surface: stated}), trace=Effect(subject, "lag", stated))
+        return Wrong(
+            f"{subject}:lag",
+            TRUE_LAG,
+            Stated(lag={surface: stated}),
+            trace=Effect(subject, "lag", stated),
+        )
     if kind == "lag faster":
         lag = float(rng.uniform(45.0, 120.0)) if rng.random() < 0.6 else AT_ONCE
         lags = tuple(lag if s == surface else LAG[0] for s in SURFACES)
         # A servo that acts at once has no lag that could be estimated.
-        return Wrong(f"{subject}:lag", lag if lag < AT_ONCE else None, drive=Drive((*lags, LAG[3]), RATE),
-                     trace=Effect(subject, "lag", TRUE_LAG))  # fmt: skip
+        return Wrong(
+            f"{subject}:lag",
+            lag if lag < AT_ONCE else None,
+            drive=Drive((*lags, LAG[3]), RATE),
+            trace=Effect(subject, "lag", TRUE_LAG),
+        )
     if kind == "rate lower":
         limit = float(rng.uniform(30.0, 70.0))
         effect = Effect(subject, "rate_limit", limit)
         return Wrong(effect.key, limit, effects=(effect,), trace=effect)
     # The hand asks for 120 deg/s at most: the true limit of 240 is never felt.
     stated = float(rng.uniform(30.0, 60.0))
-    return Wrong(f"{subject}:rate_limit", None, Stated(rate={surface: stated}), trace=Effect(subject, "rate_limit", stated))
+    return Wrong(
+        f"{subject}:rate_limit",
+        None,
+        Stated(rate={surface: stated}),
+        trace=Effect(subject, "rate_limit", stated),
+    )
 
 
 def together(stated: Stated, more: Stated) -> Stated:
     """One folder that says both; the second holds where both speak of the same servo."""
-    return replace(more, lag={**stated.lag, **more.lag}, rate={**stated.rate, **more.rate}, thrust=stated.thrust * more.thrust)
+    return replace(
+        more,
+        lag={**stated.lag, **more.lag},
+        rate={**stated.rate, **more.rate},
+        thrust=stated.thrust * more.thrust,
+    )
 
 
 def names(wrongs: Sequence[Wrong]) -> str:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.air_rotation import CHANNELS, ROLLING, AirPiece, air_pieces, as_measured, without_air_rotation
+from sysid.aerodynamics.air_rotation import (
+    CHANNELS,
+    ROLLING,
+    AirPiece,
+    air_pieces,
+    as_measured,
+    without_air_rotation,
+)
 from sysid.aerodynamics.coefficients import half_width, smooth
 from sysid.aerodynamics.residuals import Cutoffs, PieceNoise, ResidualPiece, Residuals
 from sysid.aerodynamics.segmentation import Piece
@@ -49,7 +56,9 @@ def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
     da_i, db_i = 0.027 * np.cos(0.9 * t), 0.012 * np.cos(0.6 * t)
     # Velocity changes as inertial angles do, at constant speed: alpha. and beta. of (u, v, w) as the vanes see it.
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
-    change = V * np.column_stack([-sa * cb * da_i - ca * sb * db_i, cb * db_i, ca * cb * da_i - sa * sb * db_i])
+    change = V * np.column_stack(
+        [-sa * cb * da_i - ca * sb * db_i, cb * db_i, ca * cb * da_i - sa * sb * db_i]
+    )
     weight = G * np.array([0.0, np.sin(bank), np.cos(bank)])
     felt = change - weight + np.cross(rates, np.column_stack([u, v, w]))
     x, y = np.cos(bank) * da + np.sin(bank) * db, np.sin(bank) * da - np.cos(bank) * db
@@ -57,16 +66,23 @@ def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
     q_air, r_air = np.cos(bank) * qh + np.sin(bank) * rh, -np.sin(bank) * qh + np.cos(bank) * rh
     delta = np.zeros((N, 6))
     delta[:, 4], delta[:, 5] = -Cm_q * q_air, -Cn_r * r_air
-    delta = rotating * smooth(delta, DT, CUT.all_hz) + 1e-5 * smooth(rng.standard_normal((N, 6)), DT, CUT.all_hz)
+    delta = rotating * smooth(delta, DT, CUT.all_hz) + 1e-5 * smooth(
+        rng.standard_normal((N, 6)), DT, CUT.all_hz
+    )
     zero = np.zeros(N)
-    columns = dict(zip(CHANNELS, (zero + V, alpha, beta, zero, q, r, zero + bank, zero, *felt.T), strict=True))
+    columns = dict(
+        zip(CHANNELS, (zero + V, alpha, beta, zero, q, r, zero + bank, zero, *felt.T), strict=True)
+    )
     if noise:
         columns |= {c: columns[c] + s * rng.standard_normal(N) for c, s in STD.items()}
     slopes = np.zeros((N, 3, 6))
     slopes[:, 0, 3], slopes[:, 1, 4], slopes[:, 2, 5] = Cl_p, Cm_q, Cn_r
     m = half_width(DT, CUT.all_hz)
     rows = [slice(k, k + 600) for k in range(0, N, 600)]
-    pieces = tuple(ResidualPiece("m", t[s][m:-m], delta[s][m:-m], {}, 0, PieceNoise((), {}, 600 - 2 * m)) for s in rows)
+    pieces = tuple(
+        ResidualPiece("m", t[s][m:-m], delta[s][m:-m], {}, 0, PieceNoise((), {}, 600 - 2 * m))
+        for s in rows
+    )
     air = [AirPiece({c: x[s] for c, x in columns.items()}, slopes[s], B) for s in rows]
     return Residuals(pieces, DT, CUT), air, x
 
@@ -84,7 +100,9 @@ def test_rotation_that_is_there_is_found_and_taken_out(bank):
         assert rms(still, j) < 0.35 * rms(residuals, j)
     # Told the opposite bank, a good part of it would be left: the axes count.
     if bank:
-        turned = [AirPiece({**a.channels, "phi_rad": -a.channels["phi_rad"]}, a.slopes, B) for a in air]
+        turned = [
+            AirPiece({**a.channels, "phi_rad": -a.channels["phi_rad"]}, a.slopes, B) for a in air
+        ]
         other, _ = without_air_rotation(residuals, turned, (0.0, 0.0, 0.0), STD)
         assert rms(other, 5) > 2.0 * rms(still, 5)
 
@@ -109,7 +127,9 @@ def test_calm_air_has_no_gusts_whatever_the_vanes_noise():
     assert np.array_equal(still.delta, residuals.delta)
     assert all(p.noise is not None and not p.noise.passages for p in still.pieces)
     # With a figure three times too small the vanes' noise passes for gusts.
-    _, found = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), {c: s / 3.0 for c, s in STD.items()})
+    _, found = without_air_rotation(
+        residuals, air, (0.0, 0.0, 0.0), {c: s / 3.0 for c, s in STD.items()}
+    )
     assert found.level > 0.0
 
 

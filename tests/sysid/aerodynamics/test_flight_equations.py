@@ -14,24 +14,47 @@ INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
 SIZES = {True: 13, False: 8}
 
 
-def system(gusty: bool, by_flow: bool, passing_mps: float = 0.0, n: int = 3) -> tuple[np.ndarray, Body, Along]:
+def system(
+    gusty: bool, by_flow: bool, passing_mps: float = 0.0, n: int = 3
+) -> tuple[np.ndarray, Body, Along]:
     rng = np.random.default_rng(3)
-    x = np.array([20.0, 0.06, 0.02, 0.3, 0.2, 0.1, 0.4, 0.1, 0.05, 0.01, -0.02, 20.5, 0.03])[: SIZES[gusty]]
+    x = np.array([20.0, 0.06, 0.02, 0.3, 0.2, 0.1, 0.4, 0.1, 0.05, 0.01, -0.02, 20.5, 0.03])[
+        : SIZES[gusty]
+    ]
     x = x + 0.01 * rng.standard_normal((n, len(x)))
     along = Along(
-        x[:, :8] + 0.01 * rng.standard_normal((n, 8)), rng.normal(0.0, 10.0, (n, 6)), rng.normal(0.0, 5.0, (n, 6, 6)),
+        x[:, :8] + 0.01 * rng.standard_normal((n, 8)),
+        rng.normal(0.0, 10.0, (n, 6)),
+        rng.normal(0.0, 5.0, (n, 6, 6)),
         rng.standard_normal((n, 6, 2)),
-    )  # fmt: skip
+    )
     gusts = GustStates(3.0, passing_mps)
-    return x, Body(18.0, INERTIA, np.linalg.inv(INERTIA), np.array([0.1, -0.05, 0.02]), 9.81, gusty, gusts, by_flow), along
+    return (
+        x,
+        Body(
+            18.0,
+            INERTIA,
+            np.linalg.inv(INERTIA),
+            np.array([0.1, -0.05, 0.02]),
+            9.81,
+            gusty,
+            gusts,
+            by_flow,
+        ),
+        along,
+    )
 
 
 def at(along: Along, k: int) -> Along:
     return Along(*(v[k] for v in along))
 
 
-@pytest.mark.parametrize(("gusty", "by_flow", "passing"), [(True, True, 0.0), (True, False, 15.0), (False, True, 0.0)])
-def test_compiled_rates_are_those_of_the_equations(gusty: bool, by_flow: bool, passing: float) -> None:
+@pytest.mark.parametrize(
+    ("gusty", "by_flow", "passing"), [(True, True, 0.0), (True, False, 15.0), (False, True, 0.0)]
+)
+def test_compiled_rates_are_those_of_the_equations(
+    gusty: bool, by_flow: bool, passing: float
+) -> None:
     x, body, along = system(gusty, by_flow, passing)
     rate, seen = np.empty(x.shape), np.empty((len(x), 11))
     loops().rated(x, body, along, along.load, rate, seen)
@@ -57,11 +80,15 @@ def test_slopes_are_those_of_differences(gusty: bool, by_flow: bool) -> None:
     h = 1e-6
     for j in range(size):
         step = h * (np.arange(size) == j)
-        expected = (found(x[1] + step, along.load[1]) - found(x[1] - step, along.load[1])) / (2.0 * h)
+        expected = (found(x[1] + step, along.load[1]) - found(x[1] - step, along.load[1])) / (
+            2.0 * h
+        )
         np.testing.assert_allclose(by_state[1, :, j], expected, rtol=1e-6, atol=1e-6)
     for j in range(6):
         step = h * (np.arange(6) == j)
-        expected = (found(x[1], along.load[1] + step) - found(x[1], along.load[1] - step)) / (2.0 * h)
+        expected = (found(x[1], along.load[1] + step) - found(x[1], along.load[1] - step)) / (
+            2.0 * h
+        )
         np.testing.assert_allclose(by_load[1, :, j], expected, rtol=1e-6, atol=1e-7)
     assert np.abs(by_state[1]).max() > 1.0
 

@@ -59,7 +59,9 @@ def carried(u, v, w, passing=0.0):
         rated = (*flow_rates(x, felt, trig, 0.0), dphi[k], dtheta[k])
         x[8:] = x[8:] + DT * np.array(states.rates(x, rated))
         speed = passing or x[0]
-        q += (-q * DT * speed - (w[k + 1] - w[k])) / (4.0 * B / np.pi)  # 3.7.5: q = -dw/dx behind a lag
+        q += (-q * DT * speed - (w[k + 1] - w[k])) / (
+            4.0 * B / np.pi
+        )  # 3.7.5: q = -dw/dx behind a lag
         r += (-r * DT * speed + (v[k + 1] - v[k])) / (3.0 * B / np.pi)  # 3.7.5: r = +dv/dx
     return np.array(found), np.array(defined)
 
@@ -86,7 +88,10 @@ def test_no_gust_changes_a_state_of_the_air_at_once():
     rng = np.random.default_rng(2)
     states, path = GustStates(B), motion()
     before, after = (rng.normal(size=3) for _ in range(2))
-    x, y = (np.array([*seen(5, *np.outer(g, np.ones(N)), path), 0.0, 0.0, 0.0, path[0][5], path[2][5]]) for g in (before, after))
+    x, y = (
+        np.array([*seen(5, *np.outer(g, np.ones(N)), path), 0.0, 0.0, 0.0, path[0][5], path[2][5]])
+        for g in (before, after)
+    )
     W = states.start(y)[1] - states.start(x)[1]
     # Air that moves down by so much more makes W less by that; h_q as it was, q_h has turned.
     assert pytest.approx(after[2] - before[2]) == W
@@ -103,7 +108,9 @@ def test_gusts_turn_with_the_heading():
     np.testing.assert_allclose(states.turning(x), 0.0, atol=1e-14)
     x[11:] += u, v
     # d/dt of (u cos psi - v sin psi, u sin psi + v cos psi) along the axes, and less of it relative to the air
-    np.testing.assert_allclose(states.turning(x), body_axes(phi, theta) @ [v * dpsi, -u * dpsi, 0.0], atol=1e-14)
+    np.testing.assert_allclose(
+        states.turning(x), body_axes(phi, theta) @ [v * dpsi, -u * dpsi, 0.0], atol=1e-14
+    )
     assert not np.any(states._replace(turning_with=False).turning(x))
 
 
@@ -114,5 +121,6 @@ def test_body_axes_are_the_heading_axes_pitched_and_banked():
     np.testing.assert_allclose(states.rotation(x), 0.0, atol=1e-12)
     x[8] = 0.1
     np.testing.assert_allclose(
-        states.rotation(x), 0.1 * np.array([np.cos(0.2), np.sin(0.5) * np.sin(0.2), np.cos(0.5) * np.sin(0.2)])
+        states.rotation(x),
+        0.1 * np.array([np.cos(0.2), np.sin(0.5) * np.sin(0.2), np.cos(0.5) * np.sin(0.2)]),
     )

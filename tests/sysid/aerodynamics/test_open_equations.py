@@ -15,7 +15,11 @@ from tests.helpers.sixdof import TABLE_2_6, Airframe, derivative, isa_density, t
 TERMS = tuple(f"aero/{n}" for n in TABLE_2_6)
 BODY = Airframe()
 MASS = MassProperties(
-    BODY.m, np.array([[BODY.Ixx, 0, -BODY.Ixz], [0, BODY.Iyy, 0], [-BODY.Ixz, 0, BODY.Izz]]), BODY.S, BODY.b, BODY.c
+    BODY.m,
+    np.array([[BODY.Ixx, 0, -BODY.Ixz], [0, BODY.Iyy, 0], [-BODY.Ixz, 0, BODY.Izz]]),
+    BODY.S,
+    BODY.b,
+    BODY.c,
 )
 
 
@@ -27,7 +31,9 @@ def test_rates_and_specific_force_are_those_of_the_independent_equations():
         V, alpha, beta = rng.uniform(15, 30), rng.uniform(-0.1, 0.2), rng.uniform(-0.1, 0.1)
         p, q, r, phi, pitch = rng.uniform(-0.5, 0.5, 5)
         de, da, dr, throttle = *rng.uniform(-5, 5, 3), rng.uniform(20, 80)
-        velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        velocity = V * np.array(
+            [np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)]
+        )
         state = np.array([*velocity, p, q, r, phi, pitch, 0.0, 0.0, 0.0, -100.0])
         rate = derivative(BODY, state, np.array([de, da, dr, throttle]))
         rho = isa_density(100.0)
@@ -40,9 +46,14 @@ def test_rates_and_specific_force_are_those_of_the_independent_equations():
         V2 = np.linalg.norm(after)
         np.testing.assert_allclose(
             found[:3],
-            [(V2 - V) / step, (np.arctan2(after[2], after[0]) - alpha) / step, (np.arcsin(after[1] / V2) - beta) / step],
-            rtol=1e-4, atol=1e-5,
-        )  # fmt: skip
+            [
+                (V2 - V) / step,
+                (np.arctan2(after[2], after[0]) - alpha) / step,
+                (np.arcsin(after[1] / V2) - beta) / step,
+            ],
+            rtol=1e-4,
+            atol=1e-5,
+        )
         outputs = dict(zip(OUTPUTS, np.array(equations.g(x, u, theta), dtype=float), strict=True))
         assert outputs["p_radps"] == pytest.approx(p + 0.01)
 
@@ -62,11 +73,15 @@ def test_air_that_turns_with_the_aircraft_damps_nothing_and_fades():
 def test_many_parameter_sets_run_side_by_side():
     equations = OpenEquations(TERMS, (), OUTPUTS, MASS)
     theta = np.tile(np.array(list(TABLE_2_6.values()))[:, None], (1, 3)) * np.array([1.0, 1.1, 0.9])
-    x = np.tile(np.array([22.0, 0.02, 0.01, 0.1, 0.1, 0.1, 0.1, 0.02, 0, 0, 0, 22.0, 0])[:, None], (1, 3))
+    x = np.tile(
+        np.array([22.0, 0.02, 0.01, 0.1, 0.1, 0.1, 0.1, 0.02, 0, 0, 0, 22.0, 0])[:, None], (1, 3)
+    )
     u = np.tile(np.array([1, 1, 1, 20.0, 0, 0, 0, 0, 0, 1.2, *np.zeros(6)])[:, None], (1, 3))
     together = np.array(equations.f(x, u, theta))
     for lane in range(3):
-        np.testing.assert_allclose(together[:, lane], equations.f(x[:, lane], u[:, lane], theta[:, lane]))
+        np.testing.assert_allclose(
+            together[:, lane], equations.f(x[:, lane], u[:, lane], theta[:, lane])
+        )
 
 
 def test_names_of_terms():
@@ -88,7 +103,9 @@ def test_segments_are_manoeuvres_else_excitation_else_everything():
     time = np.arange(0.0, 60.0, 0.02)
     labels = np.where((time >= 10) & (time < 15), "doublet", "").astype(object)
     pieces, how = cut(record(manoeuvre=labels), ("q_radps",))
-    assert [(p.label, round(p.start_s, 2), round(p.end_s, 2)) for p in pieces] == [("doublet", 10.0, 14.98)]
+    assert [(p.label, round(p.start_s, 2), round(p.end_s, 2)) for p in pieces] == [
+        ("doublet", 10.0, 14.98)
+    ]
     assert "labelled" in how
     moved = np.where((time >= 20) & (time < 21), 5.0, 0.0)
     pieces, how = cut(record(elevator_deg=moved), ("q_radps",))

@@ -33,11 +33,15 @@ def test_a_full_polynomial_has_every_term_once(count, order):
 def test_values_are_products_of_powers():
     z = np.random.default_rng(0).standard_normal((20, 2))
     found = regressors(z, ((0, 0), (2, 1), (0, 3)))
-    np.testing.assert_allclose(found, np.column_stack([np.ones(20), z[:, 0] ** 2 * z[:, 1], z[:, 1] ** 3]))
+    np.testing.assert_allclose(
+        found, np.column_stack([np.ones(20), z[:, 0] ** 2 * z[:, 1], z[:, 1] ** 3])
+    )
     # A polynomial's values come back by least squares on its terms, and not on fewer.
     terms = full_polynomial(2)
     y = 1.0 - z[:, 0] * z[:, 1] + 2.0 * z[:, 1] ** 2
-    rest = [float(np.linalg.lstsq(regressors(z, t), y, rcond=None)[1][0]) for t in (terms, terms[:-1])]
+    rest = [
+        float(np.linalg.lstsq(regressors(z, t), y, rcond=None)[1][0]) for t in (terms, terms[:-1])
+    ]
     assert rest[0] < 1e-20
     assert rest[1] > 1.0
 

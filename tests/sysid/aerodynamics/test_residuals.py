@@ -14,7 +14,17 @@ from tests.helpers.flown import fly
 from tests.helpers.sixdof import Airframe, coefficients, thrust
 
 AIRFRAME = Airframe()
-NEEDED = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+NEEDED = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
 KINDS = (("pitch-3211", 21.0), ("roll-yaw", 21.0))
 
 
@@ -44,7 +54,14 @@ def model_of(airframe: Airframe, increment: dict[str, float] | None = None):
         T = np.array([thrust(t, v, d) for t, v, d in zip(get["throttle_pct"], V, rho, strict=True)])
         force = np.column_stack([T, 0 * T, 0 * T])
         mass = MassProperties(airframe.m, inertia(airframe), airframe.S, airframe.b, airframe.c)
-        return Prediction(said, force, np.zeros((len(V), 3)), 0.5 * rho * V**2, mass, {"elevator_pos_deg": u[:, 0]})
+        return Prediction(
+            said,
+            force,
+            np.zeros((len(V), 3)),
+            0.5 * rho * V**2,
+            mass,
+            {"elevator_pos_deg": u[:, 0]},
+        )
 
     return predict
 
@@ -80,7 +97,9 @@ def test_the_accelerometers_place_is_allowed_for(still):
     rates = np.column_stack([still[f"{a}_radps"] for a in "pqr"])
     dots = np.gradient(rates, still.dt_s, axis=0)
     felt = np.cross(dots, arm) + np.cross(rates, np.cross(rates, arm))
-    away = still.with_columns({f"a{a}_mps2": still[f"a{a}_mps2"] + felt[:, k] for k, a in enumerate("xyz")})
+    away = still.with_columns(
+        {f"a{a}_mps2": still[f"a{a}_mps2"] + felt[:, k] for k, a in enumerate("xyz")}
+    )
     pieces = pieces_of(still)
     here = residual_coefficients(still, pieces, model_of(AIRFRAME)).delta
     there = residual_coefficients(away, pieces, model_of(AIRFRAME), arm).delta
@@ -119,4 +138,6 @@ def test_the_airspeeds_low_pass_stops_at_gaps_and_keeps_slow_motion(still):
 
 def test_pieces_shorter_than_the_filter_are_refused(still):
     with pytest.raises(ValueError, match="raise the cut-off"):
-        residual_coefficients(still, [Piece("x", slice(0, 20), 0.0, 0.4)], model_of(AIRFRAME), cutoffs=Cutoffs(0.2))
+        residual_coefficients(
+            still, [Piece("x", slice(0, 20), 0.0, 0.4)], model_of(AIRFRAME), cutoffs=Cutoffs(0.2)
+        )

@@ -9,10 +9,24 @@ import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.gust_states import GustStates
-from sysid.aerodynamics.rigid_body import AIR, NX, Reference, linearise, rates, unforced, whole_states
+from sysid.aerodynamics.rigid_body import (
+    AIR,
+    NX,
+    Reference,
+    linearise,
+    rates,
+    unforced,
+    whole_states,
+)
 from tests.helpers.open_equations import OpenEquations
 
-MASS = MassProperties(mass=21.0, inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), S=1.38, b=3.66, c=0.38)
+MASS = MassProperties(
+    mass=21.0,
+    inertia=np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]),
+    S=1.38,
+    b=3.66,
+    c=0.38,
+)
 TERMS = (
     "CX_0",
     "CZ_0",
@@ -35,8 +49,16 @@ DT = 0.02
 def flight(n: int) -> np.ndarray:
     """(n, 8) a banked, rolling, turning path."""
     t = DT * np.arange(n)
-    columns = [21.0 + 0.5 * t, 0.05 + 0.02 * np.sin(t), 0.03 * np.cos(2.0 * t), 0.4 * np.cos(1.5 * t), 0.1 + 0.05 * t,
-               0.25 + 0.1 * np.sin(t), 0.5 + 0.3 * np.sin(1.5 * t), 0.1 * np.ones(n)]  # fmt: skip
+    columns = [
+        21.0 + 0.5 * t,
+        0.05 + 0.02 * np.sin(t),
+        0.03 * np.cos(2.0 * t),
+        0.4 * np.cos(1.5 * t),
+        0.1 + 0.05 * t,
+        0.25 + 0.1 * np.sin(t),
+        0.5 + 0.3 * np.sin(1.5 * t),
+        0.1 * np.ones(n),
+    ]
     return np.column_stack(columns)
 
 
@@ -52,7 +74,9 @@ def reference(x: np.ndarray, equations: OpenEquations) -> Reference:
     slopes = np.empty((len(x), 6, 6))
     for k in range(len(AIR)):
         step = 1e-5 * (np.arange(8) == k)
-        slopes[:, :, k] = [(loads(r + step, equations) - loads(r - step, equations)) / 2e-5 for r in x]
+        slopes[:, :, k] = [
+            (loads(r + step, equations) - loads(r - step, equations)) / 2e-5 for r in x
+        ]
     qbar = 0.5 * INPUTS[9] * x[:, 0] ** 2
     return Reference(DT, x, force[:, :3], force[:, 3:], slopes, qbar, np.zeros(3), False)
 
@@ -91,29 +115,46 @@ def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
     gusts = GustStates(MASS.b, turning_with=turning)
     monkeypatch.setattr(OpenEquations, "gusts", gusts)
     x = flight(4)
-    away = np.array([0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04])
+    away = np.array(
+        [0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04]
+    )
     state = whole_states(x, gusts) + away
     found = rates(reference(x, equations), MASS, state, gusts=gusts)
     expected = np.array([equations.f(row, INPUTS, VALUES) for row in state], dtype=float)
     # Forces are linear about the reference: what is left is of second order.
     np.testing.assert_allclose(found, expected, atol=0.02)
-    still = rates(reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False))
+    still = rates(
+        reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False)
+    )
     assert (np.abs(found - still)[:, :3].max() > 1e-3) == turning
     at = whole_states(x, gusts)
     exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
-    np.testing.assert_allclose(rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9)
+    np.testing.assert_allclose(
+        rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9
+    )
 
 
 def test_without_forces_the_wind_angles_turn_with_the_body_and_weight():
     x = flight(5)
-    free = Reference(DT, x, np.zeros((5, 3)), np.zeros((5, 3)), np.zeros((5, 6, 6)), np.ones(5), np.zeros(3), False)
+    free = Reference(
+        DT,
+        x,
+        np.zeros((5, 3)),
+        np.zeros((5, 3)),
+        np.zeros((5, 6, 6)),
+        np.ones(5),
+        np.zeros(3),
+        False,
+    )
     np.testing.assert_allclose(unforced(x), rates(free, MASS, x)[:, 1:3], atol=1e-12)
 
 
 def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
     """M = L alphadot of a body without other forces: where the air rotates, slopes by rates relative to it are not all of it."""
     x, L, gusts = flight(4), -30.0, GustStates(MASS.b, turning_with=False)
-    state = whole_states(x, gusts) + np.array([0.1, 0.002, -0.001, 0.01, -0.01, 0.01, 0.01, 0.01, 0.05, 0.02, -0.01, 0.5, 0.01])
+    state = whole_states(x, gusts) + np.array(
+        [0.1, 0.002, -0.001, 0.01, -0.01, 0.01, 0.01, 0.01, 0.05, 0.02, -0.01, 0.5, 0.01]
+    )
     moment = np.zeros((4, 3))
     moment[:, 1] = L * unforced(x)[:, 0]
     slopes = np.zeros((4, 6, 6))
@@ -122,11 +163,22 @@ def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
         slopes[:, 4, k] = L * (unforced(x + step) - unforced(x - step))[:, 0] / 2e-5
     by_flow = np.zeros((4, 6, 2))
     by_flow[:, 4, 0] = L
-    free = Reference(DT, x, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 6, 6)), np.ones(4), np.zeros(3), False)
+    free = Reference(
+        DT,
+        x,
+        np.zeros((4, 3)),
+        np.zeros((4, 3)),
+        np.zeros((4, 6, 6)),
+        np.ones(4),
+        np.zeros(3),
+        False,
+    )
     mine = replace(free, moment=moment, slopes=slopes)
     without = rates(free, MASS, state, gusts=gusts)[:, 4]
     expected = without + L * unforced(state)[:, 0] / MASS.inertia[1, 1]
-    np.testing.assert_allclose(rates(replace(mine, by_flow=by_flow), MASS, state, gusts=gusts)[:, 4], expected, atol=0.01)
+    np.testing.assert_allclose(
+        rates(replace(mine, by_flow=by_flow), MASS, state, gusts=gusts)[:, 4], expected, atol=0.01
+    )
     assert np.abs(rates(mine, MASS, state, gusts=gusts)[:, 4] - expected).min() > 0.05
 
 

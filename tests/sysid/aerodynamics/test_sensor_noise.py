@@ -24,10 +24,19 @@ from sysid.record import FlightRecord
 
 DT = 0.02
 STD = {
-    "V_mps": 0.5, "alpha_rad": 0.0017, "beta_rad": 0.0017, "p_radps": 0.0035, "q_radps": 0.0035, "r_radps": 0.0035,
-    "ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16,
-}  # fmt: skip
-MASS = MassProperties(20.0, np.array([[5.0, 0.0, -0.8], [0.0, 6.0, 0.0], [-0.8, 0.0, 10.0]]), 1.97, 3.66, 0.53)
+    "V_mps": 0.5,
+    "alpha_rad": 0.0017,
+    "beta_rad": 0.0017,
+    "p_radps": 0.0035,
+    "q_radps": 0.0035,
+    "r_radps": 0.0035,
+    "ax_mps2": 0.16,
+    "ay_mps2": 0.16,
+    "az_mps2": 0.16,
+}
+MASS = MassProperties(
+    20.0, np.array([[5.0, 0.0, -0.8], [0.0, 6.0, 0.0], [-0.8, 0.0, 10.0]]), 1.97, 3.66, 0.53
+)
 ARM = (0.3, 0.1, -0.2)
 AS_USUAL = Cutoffs()
 
@@ -35,21 +44,40 @@ AS_USUAL = Cutoffs()
 def flight(n=900, speeds=(18.0, 26.0)):
     """A slow change of speed with a gentle weave: no channel at rest, every gain another one along the way."""
     t = DT * np.arange(n)
-    columns = {"time_s": t, "V_mps": np.linspace(*speeds, n), "alpha_rad": 0.03 + 0.02 * np.sin(0.8 * t)}
-    columns |= {"beta_rad": 0.02 * np.sin(0.5 * t), "phi_rad": 0.1 * np.sin(0.3 * t), "theta_rad": 0.05 + 0.0 * t}
+    columns = {
+        "time_s": t,
+        "V_mps": np.linspace(*speeds, n),
+        "alpha_rad": 0.03 + 0.02 * np.sin(0.8 * t),
+    }
+    columns |= {
+        "beta_rad": 0.02 * np.sin(0.5 * t),
+        "phi_rad": 0.1 * np.sin(0.3 * t),
+        "theta_rad": 0.05 + 0.0 * t,
+    }
     columns |= {f"{a}_radps": 0.1 * np.cos((0.4 + 0.2 * k) * t) for k, a in enumerate("pqr")}
-    columns |= {"ax_mps2": 0.5 + 0.0 * t, "ay_mps2": 0.2 * np.sin(0.5 * t), "az_mps2": -9.8 + np.sin(0.8 * t)}
+    columns |= {
+        "ax_mps2": 0.5 + 0.0 * t,
+        "ay_mps2": 0.2 * np.sin(0.5 * t),
+        "az_mps2": -9.8 + np.sin(0.8 * t),
+    }
     return FlightRecord(columns), [Piece("m", slice(0, n), 0.0, DT * (n - 1))]
 
 
 def predict(record: FlightRecord, piece: Piece) -> Prediction:
     """A little aeroplane: lift, sideforce, damping, weathercock; qbar of the measured airspeed."""
-    V, alpha, beta, p, q, r = (record[c][piece.rows] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
+    V, alpha, beta, p, q, r = (
+        record[c][piece.rows]
+        for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
+    )
     b, c = MASS.b / (2 * V), MASS.c / (2 * V)
     columns = [
-        -0.03 + 2.0 * alpha**2, -0.3 * beta, -0.3 - 3.0 * alpha, -0.2 * p * b - 0.01 * beta, -0.4 * alpha - 10 * q * c,
+        -0.03 + 2.0 * alpha**2,
+        -0.3 * beta,
+        -0.3 - 3.0 * alpha,
+        -0.2 * p * b - 0.01 * beta,
+        -0.4 * alpha - 10 * q * c,
         0.06 * beta - 0.4 * r * b,
-    ]  # fmt: skip
+    ]
     zero = np.zeros((len(V), 3))
     return Prediction(np.column_stack(columns), zero, zero, 0.6 * V**2, MASS, {})
 
@@ -65,7 +93,9 @@ def drawn(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):
     out = []
     for seed in range(repeats):
         rng = np.random.default_rng(seed)
-        noisy = record.with_columns({c: record[c] + s * rng.standard_normal(len(record[c])) for c, s in std.items()})
+        noisy = record.with_columns(
+            {c: record[c] + s * rng.standard_normal(len(record[c])) for c, s in std.items()}
+        )
         out.append(residual_coefficients(noisy, pieces, predict, ARM, cutoffs).delta - plain)
     return np.array(out)
 
@@ -87,7 +117,10 @@ def test_each_channel_comes_through_by_itself(channel):
     record, pieces = flight()
     std = {channel: STD[channel]}
     (piece,) = made(record, pieces, std=std).pieces
-    found, measured = noise_variance(piece.noise).mean(axis=0), np.mean(drawn(record, pieces, 25, std=std) ** 2, axis=(0, 1))
+    found, measured = (
+        noise_variance(piece.noise).mean(axis=0),
+        np.mean(drawn(record, pieces, 25, std=std) ** 2, axis=(0, 1)),
+    )
     # What comes by way of the square of the rates times the arm is left to its first order.
     np.testing.assert_allclose(found, measured, rtol=0.15, atol=1e-4 * measured.max())
     assert (found > 0.0).any()
@@ -131,7 +164,9 @@ def test_variances_of_waves_are_those_of_the_dense_transform(n):
         dense = np.diag(basis @ linalg.toeplitz(lags) @ basis.T)
         found = cosine_variance(n, correlation)
         np.testing.assert_allclose(found, dense, rtol=1e-10, atol=1e-13 * dense.max())
-        assert n == 1 or not np.allclose(found, np.diag(basis @ linalg.toeplitz(0.9 * lags + 0.1 * lags[0]) @ basis.T))
+        assert n == 1 or not np.allclose(
+            found, np.diag(basis @ linalg.toeplitz(0.9 * lags + 0.1 * lags[0]) @ basis.T)
+        )
 
 
 def test_the_smoothers_weights_by_hand():
@@ -166,7 +201,12 @@ def test_channels_without_a_figure_are_free_of_noise():
         assert not noise_variance(noise).any()
     short = replace(pieces[0], rows=slice(0, 4))
     both = with_sensor_noise(
-        residual_coefficients(record, [short, *pieces], predict, ARM), record, [short, *pieces], predict, ARM, STD
+        residual_coefficients(record, [short, *pieces], predict, ARM),
+        record,
+        [short, *pieces],
+        predict,
+        ARM,
+        STD,
     )
     assert len(both.pieces) == 1
 
@@ -174,7 +214,9 @@ def test_channels_without_a_figure_are_free_of_noise():
 def test_a_flight_at_rest_by_hand():
     """The smoother's weights are .1 .25 .3 .25 .1, a slope's (-2 -1 0 1 2)/(10 dt); variances follow by hand."""
     n, V = 300, 20.0
-    columns = {c: np.full(n, V if c == "V_mps" else 0.0) for c in (*REACHING, "phi_rad", "theta_rad")}
+    columns = {
+        c: np.full(n, V if c == "V_mps" else 0.0) for c in (*REACHING, "phi_rad", "theta_rad")
+    }
     record = FlightRecord(columns | {"time_s": DT * np.arange(n)})
     pieces = [Piece("x", slice(0, n), 0.0, DT * (n - 1))]
     mass = MassProperties(20.0, np.diag([5.0, 6.0, 10.0]), 1.97, 3.66, 0.53)
@@ -185,7 +227,9 @@ def test_a_flight_at_rest_by_hand():
         return Prediction(np.zeros((len(qbar), 6)), zero, zero, qbar, mass, {})
 
     plain = residual_coefficients(record, pieces, at_rest)
-    made_of = with_sensor_noise(plain, record, pieces, at_rest, (0.0, 0.0, 0.0), {"ay_mps2": 0.16, "p_radps": 0.0035})
+    made_of = with_sensor_noise(
+        plain, record, pieces, at_rest, (0.0, 0.0, 0.0), {"ay_mps2": 0.16, "p_radps": 0.0035}
+    )
     found = np.sqrt(noise_variance(made_of.pieces[0].noise))
     pressure = 0.6 * V**2 * 1.97
     side = 20.0 * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure

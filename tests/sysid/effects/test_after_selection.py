@@ -48,6 +48,8 @@ def test_either_sign_and_any_unit():
     assert conditional_interval(4.6, 1.0, LIMIT) == pytest.approx((1e3 * low, 1e3 * high))
 
 
-@pytest.mark.parametrize(("value", "std"), [(1.0, 0.0), (math.nan, 1.0), (1.0, math.nan), (1.0, -1.0)])
+@pytest.mark.parametrize(
+    ("value", "std"), [(1.0, 0.0), (math.nan, 1.0), (1.0, math.nan), (1.0, -1.0)]
+)
 def test_without_a_standard_error_there_is_none(value, std):
     assert all(math.isnan(v) for v in conditional_interval(value, std, LIMIT))

@@ -19,7 +19,9 @@ MASS = MassProperties(18.0, np.diag([2.0, 3.0, 4.0]), 1.9, 3.7, 0.5)
 
 def compiled() -> dict[str, int]:
     """How many kinds of arguments each loop is compiled for."""
-    found = {name: getattr(kalman_loops, name) for name in ("follow", "carry", "backward")} | loops()._asdict()
+    found = {
+        name: getattr(kalman_loops, name) for name in ("follow", "carry", "backward")
+    } | loops()._asdict()
     return {name: len(loop.signatures) for name, loop in found.items()}
 
 
@@ -29,12 +31,21 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
     assert all(before.values())
     rng = np.random.default_rng(2)
     # As they come from replays and records: single columns of wider arrays, with effects of all coefficients and of a channel.
-    x = (np.zeros((N, 20)) + np.array([20.0, *np.zeros(19)]) + 0.01 * rng.standard_normal((N, 20)))[:, :8]
+    x = (np.zeros((N, 20)) + np.array([20.0, *np.zeros(19)]) + 0.01 * rng.standard_normal((N, 20)))[
+        :, :8
+    ]
     wide = rng.standard_normal((N, 12))
     reference = Reference(
-        0.02, x, wide[:, :3], wide[:, 3:6], rng.standard_normal((N, 6, 6)), np.full(N, 200.0), np.zeros(3), False,
+        0.02,
+        x,
+        wide[:, :3],
+        wide[:, 3:6],
+        rng.standard_normal((N, 6, 6)),
+        np.full(N, 200.0),
+        np.zeros(3),
+        False,
         by_flow=rng.standard_normal((N, 6, 2)),
-    )  # fmt: skip
+    )
     measured = rng.standard_normal((N, M + 3))[:, :M]
     measured[3, 4] = np.nan
     inputs = {"a": (-1, wide[:, :6]), "b": (2, wide[:, 7])}
@@ -51,6 +62,11 @@ def test_another_kind_of_array_would_be_seen() -> None:
     compile_loops()
     before = compiled()
     loops().stepped(
-        np.zeros((2, 4, 4)), np.zeros((2, 4, 12))[:, :, ::2], 0.1, np.empty((1, 4, 4)), np.zeros((1, 4, 6)), np.zeros((1, 4, 6))
+        np.zeros((2, 4, 4)),
+        np.zeros((2, 4, 12))[:, :, ::2],
+        0.1,
+        np.empty((1, 4, 4)),
+        np.zeros((1, 4, 6)),
+        np.zeros((1, 4, 6)),
     )
     assert compiled() != before

@@ -35,7 +35,11 @@ def test_what_is_no_term_is_refused_with_what_is_allowed(text):
 
 
 def test_values_of_terms():
-    found = {"alpha": np.array([0.1, -0.2]), "beta": np.array([-0.3, 0.4]), "h_over_b": np.array([2.0, 4.0])}
+    found = {
+        "alpha": np.array([0.1, -0.2]),
+        "beta": np.array([-0.3, 0.4]),
+        "h_over_b": np.array([2.0, 4.0]),
+    }
     assert parse("alpha^2").values(found) == pytest.approx([0.01, 0.04])
     assert parse("abs(beta)*beta").values(found) == pytest.approx([-0.09, 0.16])
     assert parse("1/h_over_b").values(found) == pytest.approx([0.5, 0.25])
@@ -63,7 +67,9 @@ def test_the_catalogue_is_complete_and_without_doubles():
 
 def test_a_file_of_own_effects(tmp_path):
     path = tmp_path / "own.toml"
-    path.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "CT*p_hat^2"\nphysics = "mine"\n', encoding="utf-8")
+    path.write_text(
+        '[[effect]]\ncoefficient = "Cm"\nterm = "CT*p_hat^2"\nphysics = "mine"\n', encoding="utf-8"
+    )
     (effect,) = read_effects(path)
     assert (effect.key, effect.physics) == ("effect/Cm/p_hat^2*CT", "mine")
 

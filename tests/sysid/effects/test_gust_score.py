@@ -36,7 +36,12 @@ def flights(seed: int = 3):
 
 def one_by_one(steps, data, noise, airs):
     nothing = [Columns((), {}, {})] * len(steps)
-    return np.array([minus_twice_log(whiten(steps, data, nothing, ROWS, r, p)) for r, p in zip(noise, airs, strict=True)])
+    return np.array(
+        [
+            minus_twice_log(whiten(steps, data, nothing, ROWS, r, p))
+            for r, p in zip(noise, airs, strict=True)
+        ]
+    )
 
 
 def test_an_air_is_as_likely_as_by_the_whole_filter():
@@ -69,7 +74,10 @@ def test_slopes_are_those_of_differences(violent):
             change = np.zeros((3, NX))
             some = STATES[:8] if kind == "noise" else STATES[8:]
             change[s, some] = rng.uniform(0.1, 1.0, len(some))
-            up, down = (likelihood(r, replace(air, **{kind: getattr(air, kind) + sign * h * change})).cost for sign in (1.0, -1.0))
+            up, down = (
+                likelihood(r, replace(air, **{kind: getattr(air, kind) + sign * h * change})).cost
+                for sign in (1.0, -1.0)
+            )
             slope = np.sum((found.process if kind == "noise" else found.begin) * change)
             np.testing.assert_allclose(slope, (up - down) / (2.0 * h), rtol=1e-4, atol=1e-3)
             assert abs(slope) > 0.1

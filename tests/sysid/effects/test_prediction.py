@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
-from sysid.effects.prediction import Columns, MadeColumns, follow, names_of, whiten, whiten_each, whitened
+from sysid.effects.prediction import (
+    Columns,
+    MadeColumns,
+    follow,
+    names_of,
+    whiten,
+    whiten_each,
+    whitened,
+)
 from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.estimation.kalman import Process
@@ -18,7 +26,9 @@ from tests.helpers.linear_systems import system
 M = len(OUTPUTS)
 
 
-def dense(steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def dense(
+    steps: Steps, noise: np.ndarray, Q: np.ndarray, P0: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean (n m,), covariance and the response to the start state (n m, 8), written out in full."""
     n = len(steps.y_ref)
     phi, eye = steps.phi, np.eye(NX)
@@ -66,7 +76,9 @@ def test_the_filter_is_the_dense_likelihood(gusty):
     e = (z.ravel() - y)[seen]
     V, X = V[np.ix_(seen, seen)], X[seen]
     inverse = np.linalg.inv(V)
-    P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)  # the start state estimated
+    P = inverse - inverse @ X @ np.linalg.solve(
+        X.T @ inverse @ X, X.T @ inverse
+    )  # the start state estimated
     forced = [np.zeros(NX)]
     for k in range(n - 1):
         forced.append(steps.phi[k] @ forced[-1] + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1])
@@ -84,8 +96,13 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
     process = Process(Q[None], np.zeros((1, NX)))
     followed = [*follow([steps], [z], range(M), np.ones(M), process)]
     for seed in (5, 6):
-        columns = [Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})]
-        (ours,), (alone,) = whitened(followed, columns), whiten([steps], [z], columns, range(M), np.ones(M), process)
+        columns = [
+            Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})
+        ]
+        (ours,), (alone,) = (
+            whitened(followed, columns),
+            whiten([steps], [z], columns, range(M), np.ones(M), process),
+        )
         for name in ("residual", "columns", "start", "deviation"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(alone, name))
     (calm,) = whiten([steps], [z], columns, range(M), np.ones(M))
@@ -106,9 +123,19 @@ def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60,
         for name, value in {"a": 0.3, **effect}.items():
             u[:, inputs[name][0]] += value * inputs[name][1]
         for i in range(n):
-            z[i] = steps.y_ref[i] + steps.H[i] @ state + steps.D[i] @ u[i] + noise * rng.standard_normal(M)
+            z[i] = (
+                steps.y_ref[i]
+                + steps.H[i] @ state
+                + steps.D[i] @ u[i]
+                + noise * rng.standard_normal(M)
+            )
             if i < n - 1:
-                state = steps.phi[i] @ state + steps.defect[i] + steps.g0[i] @ u[i] + steps.g1[i] @ u[i + 1]
+                state = (
+                    steps.phi[i] @ state
+                    + steps.defect[i]
+                    + steps.g0[i] @ u[i]
+                    + steps.g1[i] @ u[i + 1]
+                )
         parts.append(whiten([steps], [z], [Columns(names, inputs, {})], range(M), noise)[0])
     return gather(parts, names, group, {})
 
@@ -131,7 +158,10 @@ def test_two_hidden_effects_are_both_chosen():
 
 
 def test_without_an_effect_nothing_is_chosen():
-    chosen = [bool(select(flights({}, seed, group=CONFIRMING), ["a", "b"], ODDS).chosen) for seed in range(20, 32)]
+    chosen = [
+        bool(select(flights({}, seed, group=CONFIRMING), ["a", "b"], ODDS).chosen)
+        for seed in range(20, 32)
+    ]
     assert sum(chosen) <= 1
 
 
@@ -148,7 +178,9 @@ def test_a_candidate_that_the_parameters_hold_already_has_no_score():
 
 
 def test_scores_of_nothing_are_standard_normal():
-    t = np.concatenate([scores(flights({}, seed, 4, 40), ["a", "b"], list(ODDS)).t for seed in range(40, 60)])
+    t = np.concatenate(
+        [scores(flights({}, seed, 4, 40), ["a", "b"], list(ODDS)).t for seed in range(40, 60)]
+    )
     assert abs(t.mean()) < 0.3
     assert 0.8 < t.std() < 1.2
     evidence = flights({}, 41)
@@ -162,7 +194,9 @@ def test_all_of_a_fit_at_once_are_as_each_alone():
     names = ["a", "b", "c3", "c5"]
     found = corrected_each(evidence, names, ["c3", "a"])
     for name, mine in found.items():
-        assert mine == pytest.approx(corrected(evidence, [n for n in names if n != name], name), rel=1e-9)
+        assert mine == pytest.approx(
+            corrected(evidence, [n for n in names if n != name], name), rel=1e-9
+        )
     some = evidence.index(names)
     expected = np.sqrt(np.diagonal(np.linalg.inv(evidence.everything[0][np.ix_(some, some)])))
     assert [found["c3"][2], found["a"][2]] == pytest.approx([expected[2], expected[0]], rel=1e-6)
@@ -179,7 +213,9 @@ def test_an_effect_taken_out_is_found_again():
     away = evidence.taken_out({"c3": -0.2})
     assert abs(scores(away, ["a", "b"], ["c3"]).t[0]) < 4.0
     again = away.taken_out({"c3": 0.2})
-    assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6)
+    assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(
+        scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6
+    )
 
 
 def test_a_step_leaves_what_is_held_where_it_is():
@@ -189,7 +225,9 @@ def test_a_step_leaves_what_is_held_where_it_is():
     at = evidence.index(["c3"])[0]
     assert abs(whole[at]) > 0.1
     assert held[at] == 0.0
-    np.testing.assert_allclose(held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"])))
+    np.testing.assert_allclose(
+        held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"]))
+    )
     assert 0.0 < shorter < length
 
 
@@ -199,7 +237,11 @@ def test_columns_made_when_they_are_asked_for_are_those_that_were_there():
     steps = [system(n, k) for k in range(3)]
     z = [rng.standard_normal((n, M)) for _ in steps]
     columns = [
-        Columns(names, {"p": (4, rng.standard_normal(n)), "effect": (-1, rng.standard_normal((n, 6)))}, {"off": np.ones((n, M))})
+        Columns(
+            names,
+            {"p": (4, rng.standard_normal(n)), "effect": (-1, rng.standard_normal((n, 6)))},
+            {"off": np.ones((n, M))},
+        )
         for _ in steps
     ]
     made: list[tuple[int, Collection[str]]] = []
@@ -228,7 +270,14 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
     z = [rng.standard_normal((n, M)) for _ in steps]
     inputs = [{name: (4, rng.standard_normal(n)) for name in names if name != "off"} for _ in steps]
     columns = [
-        Columns(names, some, {"off": np.ones((n, M))}, {"c2": rng.standard_normal(n)}, {"c1": np.ones(n)}) for some in inputs
+        Columns(
+            names,
+            some,
+            {"off": np.ones((n, M))},
+            {"c2": rng.standard_normal(n)},
+            {"c1": np.ones(n)},
+        )
+        for some in inputs
     ]
     air = (0.05 * (np.arange(13) < 3), np.zeros(13))
     process = Process(np.tile(air[0], (3, 1)), np.tile(air[1], (3, 1))) if gusty else None
@@ -240,7 +289,9 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
 
     group = [0, 1, 2]
     whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {})
-    white = whiten_each(follow(steps, z, range(M), np.ones(M), process), MadeColumns(names, make, 3))
+    white = whiten_each(
+        follow(steps, z, range(M), np.ones(M), process), MadeColumns(names, make, 3)
+    )
     held = gather(white, names, group, {}, ("off", "b", "a"))
     assert held.white[0].columns.shape == (n, M, 3)
     np.testing.assert_array_equal(held.gram, whole.gram)
@@ -249,7 +300,9 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
             at = whole.index(some)
             np.testing.assert_allclose(held.series(one, at), whole.series(other, at), atol=1e-6)
     assert asked[3:] == [{"c2", "c1"}] * 3
-    assert corrected(held, ["a", "b"], "c3") == pytest.approx(corrected(whole, ["a", "b"], "c3"), rel=1e-6)
+    assert corrected(held, ["a", "b"], "c3") == pytest.approx(
+        corrected(whole, ["a", "b"], "c3"), rel=1e-6
+    )
     taken, other = held.taken_out({"c3": 0.3}), whole.taken_out({"c3": 0.3})
     np.testing.assert_allclose(taken.white[0].residual, other.white[0].residual, atol=1e-6)
     gone = replace(held, white=[replace(w, more=None) for w in held.white])

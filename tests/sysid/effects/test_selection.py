@@ -18,11 +18,15 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
     names = tuple(columns)
     white = [
         White(
-            residual[s], np.stack([columns[c][s] for c in names], axis=2).astype(np.float32), 0.0,
-            np.zeros((8, 1 + len(names))), np.ones((N, M), dtype=bool), np.ones(M),
+            residual[s],
+            np.stack([columns[c][s] for c in names], axis=2).astype(np.float32),
+            0.0,
+            np.zeros((8, 1 + len(names))),
+            np.ones((N, M), dtype=bool),
+            np.ones(M),
         )
         for s in range(SEGMENTS)
-    ]  # fmt: skip
+    ]
     return gather(white, names, CONFIRMING, {})
 
 
@@ -40,7 +44,9 @@ def test_the_limit_is_sidaks_for_candidates_that_have_nothing_in_common():
 def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
     rng = np.random.default_rng(1)
     own, free = drawn(rng), drawn(rng)
-    found = evidence({"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng))
+    found = evidence(
+        {"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng)
+    )
     limit = chance_limit(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
     assert limit == pytest.approx(1.96, abs=0.05)
     assert threshold(30, 0.05) > 3.0
@@ -52,11 +58,17 @@ def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
     candidates = {f"c{k}": 0.0 for k in range(20)}
     limit = chance_limit(evidence(columns, shared), ["free"], list(candidates), 0.05)
-    largest = [float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()) for _ in range(300)]
+    largest = [
+        float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max())
+        for _ in range(300)
+    ]
     assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
 
 
-@pytest.mark.parametrize(("alone", "entered"), [(np.inf, ["large", "small"]), (15.0, ["large"]), (40.0, ["large", "small"])])
+@pytest.mark.parametrize(
+    ("alone", "entered"),
+    [(np.inf, ["large", "small"]), (15.0, ["large"]), (40.0, ["large", "small"])],
+)
 def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
     rng = np.random.default_rng(8)
     columns = {"large": drawn(rng), "small": drawn(rng)}
@@ -64,7 +76,9 @@ def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
     none = dict.fromkeys(columns, 0.0)
     assert [c.key for c in select(found, [], none, limit=4.0, alone=alone).chosen] == entered
     # One that has flown does not keep others from entering.
-    assert [c.key for c in select(found, [], none, chosen=["large"], limit=4.0, alone=alone).chosen] == [
+    assert [
+        c.key for c in select(found, [], none, chosen=["large"], limit=4.0, alone=alone).chosen
+    ] == [
         "large",
         "small",
     ]
@@ -75,7 +89,12 @@ def alike():
     """What is there: ``square``; ``inertia`` is the same but for a share in ``companion``."""
     rng = np.random.default_rng(3)
     square, companion = drawn(rng), drawn(rng)
-    columns = {"square": square, "inertia": square - 0.6 * companion, "companion": companion, "other": drawn(rng)}
+    columns = {
+        "square": square,
+        "inertia": square - 0.6 * companion,
+        "companion": companion,
+        "other": drawn(rng),
+    }
     return evidence(columns, 1.0 * square + drawn(rng))
 
 
@@ -109,9 +128,12 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
     rng = np.random.default_rng(9)
     square, companion, roll, yaw = drawn(rng), drawn(rng), drawn(rng), drawn(rng)
     columns = {
-        "square": square, "inertia": square - 0.6 * companion + 1.5 * yaw, "companion": companion, "effect/Cl/de": roll,
+        "square": square,
+        "inertia": square - 0.6 * companion + 1.5 * yaw,
+        "companion": companion,
+        "effect/Cl/de": roll,
         "effect/Cn/de": yaw,
-    }  # fmt: skip
+    }
     found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
     chosen = select(found, [], dict.fromkeys(columns, 0.0)).chosen
     assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
@@ -123,7 +145,11 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
 def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
     rng = np.random.default_rng(4)
     square, companion, own = drawn(rng), drawn(rng), drawn(rng)
-    columns = {"square": square, "inertia": square - 0.6 * companion + 0.7 * own, "companion": companion}
+    columns = {
+        "square": square,
+        "inertia": square - 0.6 * companion + 0.7 * own,
+        "companion": companion,
+    }
     found = evidence(columns, 1.0 * square + drawn(rng))
     assert alternatives(found)["inertia"] is True
 
@@ -134,9 +160,12 @@ def test_a_twin_is_told_before_a_third_form_of_the_same(there, monkeypatch):
     rng = np.random.default_rng(6)
     square, companion = drawn(rng), drawn(rng)
     columns = {
-        "square": square, "modulus": square + 0.1 * drawn(rng), "fourth": square + 0.1 * drawn(rng),
-        "inertia": square - 0.3 * companion, "companion": companion,
-    }  # fmt: skip
+        "square": square,
+        "modulus": square + 0.1 * drawn(rng),
+        "fourth": square + 0.1 * drawn(rng),
+        "inertia": square - 0.3 * companion,
+        "companion": companion,
+    }
     found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
     open_ = {k: 0.0 for k in columns if k != "companion"}
     (plain,) = select(found, [], open_).chosen
@@ -170,7 +199,10 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     rng = np.random.default_rng(6)
     torn, steady = drawn(rng), drawn(rng)
     sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
-    found = evidence({"torn": torn, "steady": steady, "other": drawn(rng)}, sign * torn + 0.4 * steady + drawn(rng))
+    found = evidence(
+        {"torn": torn, "steady": steady, "other": drawn(rng)},
+        sign * torn + 0.4 * steady + drawn(rng),
+    )
     selection = select(found, [], dict.fromkeys(found.names, 0.0))
     assert [c.key for c in selection.chosen] == ["steady"]
     assert selection.refused is not None
@@ -178,7 +210,9 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     assert selection.refused.strong
 
 
-@pytest.mark.parametrize(("t", "by_chance", "entering"), [(9.0, -0.5, True), (5.0, -0.5, True), (5.0, -4.0, False)])
+@pytest.mark.parametrize(
+    ("t", "by_chance", "entering"), [(9.0, -0.5, True), (5.0, -0.5, True), (5.0, -4.0, False)]
+)
 def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, entering):
     """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way, or four."""
     rng = np.random.default_rng(11)
@@ -188,8 +222,12 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
         x, own = column[part], noise[part]
         size = np.sum(x**2)
         own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted
-        noise[part] = own + x * (off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0))
-    found = evidence({"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise)
+        noise[part] = own + x * (
+            off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0)
+        )
+    found = evidence(
+        {"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise
+    )
     selection = select(found, [], dict.fromkeys(found.names, 0.0), limit=4.0)
     assert bool(selection.chosen) == entering
     if not entering:
@@ -204,6 +242,11 @@ def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_mor
     odds = dict.fromkeys(columns, 0.0)
     both = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + drawn(rng))
     assert [c.key for c in select(both, [], odds, alone=15.0).chosen] == ["strong"]
-    assert {c.key for c in select(both, [], odds, chosen=["strong"], alone=15.0).chosen} == {"strong", "weak"}
+    assert {c.key for c in select(both, [], odds, chosen=["strong"], alone=15.0).chosen} == {
+        "strong",
+        "weak",
+    }
     noise = evidence(columns, 3.0 * strong + drawn(rng))
-    assert [c.key for c in select(noise, [], odds, chosen=["strong", "weak"], alone=15.0).chosen] == ["strong"]
+    assert [
+        c.key for c in select(noise, [], odds, chosen=["strong", "weak"], alone=15.0).chosen
+    ] == ["strong"]

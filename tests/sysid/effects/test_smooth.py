@@ -11,7 +11,13 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from sysid.effects import White, gather
-from sysid.effects.smooth import colour_dispersion, fit_smooth, forms_like, held_out_gain, smooth_term
+from sysid.effects.smooth import (
+    colour_dispersion,
+    fit_smooth,
+    forms_like,
+    held_out_gain,
+    smooth_term,
+)
 from sysid.effects.tuned import FAMILY
 
 N = 600
@@ -21,7 +27,11 @@ PARAMETERS = ("aero/Cm_0", "aero/Cm_alpha")
 def states(seed=0, n=N):
     """Variables along a flight: alpha often near the middle of its range, q_hat and CT."""
     rng = np.random.default_rng(seed)
-    return {"alpha": 0.05 + 0.03 * np.tanh(rng.normal(size=n)), "q_hat": rng.normal(size=n) / 100.0, "CT": rng.uniform(size=n)}
+    return {
+        "alpha": 0.05 + 0.03 * np.tanh(rng.normal(size=n)),
+        "q_hat": rng.normal(size=n) / 100.0,
+        "CT": rng.uniform(size=n),
+    }
 
 
 def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
@@ -34,7 +44,9 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
     for part in np.array_split(np.arange(len(left)), parts):
         residual = left[part][:, None]
         there = np.ones(residual.shape, dtype=bool)
-        white.append(White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1)))
+        white.append(
+            White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1))
+        )
     return gather(white, names, range(parts), {}), [n for n in names if n.startswith("aero/")]
 
 
@@ -54,7 +66,9 @@ def without_line(x, y):
 
 def made(seed, curve=bump, found=None):
     found = states() if found is None else found
-    return found, curve(found["alpha"]) + np.random.default_rng(seed).normal(size=len(found["alpha"]))
+    return found, curve(found["alpha"]) + np.random.default_rng(seed).normal(
+        size=len(found["alpha"])
+    )
 
 
 def test_the_curve_is_that_of_penalised_least_squares_and_nearly_scipys_smoothing_spline():
@@ -68,7 +82,9 @@ def test_the_curve_is_that_of_penalised_least_squares_and_nearly_scipys_smoothin
     weight = np.ones(len(places))
     weight[1:-1:2], weight[2:-1:2] = 4.0, 2.0
     weight *= (places[1] - places[0]) / 3.0
-    second = BSpline(term.knots, np.eye(B.shape[1]), 3).derivative(2)(np.clip(places, edges[0], edges[-1]))
+    second = BSpline(term.knots, np.eye(B.shape[1]), 3).derivative(2)(
+        np.clip(places, edges[0], edges[-1])
+    )
     stacked = np.vstack([B, np.sqrt(penalty * weight)[:, None] * second])
     own = B @ np.linalg.lstsq(stacked, np.append(y, np.zeros(len(places))), rcond=None)[0]
     ours, _ = fit.curve(x)
@@ -99,7 +115,11 @@ def test_restricted_likelihood_band_and_degrees_of_freedom_are_the_bayesian_line
     at = np.linspace(*term.ends, 7)
     value, std = fit.curve(at)
     assert np.allclose(value, term.at(at)[:, 2:] @ cov @ Z.T @ M @ y, rtol=1e-3, atol=1e-4)
-    assert np.allclose(std, np.sqrt(np.einsum("nk,kj,nj->n", term.at(at)[:, 2:], cov, term.at(at)[:, 2:])), rtol=1e-3)
+    assert np.allclose(
+        std,
+        np.sqrt(np.einsum("nk,kj,nj->n", term.at(at)[:, 2:], cov, term.at(at)[:, 2:])),
+        rtol=1e-3,
+    )
     assert fit.edf == pytest.approx(np.trace(cov @ Z.T @ M @ Z), rel=1e-3)
 
 
@@ -120,7 +140,10 @@ def test_bands_hold_the_curve_as_often_as_they_say_and_a_part_of_them_does_not()
 def test_noise_is_offered_a_term_no_more_often_than_stated_and_a_bump_always():
     rng, runs = np.random.default_rng(4), 300
     found = states(4)
-    terms = [smooth_term("Cm", s, t, found) for s, t in (("alpha", None), ("q_hat", None), ("CT", None), ("alpha", "CT"))]
+    terms = [
+        smooth_term("Cm", s, t, found)
+        for s, t in (("alpha", None), ("q_hat", None), ("CT", None), ("alpha", "CT"))
+    ]
     evidence, free = evidence_of(found, np.zeros(N), terms, parts=1)
     columns = evidence.white[0].columns[:, 0, :]
     offers = 0
@@ -143,7 +166,10 @@ def test_colour_takes_information_away():
         noise = lfilter([0.6], [1.0, -0.8], np.random.default_rng(seed).normal(size=1600))[100:]
         evidence, free = evidence_of(found, bump(x) + noise, [term])
         (white,) = fit_smooth(evidence, free, [term])
-        left = [(p[:, None]) for p in np.array_split(without_line(x, bump(x) + noise) - white.curve(x)[0], 3)]
+        left = [
+            (p[:, None])
+            for p in np.array_split(without_line(x, bump(x) + noise) - white.curve(x)[0], 3)
+        ]
         c = colour_dispersion(evidence, free, white, left)
         (coloured,) = fit_smooth(evidence, free, [term], c)
         # A first-order residual that lasts: its variance times (1 + 0.8)/(1 - 0.8), for what changes slowly.
@@ -153,9 +179,16 @@ def test_colour_takes_information_away():
             inside[name].append(np.mean(np.abs(value - truth) < 1.96 * std))
     assert np.mean(inside["coloured"]) > 0.88
     assert np.mean(inside["white"]) < 0.8
-    evidence, free = evidence_of(found, bump(x) + np.random.default_rng(7).normal(size=1500), [term])
+    evidence, free = evidence_of(
+        found, bump(x) + np.random.default_rng(7).normal(size=1500), [term]
+    )
     (fit,) = fit_smooth(evidence, free, [term])
-    assert colour_dispersion(evidence, free, fit, [np.random.default_rng(8).normal(size=(500, 1)) for _ in range(3)]) < 1.1
+    assert (
+        colour_dispersion(
+            evidence, free, fit, [np.random.default_rng(8).normal(size=(500, 1)) for _ in range(3)]
+        )
+        < 1.1
+    )
 
 
 def test_the_line_is_the_terms_own_where_the_model_has_none():
@@ -174,19 +207,25 @@ def test_beyond_the_data_the_ends_hold_and_a_state_that_stands_still_has_no_term
     found, y = made(10)
     fit = fitted(found, y, smooth_term("Cm", "alpha", None, found))
     low, high = fit.term.ends
-    assert np.array_equal(fit.curve(np.array([low - 1.0, high + 1.0]))[0], fit.curve(np.array([low, high]))[0])
+    assert np.array_equal(
+        fit.curve(np.array([low - 1.0, high + 1.0]))[0], fit.curve(np.array([low, high]))[0]
+    )
     assert smooth_term("Cm", "alpha", None, found | {"alpha": np.full(N, 0.05)}) is None
 
 
 def test_a_product_is_found_as_one():
     found = states(11)
     y = bump(found["alpha"]) * 2.0 * (found["CT"] - 0.5) + np.random.default_rng(12).normal(size=N)
-    terms = [smooth_term("Cm", s, t, found) for s, t in (("alpha", None), ("CT", None), ("q_hat", "CT"), ("alpha", "CT"))]
+    terms = [
+        smooth_term("Cm", s, t, found)
+        for s, t in (("alpha", None), ("CT", None), ("q_hat", "CT"), ("alpha", "CT"))
+    ]
     evidence, free = evidence_of(found, y, terms)
     best = max(fit_smooth(evidence, free, terms), key=lambda f: f.merit)
     assert (best.term.label, best.term.name) == (
-        "Cm_of_alpha_times_CT", "smooth term of angle of attack, times thrust coefficient, in pitching moment",
-    )  # fmt: skip
+        "Cm_of_alpha_times_CT",
+        "smooth term of angle of attack, times thrust coefficient, in pitching moment",
+    )
 
 
 def test_a_third_of_the_flight_confirms_what_is_there_and_not_what_is_noise():

@@ -21,7 +21,10 @@ def numbers(text: str) -> dict[str, tuple[float, str]]:
             continue
         following = body[k + 1] if k + 1 < len(body) else None
         told = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-        out[node.targets[0].id] = (node.value.value, " ".join(following.value.value.split()) if told else "")
+        out[node.targets[0].id] = (
+            node.value.value,
+            " ".join(following.value.value.split()) if told else "",
+        )
     return out
 
 
@@ -57,5 +60,9 @@ def test_every_number_of_the_table_is_used_and_stands_nowhere_else(room):
 
 
 def test_no_number_of_the_table_is_idle():
-    text = "".join(p.read_text() for room in ("sysid/effects", "uqharness/refinement") for p in (ROOT / room).rglob("*.py"))
+    text = "".join(
+        p.read_text()
+        for room in ("sysid/effects", "uqharness/refinement")
+        for p in (ROOT / room).rglob("*.py")
+    )
     assert [n for n in numbers(TABLE.read_text()) if text.count(n) < 3] == []

@@ -38,9 +38,14 @@ class Made(dict[GustStates, list[Steps]]):
 
 
 def drawn(
-    truth: GustStates, values: np.ndarray, moment: float = 0.0, faster: Sequence[float] = (0.0,) * 4, n: int = 150, axis: int = 3,
+    truth: GustStates,
+    values: np.ndarray,
+    moment: float = 0.0,
+    faster: Sequence[float] = (0.0,) * 4,
+    n: int = 150,
+    axis: int = 3,
     stronger: Sequence[float] = (1.0,) * 4,
-) -> tuple[Made, list[np.ndarray]]:  # fmt: skip
+) -> tuple[Made, list[np.ndarray]]:
     """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave of that size
     besides, in Cl or that of CX..Cn which axis says; faster: of each flight [m/s]; stronger: factor on its intensities."""
     rng = np.random.default_rng(4)
@@ -60,9 +65,17 @@ def drawn(
         wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
         for k in range(n):
             u = wave[k] * np.eye(6)[axis]
-            z[k] = steps.y_ref[k] + steps.H[k] @ d + steps.D[k] @ u + NOISE * rng.standard_normal(len(NOISE))
+            z[k] = (
+                steps.y_ref[k]
+                + steps.H[k] @ d
+                + steps.D[k] @ u
+                + NOISE * rng.standard_normal(len(NOISE))
+            )
             if k < n - 1:
-                d = steps.phi[k] @ (d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)) + steps.defect[k]
+                d = (
+                    steps.phi[k] @ (d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX))
+                    + steps.defect[k]
+                )
                 d = d + np.sqrt(0.5 * DT * Q) * rng.standard_normal(NX)
                 d = d + steps.g0[k] @ u + steps.g1[k] @ (wave[k + 1] * np.eye(6)[axis])
         data.append(z)
@@ -71,12 +84,21 @@ def drawn(
 
 def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
     return gust_intensity(
-        made, data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 2 + ["b"] * 2,
-        GustStates(MASS.b), near,
-    )[0]  # fmt: skip
+        made,
+        data,
+        range(len(NOISE)),
+        NOISE,
+        [22.0] * 4,
+        ["a"] * 2 + ["b"] * 2,
+        GustStates(MASS.b),
+        near,
+    )[0]
 
 
-@pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, False), pytest.param(True, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("rotating", "turning"),
+    [(True, True), (False, False), pytest.param(True, False, marks=pytest.mark.slow)],
+)
 def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     """Intensities within a factor, the air's ways by likelihood."""
     made, data = drawn(GustStates(MASS.b, rotating=rotating, turning_with=turning), INTENSITIES)
@@ -117,22 +139,36 @@ def test_air_that_gains_nothing_stands(monkeypatch):
     assert not asked
     assert again.passing == first.passing
     np.testing.assert_allclose(again.moments, first.moments, atol=9.0)
-    found_in(made, data, replace(first, values=0.5 * first.values, own={f: 0.5 * v for f, v in first.own.items()}))
+    found_in(
+        made,
+        data,
+        replace(first, values=0.5 * first.values, own={f: 0.5 * v for f, v in first.own.items()}),
+    )
     assert asked
 
 
 def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is left alone."""
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
-    kinds = ["wind" if k < 3 else "attitude" if k < 5 else "rate" if k < 8 else "force" for k in range(len(NOISE))]
+    kinds = [
+        "wind" if k < 3 else "attitude" if k < 5 else "rate" if k < 8 else "force"
+        for k in range(len(NOISE))
+    ]
     rate = np.array([kind == "rate" for kind in kinds])
     stated = np.where(rate, 2.0, 1.0) * NOISE
 
     def searched(kinds, noise, near=None):
         return gust_intensity(
-            made, data, range(len(NOISE)), noise, [22.0] * 4, ["a"] * 4, GustStates(MASS.b), near,
+            made,
+            data,
+            range(len(NOISE)),
+            noise,
+            [22.0] * 4,
+            ["a"] * 4,
+            GustStates(MASS.b),
+            near,
             kinds=kinds,
-        )  # fmt: skip
+        )
 
     gusts, found = searched(kinds, stated)
     np.testing.assert_allclose(found[rate], 0.5, rtol=0.1)
@@ -159,7 +195,10 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     for k in range(4):
         for factor in (0.8, 1.25):
             moved = np.where(np.arange(7) == k, factor, 1.0) * found.values
-            assert search.best(some, [turbulence._Point(found.states, moved, ones)]).cost > found.cost - 1.0
+            assert (
+                search.best(some, [turbulence._Point(found.states, moved, ones)]).cost
+                > found.cost - 1.0
+            )
 
 
 def test_a_moment_that_comes_and_goes_is_no_air():
@@ -172,7 +211,11 @@ def test_a_moment_that_comes_and_goes_is_no_air():
     faint = found_in(*drawn(GustStates(MASS.b), 0.01 * INTENSITIES))
     assert faint.gain > 100.0
     assert faint.air
-    along = found_in(*drawn(GustStates(MASS.b), np.where(np.arange(len(INTENSITIES)) == 0, 1.0, 1e-6) * INTENSITIES))
+    along = found_in(
+        *drawn(
+            GustStates(MASS.b), np.where(np.arange(len(INTENSITIES)) == 0, 1.0, 1e-6) * INTENSITIES
+        )
+    )
     assert along.gain > 100.0
     assert not along.air
 
@@ -193,7 +236,9 @@ def test_light_air_needs_no_moments():
 @pytest.mark.parametrize("passing", [0.0, 22.0])
 def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
     """Flights of 18 and 26 m/s on the whole: air that passes at the airspeed, and air made beforehand for 22 m/s, the mean."""
-    made, data = drawn(GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400)
+    made, data = drawn(
+        GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400
+    )
     search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
     here = turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE)))
     one = search.passing({"a": range(4)}, here)
@@ -209,13 +254,26 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
 
     def found(near: turbulence.Gusts | None) -> turbulence.Gusts:
         air, _ = turbulence.gust_intensity(
-            made, data, range(len(NOISE)), NOISE, [22.0] * 4, ["a"] * 4, GustStates(MASS.b), near,
-        )  # fmt: skip
+            made,
+            data,
+            range(len(NOISE)),
+            NOISE,
+            [22.0] * 4,
+            ["a"] * 4,
+            GustStates(MASS.b),
+            near,
+        )
         return air
 
     first = found(None)
     at_airspeed = tuple(s._replace(passing_mps=0.0) for s in first.states)
-    off = replace(first, values=4.0 * first.values, own={"a": 4.0 * first.values}, states=at_airspeed, passing={"a": 0.0})
+    off = replace(
+        first,
+        values=4.0 * first.values,
+        own={"a": 4.0 * first.values},
+        states=at_airspeed,
+        passing={"a": 0.0},
+    )
     again = found(off)
     np.testing.assert_allclose(np.log(again.own["a"][:4] / first.own["a"][:4]), 0.0, atol=0.2)
 
@@ -226,9 +284,13 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400, stronger=factors)
     search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, ALONE)
     flights, of = ["a", "a", "b", "b"], {"a": [0, 1], "b": [2, 3]}
-    common = search.descend(range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ())
+    common = search.descend(
+        range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ()
+    )
     point = search.own(of, common, flights)
-    np.testing.assert_allclose(np.log(point.of(2)[:3] / point.of(0)[:3] / 16.0), 0.0, atol=np.log(2.0))
+    np.testing.assert_allclose(
+        np.log(point.of(2)[:3] / point.of(0)[:3] / 16.0), 0.0, atol=np.log(2.0)
+    )
     np.testing.assert_allclose(point.values[:4], 0.5 * (point.of(0) + point.of(3))[:4])
     np.testing.assert_allclose([point.of(1)[4:], point.of(3)[4:]], [common.values[4:]] * 2)
     assert search.best(range(4), [point]).cost < common.cost - 100.0
@@ -246,8 +308,16 @@ def test_the_air_of_some_flights_in_others():
     np.testing.assert_array_equal(other.own["a"], found.own["a"])
     np.testing.assert_array_equal(other.own["c"], found.values)
     assert len(other.process.noise) == 3
-    at_one = replace(found, states=tuple(s._replace(passing_mps=25.0) for s in found.states), passing={"a": 25.0, "b": 25.0})
-    assert [s.passing_mps for s in at_one.in_other([19.0, 21.0, 30.0], ["c", "c", "a"]).states] == [20.0, 20.0, 25.0]
+    at_one = replace(
+        found,
+        states=tuple(s._replace(passing_mps=25.0) for s in found.states),
+        passing={"a": 25.0, "b": 25.0},
+    )
+    assert [s.passing_mps for s in at_one.in_other([19.0, 21.0, 30.0], ["c", "c", "a"]).states] == [
+        20.0,
+        20.0,
+        25.0,
+    ]
     assert "one speed" in at_one.words
     assert "one speed" not in found.words
 
@@ -255,6 +325,8 @@ def test_the_air_of_some_flights_in_others():
 def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     score = lambda *_, **__: Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())  # noqa: E731
     monkeypatch.setattr(turbulence._Search, "score", score)
-    search = turbulence._Search(lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], ALONE)  # type: ignore
+    search = turbulence._Search(
+        lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], ALONE
+    )  # type: ignore
     here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]

@@ -37,7 +37,9 @@ def test_white_residuals_return_the_information_itself():
 
 def test_double_sum_over_two_segments_by_brute_force():
     rng = np.random.default_rng(3)
-    series = [signal.lfilter([1.0], [1.0, -0.8], rng.normal(size=(n, 1)), axis=0) for n in (500, 300)]
+    series = [
+        signal.lfilter([1.0], [1.0, -0.8], rng.normal(size=(n, 1)), axis=0) for n in (500, 300)
+    ]
     S = [np.cumsum(rng.normal(size=(n, 1, 2)), axis=0) for n in (500, 300)]
     model, variance = autoregression(autocovariance([part[:, 0] for part in series], 29), 800)
     impulse = signal.lfilter([1.0], np.concatenate(([1.0], -model)), np.eye(1, 2000)[0])
@@ -49,7 +51,9 @@ def test_double_sum_over_two_segments_by_brute_force():
 def test_cross_coloured_outputs_by_monte_carlo():
     rng = np.random.default_rng(4)
     n = 1500
-    S = np.stack([np.sin(np.arange(n) * 0.02)[:, None], np.sin(np.arange(n) * 0.02 + 0.2)[:, None]], axis=1)
+    S = np.stack(
+        [np.sin(np.arange(n) * 0.02)[:, None], np.sin(np.arange(n) * 0.02 + 0.2)[:, None]], axis=1
+    )
     sums, brackets, separate = [], [], []
     for _ in range(80):
         common = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=n + 100))

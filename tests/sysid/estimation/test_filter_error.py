@@ -102,9 +102,19 @@ class StateSpace(MLEModel):
 def fitted():
     z = fly(0)
     fit = filter_error(
-        rate, measure, [0.0, 0.0], [-0.2, -1.0, 0.5], U[:, None], z, np.arange(400) * DT, names=["a", "b", "c"],
-        process_noise=[1], x0_std=[0.1, 0.1], hold="zoh", tolerance=1e-5,
-    )  # fmt: skip
+        rate,
+        measure,
+        [0.0, 0.0],
+        [-0.2, -1.0, 0.5],
+        U[:, None],
+        z,
+        np.arange(400) * DT,
+        names=["a", "b", "c"],
+        process_noise=[1],
+        x0_std=[0.1, 0.1],
+        hold="zoh",
+        tolerance=1e-5,
+    )
     return z, fit
 
 
@@ -124,14 +134,27 @@ def test_estimates_are_the_textbook_filters_maximum_and_its_curvature(fitted):
     start = np.array([*TRUE, np.log(0.5), *np.log(R)])
     best = optimize.minimize(textbook, start, args=(z,), method="BFGS", options={"gtol": 1e-4})
     assert (np.abs(fit.theta - best.x[:3]) < 0.01 * fit.std).all()
-    assert (np.abs(fit.theta - TRUE) > 0.01 * fit.std).any()  # the measure is fine enough to tell truth from estimate
+    assert (
+        np.abs(fit.theta - TRUE) > 0.01 * fit.std
+    ).any()  # the measure is fine enough to tell truth from estimate
     np.testing.assert_allclose(np.sqrt(np.diag(fit.noise_cov)), np.exp(best.x[4:]), rtol=5e-3)
     assert np.sqrt(fit.process_noise_cov[1, 1]) == pytest.approx(np.exp(best.x[3]), rel=1e-2)
     step = np.diag(1e-3 * np.ones(6))
     hessian = np.array(
-        [[(textbook(best.x + a + b, z) - textbook(best.x + a - b, z) - textbook(best.x - a + b, z)
-           + textbook(best.x - a - b, z)) / 4e-6 for b in step] for a in step]
-    )  # fmt: skip
+        [
+            [
+                (
+                    textbook(best.x + a + b, z)
+                    - textbook(best.x + a - b, z)
+                    - textbook(best.x - a + b, z)
+                    + textbook(best.x - a - b, z)
+                )
+                / 4e-6
+                for b in step
+            ]
+            for a in step
+        ]
+    )
     np.testing.assert_allclose(fit.std_crb, np.sqrt(np.diag(np.linalg.inv(hessian)))[:3], rtol=0.12)
     np.testing.assert_allclose(fit.std, fit.std_crb, rtol=0.2)
     assert fit.process_noise_cov[0, 0] == 0.0
@@ -150,7 +173,9 @@ def test_without_process_noise_it_is_output_error():
             x = phi @ x + gamma * U[k]
         return out
 
-    fit = filter_error(rate, measure, [0, 0], [-0.3, -2, 1], U, z, t, process_noise=[], x0_std=1e-9, hold="zoh")
+    fit = filter_error(
+        rate, measure, [0, 0], [-0.3, -2, 1], U, z, t, process_noise=[], x0_std=1e-9, hold="zoh"
+    )
     plain = output_error(simulate, [-0.3, -2, 1], z)
     np.testing.assert_allclose(fit.theta, plain.theta, rtol=1e-4)
     np.testing.assert_allclose(fit.std_crb, plain.std_crb, rtol=1e-2)
@@ -168,10 +193,14 @@ def test_coverage_in_process_noise_where_output_error_fails(seeds, least):
     for seed in range(seeds):
         z = fly(100 + seed)
         parts = [z[a : a + 130] for a in (0, 130, 260)]
-        fit = filter_error(rate, measure, [0.0, 0.0], [-0.2, -1.0, 0.5], inputs, parts, t, hold="zoh")
+        fit = filter_error(
+            rate, measure, [0.0, 0.0], [-0.2, -1.0, 0.5], inputs, parts, t, hold="zoh"
+        )
         hits += int(np.sum(np.abs(fit.theta - TRUE) < 1.96 * fit.std))
         total += 3
-    assert hits >= least  # of 12 or 36; at a level of 95 % fewer than this have a probability of 2e-3 or 1e-3
+    assert (
+        hits >= least
+    )  # of 12 or 36; at a level of 95 % fewer than this have a probability of 2e-3 or 1e-3
 
 
 def test_segments_dropouts_and_unequal_lengths():
@@ -181,9 +210,16 @@ def test_segments_dropouts_and_unequal_lengths():
     second[::3] = np.nan
     t = np.arange(400) * DT
     fit = filter_error(
-        rate, measure, [np.zeros(2), np.zeros(2)], [-0.2, -1.0, 0.5], [U[:250], U[250:]], [first, second],
-        [t[:250], t[250:]], hold="zoh", process_noise=[1],
-    )  # fmt: skip
+        rate,
+        measure,
+        [np.zeros(2), np.zeros(2)],
+        [-0.2, -1.0, 0.5],
+        [U[:250], U[250:]],
+        [first, second],
+        [t[:250], t[250:]],
+        hold="zoh",
+        process_noise=[1],
+    )
     assert fit.converged
     assert [part.shape for part in fit.residual] == [(250, 2), (150, 2)]
     assert np.isnan(fit.residual[0][45, 0])
@@ -216,10 +252,23 @@ def test_collinear_parameters_are_not_identified():
         return rate(x, u, np.array([theta[0], theta[1], theta[2] + 2.0 * theta[3]]))
 
     fit = filter_error(
-        twice, measure, [0, 0], [-0.4, -2.0, 1.0, 0.0], U[:200], z, t, names=["a", "b", "c", "d"], process_noise=[1],
+        twice,
+        measure,
+        [0, 0],
+        [-0.4, -2.0, 1.0, 0.0],
+        U[:200],
+        z,
+        t,
+        names=["a", "b", "c", "d"],
+        process_noise=[1],
         hold="zoh",
-    )  # fmt: skip
-    assert fit.status == {"a": "identified", "b": "identified", "c": "not-identified", "d": "not-identified"}
+    )
+    assert fit.status == {
+        "a": "identified",
+        "b": "identified",
+        "c": "not-identified",
+        "d": "not-identified",
+    }
     assert "d" in fit.reason["c"]
     assert np.isnan(fit.std[2:]).all()
 
@@ -256,9 +305,26 @@ def test_inputs_between_samples_are_used():
 
     def missed(u_middle=None):
         record, x0 = read_record([0.0], u, z, t, False, u_middle)
-        model = make_model(lambda x, u, theta: u + 0.0 * theta, lambda x, u, theta: x, x0[:, 0], u[0], np.zeros(1), 1)
+        model = make_model(
+            lambda x, u, theta: u + 0.0 * theta,
+            lambda x, u, theta: x,
+            x0[:, 0],
+            u[0],
+            np.zeros(1),
+            1,
+        )
         one = np.ones((1, 1))
-        found = run_filter(model, record, 0 * one, 0 * one, 0.1 * one, x0[:, None, :], 1e-12 * one, np.array([1e-5]), 1)
+        found = run_filter(
+            model,
+            record,
+            0 * one,
+            0 * one,
+            0.1 * one,
+            x0[:, None, :],
+            1e-12 * one,
+            np.array([1e-5]),
+            1,
+        )
         return -found.raw[1, 0, 0]
 
     assert missed() == pytest.approx(1 / 2)

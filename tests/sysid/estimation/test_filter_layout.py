@@ -13,7 +13,9 @@ X0 = np.arange(8.0).reshape(4, 2)
 
 
 def layout(with_x0: bool) -> Layout:
-    return Layout(THETA, np.array([0, 2]), np.array([1, 3]), outputs=2, states=4, segments=2, with_x0=with_x0)
+    return Layout(
+        THETA, np.array([0, 2]), np.array([1, 3]), outputs=2, states=4, segments=2, with_x0=with_x0
+    )
 
 
 @pytest.mark.parametrize("with_x0", [False, True])

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sysid.estimation.gaps import channel_noise, process_noise_shown, quiet_share, rms, theil, time_shift, white_noise, worst
+from sysid.estimation.gaps import (
+    channel_noise,
+    process_noise_shown,
+    quiet_share,
+    rms,
+    theil,
+    time_shift,
+    white_noise,
+    worst,
+)
 
 NOISE = np.full(4, 0.1)
 
@@ -23,7 +32,9 @@ def flights(gusty, formed, waits=False, seed=0):
         busy = np.repeat([0.0, 1.0, 0.0, 1.0], 125)[:, None]
         y = lfilter([0.2], [1.0, -0.8], rng.normal(size=(500, 4)), axis=0) * (0.02 + busy)
         e = NOISE * rng.normal(size=(500, 4))
-        gusts = lfilter([0.3], [1.0, -0.9], rng.normal(size=(500, 4)), axis=0) * (busy if waits else 1.0)
+        gusts = lfilter([0.3], [1.0, -0.9], rng.normal(size=(500, 4)), axis=0) * (
+            busy if waits else 1.0
+        )
         e[:, gusty] += gusts[:, gusty]
         e[:, formed] += (y**2 + y)[:, formed]
         residual.append(e)
@@ -69,7 +80,9 @@ def test_gap_figures_of_known_series():
     assert white_noise([z]) == pytest.approx(0.02, rel=0.1)
     # Theil's U of a constant offset is all bias: U = d / (rms z + rms y).
     found = theil(y + 0.5, y)
-    assert found.u == pytest.approx(0.5 / (np.sqrt(np.mean((y + 0.5) ** 2)) + np.sqrt(np.mean(y**2))))
+    assert found.u == pytest.approx(
+        0.5 / (np.sqrt(np.mean((y + 0.5) ** 2)) + np.sqrt(np.mean(y**2)))
+    )
     assert (found.bias, found.variance, found.covariance) == pytest.approx((1.0, 0.0, 0.0))
     gap = np.zeros(1000)
     gap[[100, 102, 500]] = [3.0, 2.9, -5.0]
@@ -121,7 +134,9 @@ def test_a_model_that_stands_still_shows_no_shift():
     assert np.isnan(time_shift([z], [np.ones(100)], 0.02).seconds)
     # No further than asked for.
     t = np.arange(500) * 0.02
-    assert time_shift([np.sin(t - 0.5)], [np.sin(t)], 0.02, at_most_s=0.1).seconds == pytest.approx(0.1)
+    assert time_shift([np.sin(t - 0.5)], [np.sin(t)], 0.02, at_most_s=0.1).seconds == pytest.approx(
+        0.1
+    )
 
 
 def test_the_quiet_share_of_air_and_of_a_wrong_model():

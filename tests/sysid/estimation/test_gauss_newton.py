@@ -36,14 +36,21 @@ class Curve:
 def rosenbrock(**more) -> Curve:
     return Curve(
         lambda p: np.array([10.0 * (p[1] - p[0] ** 2), 1.0 - p[0]]),
-        lambda p: np.array([[-20.0 * p[0], 10.0], [-1.0, 0.0]]), **more,
-    )  # fmt: skip
+        lambda p: np.array([[-20.0 * p[0], 10.0], [-1.0, 0.0]]),
+        **more,
+    )
 
 
 def run(problem, theta, limits=FREE, iterations=200, tolerance=1e-6):
     theta = np.asarray(theta, dtype=float)
     return minimise(
-        problem, theta, problem.evaluate(theta), *limits, tolerance=tolerance, max_iterations=iterations, always_central=True
+        problem,
+        theta,
+        problem.evaluate(theta),
+        *limits,
+        tolerance=tolerance,
+        max_iterations=iterations,
+        always_central=True,
     )
 
 
@@ -64,11 +71,18 @@ def test_a_curved_valley_is_followed_downwards_only():
     assert found.rejected > 0
 
 
-@pytest.mark.parametrize("limits", [([-2.0, -2.0], [0.5, 2.0]), ([-2.0, 1.5], [2.0, 3.0]), ([-2.0, -1.0], [0.2, 0.01])])
+@pytest.mark.parametrize(
+    "limits", [([-2.0, -2.0], [0.5, 2.0]), ([-2.0, 1.5], [2.0, 3.0]), ([-2.0, -1.0], [0.2, 0.01])]
+)
 def test_bounds_hold_as_scipys_do(limits):
     low, high = map(np.array, limits)
     start = np.clip([-1.2, 1.0], low, high)
-    theirs = optimize.least_squares(rosenbrock().residual, np.clip(start, low + 1e-3, high - 1e-3), bounds=(low, high), xtol=1e-14)
+    theirs = optimize.least_squares(
+        rosenbrock().residual,
+        np.clip(start, low + 1e-3, high - 1e-3),
+        bounds=(low, high),
+        xtol=1e-14,
+    )
     found = run(rosenbrock(), start, (low, high))
     assert found.cost == pytest.approx(theirs.cost, abs=1e-6)
     assert found.theta == pytest.approx(theirs.x, abs=1e-3)
@@ -113,7 +127,9 @@ def test_a_step_over_a_bound_is_put_on_it_and_the_rest_solved_again():
     held = damped_step(g, M, 0.0, wide, wide, np.array([True, False, True]))
     assert held[1] == 0.0
     # Damping as Marquardt's: added to the diagonal in proportion to it.
-    assert damped_step(g, M, 0.7, wide, wide, all_) == pytest.approx(np.linalg.solve(M + 0.7 * np.diag(np.diagonal(M)), g))
+    assert damped_step(g, M, 0.7, wide, wide, all_) == pytest.approx(
+        np.linalg.solve(M + 0.7 * np.diag(np.diagonal(M)), g)
+    )
 
 
 def test_each_iteration_is_told_with_the_length_of_its_step():

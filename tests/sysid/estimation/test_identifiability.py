@@ -59,7 +59,9 @@ def test_near_collinearity_is_a_note_and_no_refusal(apart, noted):
     assert bool(found.notes) is noted
     if noted:
         assert "near-collinear: " in found.notes[0]
-        assert {"a", "d"} == set(found.notes[0].removeprefix("near-collinear: ").split(" (")[0].split(", "))
+        assert {"a", "d"} == set(
+            found.notes[0].removeprefix("near-collinear: ").split(" (")[0].split(", ")
+        )
 
 
 def test_a_mask_hides_rows_and_columns():

@@ -39,7 +39,9 @@ def problem(z: np.ndarray, with_x0: bool = False) -> FilterProblem:
     record, initial = read_record([0.0], U, z, T, True)
     model = make_model(rate, measure, initial[:, 0], record.u[0, :, 0], THETA, 1)
     layout = Layout(THETA, np.array([0, 1]), np.array([0]), 1, 1, 1, with_x0)
-    return FilterProblem(model, record, layout, initial, np.diag([0.01]), np.array([1e-5]), 1, np.ones(1))
+    return FilterProblem(
+        model, record, layout, initial, np.diag([0.01]), np.array([1e-5]), 1, np.ones(1)
+    )
 
 
 def cost_by_hand(z, a, b, q, r) -> float:
@@ -72,7 +74,9 @@ def test_the_cost_is_that_of_a_filter_written_out():
 @pytest.mark.parametrize("with_x0", [False, True])
 def test_the_gradient_is_the_costs_own(with_x0):
     ours = problem(series(), with_x0)
-    vector = ours.layout.pack(np.array([-0.8, 1.7]), np.array([0.06]), np.array([0.06]), ours.initial)
+    vector = ours.layout.pack(
+        np.array([-0.8, 1.7]), np.array([0.06]), np.array([0.06]), ours.initial
+    )
     _, state = ours.evaluate(vector)
     line = ours.settle(vector, state)
     slopes = []

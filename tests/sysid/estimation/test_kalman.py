@@ -22,13 +22,17 @@ def air(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measured(steps: Steps, seed: int) -> np.ndarray:
-    data = steps.y_ref[:, ROWS] + np.random.default_rng(seed).standard_normal((len(steps.y_ref), len(ROWS)))
+    data = steps.y_ref[:, ROWS] + np.random.default_rng(seed).standard_normal(
+        (len(steps.y_ref), len(ROWS))
+    )
     data[4, 2] = np.nan
     data[7] = np.nan
     return data
 
 
-def textbook(steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def textbook(
+    steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """State before each sample (n, x), e'S^-1 e + ln det S of each (n,), and the channels' own variances (n, m), NaN where nothing
     is seen."""
     d, Q, P = np.zeros(NX), np.diag(Q), np.diag(P)
@@ -46,7 +50,11 @@ def textbook(steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray) -> tuple
         d, P = d + gain @ e, left @ P @ left.T + gain @ np.diag(NOISE[there] ** 2) @ gain.T
         if k < len(z) - 1:
             phi = steps.phi[k]
-            half = np.eye(NX) + 0.5 * (phi - np.eye(NX)) - 0.125 * (phi - np.eye(NX)) @ (phi - np.eye(NX))
+            half = (
+                np.eye(NX)
+                + 0.5 * (phi - np.eye(NX))
+                - 0.125 * (phi - np.eye(NX)) @ (phi - np.eye(NX))
+            )
             added = steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi @ Q @ phi.T)
             d, P = phi @ d + steps.defect[k], phi @ P @ phi.T + added
     return np.array(states), np.array(costs), own
@@ -63,7 +71,9 @@ def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
     by = gains(seen, NOISE, (noise, begin))
     found = carried(seen, by)
     np.testing.assert_allclose(found.path, states, rtol=1e-6, atol=1e-8 * step)
-    np.testing.assert_allclose(np.sum(found.innovations**2 + np.log(by.spread), axis=1), costs, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(
+        np.sum(found.innovations**2 + np.log(by.spread), axis=1), costs, rtol=1e-7, atol=1e-7
+    )
     np.testing.assert_allclose(by.whole[np.isfinite(own)], own[np.isfinite(own)], rtol=1e-7)
     assert by.logdet == pytest.approx(0.5 * np.log(by.spread).sum())
     assert not found.innovations[~np.isfinite(z)].any()
@@ -84,25 +94,46 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c140": (4, u[:, 4]), "c149": (5, u[:, 5])}
     jump, unseen = np.where(np.arange(12) % 5 == 3, 0.7, 0.0), 0.3
     found = carried(
-        seen, by, names, inputs, {"c7": offset, "c149": offset}, {"c140": u[:, 4] - jump}, {"c140": u[:, 4] - unseen * jump}
+        seen,
+        by,
+        names,
+        inputs,
+        {"c7": offset, "c149": offset},
+        {"c140": u[:, 4] - jump},
+        {"c140": u[:, 4] - unseen * jump},
     )
 
-    def less(u: np.ndarray, offset: np.ndarray | float = 0.0, jump: np.ndarray | None = None) -> np.ndarray:
+    def less(
+        u: np.ndarray, offset: np.ndarray | float = 0.0, jump: np.ndarray | None = None
+    ) -> np.ndarray:
         state, moved = np.zeros(NX), []
         jump = np.zeros((12, 6)) if jump is None else jump
         for k in range(12):
             moved.append(steps.H[k] @ state + steps.D[k] @ (u[k] - unseen * jump[k]))
             if k < 11:
-                state = steps.phi[k] @ state + steps.g0[k] @ u[k] + steps.g1[k] @ (u[k + 1] - jump[k + 1])
-        changed = seen._replace(z=np.where(seen.there, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0))
+                state = (
+                    steps.phi[k] @ state
+                    + steps.g0[k] @ u[k]
+                    + steps.g1[k] @ (u[k + 1] - jump[k + 1])
+                )
+        changed = seen._replace(
+            z=np.where(seen.there, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0)
+        )
         return found.innovations - carried(changed, by).innovations
 
     alone = [np.where(np.arange(6) == c, u, 0.0) for c in (2, 4, 5)]
-    expected = {"c3": less(u), "c120": less(alone[0]), "c149": less(alone[2], offset), "c7": less(0.0 * u, offset)}
+    expected = {
+        "c3": less(u),
+        "c120": less(alone[0]),
+        "c149": less(alone[2], offset),
+        "c7": less(0.0 * u, offset),
+    }
     expected["c140"] = less(alone[1], 0.0, np.where(np.arange(6) == 4, jump[:, None], 0.0))
     assert np.abs(expected["c140"] - less(alone[1])).max() > 0.1
     for k, name in enumerate(names):
-        np.testing.assert_allclose(found.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5)
+        np.testing.assert_allclose(
+            found.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5
+        )
     assert np.abs(expected["c149"]).max() > 0.1
 
 
@@ -118,7 +149,9 @@ def test_the_columns_of_the_start_are_what_another_start_does() -> None:
             moved.append((steps.H[k] @ state)[list(ROWS)])
             state = steps.phi[k] @ state if k < 11 else state
         less = carried(Seen.of(steps, z - np.array(moved), ROWS), by)
-        np.testing.assert_allclose(plain.starts[:, :, j], plain.innovations - less.innovations, atol=1e-9)
+        np.testing.assert_allclose(
+            plain.starts[:, :, j], plain.innovations - less.innovations, atol=1e-9
+        )
 
 
 def test_in_calm_air_the_state_is_not_corrected() -> None:

@@ -25,12 +25,16 @@ def test_compiled_the_loops_are_what_they_say() -> None:
     z[2, 1] = np.nan
     seen = Seen.of(steps, z, ROWS)
     r, q, begin = 0.1 + RNG.random(3), np.where(np.arange(NX) < 2, 0.5, 0.0), RNG.random(NX)
-    found = [call(seen, r, q, begin, True) for call in (loops.follow, lambda *a: plain(loops.follow, *a))]
+    found = [
+        call(seen, r, q, begin, True) for call in (loops.follow, lambda *a: plain(loops.follow, *a))
+    ]
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
     by = Gains(*found[0])
     names = ("a", "b")
-    acting = Acting.of(names, {"a": (-1, RNG.standard_normal((6, 6)))}, {"b": np.ones((6, 3))}, 6, 3)
+    acting = Acting.of(
+        names, {"a": (-1, RNG.standard_normal((6, 6)))}, {"b": np.ones((6, 3))}, 6, 3
+    )
     outs = []
     for call in (loops.carry, lambda *a: plain(loops.carry, *a)):
         out, path = np.zeros((6, 3, 3)), np.zeros((6, NX))
@@ -40,7 +44,10 @@ def test_compiled_the_loops_are_what_they_say() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
     assert np.abs(outs[0][0]).min(axis=(0, 1)).max() < np.abs(outs[0][0]).max()
     innovation = RNG.standard_normal((6, 3))
-    ways = [call(seen, by, innovation, q) for call in (loops.backward, lambda *a: plain(loops.backward, *a))]
+    ways = [
+        call(seen, by, innovation, q)
+        for call in (loops.backward, lambda *a: plain(loops.backward, *a))
+    ]
     for one, other in zip(*ways, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
     assert not ways[0][1][:, 2:].any()

@@ -25,7 +25,9 @@ def log_likelihood(v: np.ndarray, cov: np.ndarray) -> float:
     for row in v:
         seen = np.flatnonzero(np.isfinite(row))
         if seen.size:
-            total += stats.multivariate_normal(np.zeros(seen.size), cov[np.ix_(seen, seen)]).logpdf(row[seen])
+            total += stats.multivariate_normal(np.zeros(seen.size), cov[np.ix_(seen, seen)]).logpdf(
+                row[seen]
+            )
     return total
 
 
@@ -48,13 +50,17 @@ def test_the_diagonal_noise_is_the_likeliest():
     spent = residual_noise(v, np.full(3, 1e-9), False, np.array([100.0, 0.0, 0.0]))
     count = np.isfinite(v[:, 0]).sum()
     assert spent.cov[0, 0] == pytest.approx(best.cov[0, 0] * count / (count - 100.0))
-    assert np.diagonal(residual_noise(np.zeros((9, 3)), np.full(3, 0.1), False).cov) == pytest.approx(0.01)
+    assert np.diagonal(
+        residual_noise(np.zeros((9, 3)), np.full(3, 0.1), False).cov
+    ) == pytest.approx(0.01)
 
 
 def test_full_noise_of_whole_samples_is_their_covariance():
     v = residuals()
     v = v[np.isfinite(v).all(axis=1)]
-    np.testing.assert_allclose(residual_noise(v, np.full(3, 1e-9), True).cov, v.T @ v / len(v), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        residual_noise(v, np.full(3, 1e-9), True).cov, v.T @ v / len(v), rtol=1e-9, atol=1e-12
+    )
     # Two outputs that are one leave a matrix that can be whitened all the same.
     twice = np.column_stack([v[:, 0], v[:, 0]])
     assert np.linalg.eigvalsh(residual_noise(twice, np.full(2, 1e-9), True).cov).min() > 0.0

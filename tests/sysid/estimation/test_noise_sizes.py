@@ -51,7 +51,10 @@ def test_what_tells_nothing():
     short = [np.random.default_rng(1).standard_normal(20)]
     assert noise_size(short, DT, FROM) is None
     assert noise_size(short, DT, FROM, 0.3) is not None
-    assert (noise_size(short, DT, FROM, 0.3).std, noise_size(short, DT, FROM, 0.3).spread) == (0.3, PRIOR_SPREAD)
+    assert (noise_size(short, DT, FROM, 0.3).std, noise_size(short, DT, FROM, 0.3).spread) == (
+        0.3,
+        PRIOR_SPREAD,
+    )
     # A channel that stands still, or is logged without noise, shows none; the card may know of a sensor behind it.
     assert noise_size([np.ones(500)], DT, FROM) is None
     assert noise_size([np.ones(500)], DT, FROM, float("nan")) is None
@@ -63,12 +66,23 @@ def test_what_tells_nothing():
 @pytest.mark.parametrize("n", [1, 8, 150])
 def test_logarithms_of_products_are_those_of_each_variance(scale, n):
     rng = np.random.default_rng(n)
-    power, shape, square = scale * rng.exponential(size=n), 1.0 + rng.random(n), scale * np.logspace(-4, 1, 30)
+    power, shape, square = (
+        scale * rng.exponential(size=n),
+        1.0 + rng.random(n),
+        scale * np.logspace(-4, 1, 30),
+    )
     for some in (power, np.zeros(n)):
         variance = (_SIGNALS * some.mean())[None, :, None] + square[:, None, None] * shape
         written_out = np.sum(np.log(variance) + some / variance, axis=2)
-        np.testing.assert_allclose(_cost(some, shape, square, scale), written_out, rtol=1e-12, atol=1e-9)
-    assert not np.allclose(_cost(power, shape, 1.01 * square, scale), _cost(power, shape, square, scale), rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(
+            _cost(some, shape, square, scale), written_out, rtol=1e-12, atol=1e-9
+        )
+    assert not np.allclose(
+        _cost(power, shape, 1.01 * square, scale),
+        _cost(power, shape, square, scale),
+        rtol=1e-12,
+        atol=1e-9,
+    )
 
 
 def test_a_piece_that_stands_still_among_others_says_that_there_is_no_noise():

@@ -25,8 +25,20 @@ def thurber(theta):
     [
         (misra, nist.MISRA1A_Y, [500.0, 1e-4], nist.MISRA1A, nist.MISRA1A_SD),
         (misra, nist.MISRA1A_Y, [250.0, 5e-4], nist.MISRA1A, nist.MISRA1A_SD),
-        (thurber, nist.THURBER_Y, [1000, 1000, 400, 40, 0.7, 0.3, 0.03], nist.THURBER, nist.THURBER_SD),
-        (thurber, nist.THURBER_Y, [1300, 1500, 500, 75, 1.0, 0.4, 0.05], nist.THURBER, nist.THURBER_SD),
+        (
+            thurber,
+            nist.THURBER_Y,
+            [1000, 1000, 400, 40, 0.7, 0.3, 0.03],
+            nist.THURBER,
+            nist.THURBER_SD,
+        ),
+        (
+            thurber,
+            nist.THURBER_Y,
+            [1300, 1500, 500, 75, 1.0, 0.4, 0.05],
+            nist.THURBER,
+            nist.THURBER_SD,
+        ),
     ],
 )
 def test_nist_certified_values_and_standard_deviations(model, y, start, value, sd):
@@ -41,7 +53,9 @@ def test_nist_certified_values_and_standard_deviations(model, y, start, value, s
 
 def test_a_wrong_model_does_not_meet_the_certified_values():
     x = nist.MISRA1A_X
-    fit = output_error(lambda theta: theta[0] * theta[1] * x / (1.0 + theta[1] * x), [500, 1e-4], nist.MISRA1A_Y)
+    fit = output_error(
+        lambda theta: theta[0] * theta[1] * x / (1.0 + theta[1] * x), [500, 1e-4], nist.MISRA1A_Y
+    )
     assert not np.allclose(fit.theta, nist.MISRA1A, rtol=1e-2)
 
 
@@ -55,15 +69,24 @@ TRUE = np.array([2.0, 0.7, 30.0, 500.0])
 
 
 def noisy(seed, scale=1.0):
-    return decay(TRUE, T) + scale * np.random.default_rng(seed).normal(size=(T.size, 2)) * [0.05, 2.0]
+    return decay(TRUE, T) + scale * np.random.default_rng(seed).normal(size=(T.size, 2)) * [
+        0.05,
+        2.0,
+    ]
 
 
 def test_scipy_weighted_least_squares_agrees():
     measured = noisy(0)
-    fit = output_error(lambda theta: decay(theta, T), [1.0, 1.0, 0.0, 0.0], measured, differences="central")
+    fit = output_error(
+        lambda theta: decay(theta, T), [1.0, 1.0, 0.0, 0.0], measured, differences="central"
+    )
     weight = 1.0 / np.sqrt(np.diagonal(fit.noise_cov))
     found = optimize.least_squares(
-        lambda theta: ((measured - decay(theta, T)) * weight).ravel(), TRUE, x_scale=TRUE, xtol=1e-14, ftol=1e-14
+        lambda theta: ((measured - decay(theta, T)) * weight).ravel(),
+        TRUE,
+        x_scale=TRUE,
+        xtol=1e-14,
+        ftol=1e-14,
     )
     np.testing.assert_allclose(fit.theta, found.x, rtol=1e-4)
     np.testing.assert_allclose(fit.cov_crb, np.linalg.inv(found.jac.T @ found.jac), rtol=2e-3)
@@ -78,7 +101,9 @@ def test_scipy_weighted_least_squares_agrees():
 def test_units_do_not_matter_and_zeros_are_a_start(unit):
     measured = noisy(1)
     plain = output_error(lambda theta: decay(theta, T), [1.0, 1.0, 0.0, 0.0], measured)
-    scaled = output_error(lambda theta: decay(theta / [1, 1, unit, unit], T), [1.0, 1.0, 0.0, 0.0], measured)
+    scaled = output_error(
+        lambda theta: decay(theta / [1, 1, unit, unit], T), [1.0, 1.0, 0.0, 0.0], measured
+    )
     np.testing.assert_allclose(scaled.theta, plain.theta * [1, 1, unit, unit], rtol=1e-5)
     np.testing.assert_allclose(scaled.std, plain.std * [1, 1, unit, unit], rtol=1e-4)
 
@@ -99,7 +124,9 @@ def test_segments_dropouts_full_noise_and_an_injected_map():
     assert [part.shape for part in fit.residual] == [(400, 2), (250, 2)]
     assert np.isnan(fit.residual[0][50:90, 0]).all()
     assert (np.abs(fit.theta - TRUE) < 4.5 * fit.std).all()
-    assert fit.noise_cov[0, 1] / np.sqrt(fit.noise_cov[0, 0] * fit.noise_cov[1, 1]) == pytest.approx(0.83, abs=0.1)
+    assert fit.noise_cov[0, 1] / np.sqrt(
+        fit.noise_cov[0, 0] * fit.noise_cov[1, 1]
+    ) == pytest.approx(0.83, abs=0.1)
     diagonal = output_error(two, [1.0, 1.0, 10.0, 400.0], measured)
     assert diagonal.std[0] > 1.2 * fit.std[0]  # the correlation was worth knowing
 
@@ -107,15 +134,22 @@ def test_segments_dropouts_full_noise_and_an_injected_map():
 def test_free_and_bounds():
     measured = noisy(3)
     fit = output_error(
-        lambda theta: decay(theta, T), [1.0, 0.7, 20.0, 400.0], measured,
-        names=["a", "b", "c", "d"], free=["a", "c", "d"], bounds={"c": (0.0, 25.0)},
-    )  # fmt: skip
+        lambda theta: decay(theta, T),
+        [1.0, 0.7, 20.0, 400.0],
+        measured,
+        names=["a", "b", "c", "d"],
+        free=["a", "c", "d"],
+        bounds={"c": (0.0, 25.0)},
+    )
     assert fit.status == {"a": "identified", "b": "fixed", "c": "not-identified", "d": "identified"}
     assert "upper bound" in fit.reason["c"]
     assert fit.theta[2] == 25.0
     assert np.isnan(fit.std[[1, 2]]).all()
     wide = output_error(
-        lambda theta: decay(theta, T), [1.0, 0.7, 30.0, 400.0], measured, bounds=[(0, 9), (0, 9), (0, 99), (0, 999)]
+        lambda theta: decay(theta, T),
+        [1.0, 0.7, 30.0, 400.0],
+        measured,
+        bounds=[(0, 9), (0, 9), (0, 99), (0, 999)],
     )
     assert set(wide.status.values()) == {"identified"}
 
@@ -126,7 +160,12 @@ def test_collinear_and_uninformed_parameters_are_named_and_the_rest_estimated():
     def model(theta):  # theta[4] acts on nothing, theta[0] and theta[5] only as a product
         return decay(np.array([theta[0] * theta[5], *theta[1:4]]), T)
 
-    fit = output_error(model, [1.0, 1.0, 10.0, 400.0, 5.0, 1.5], measured, names=["a", "b", "c", "d", "idle", "gain"])
+    fit = output_error(
+        model,
+        [1.0, 1.0, 10.0, 400.0, 5.0, 1.5],
+        measured,
+        names=["a", "b", "c", "d", "idle", "gain"],
+    )
     assert [fit.status[name] for name in ("a", "gain", "idle")] == ["not-identified"] * 3
     assert "gain" in fit.reason["a"]
     assert "no effect" in fit.reason["idle"]
@@ -172,7 +211,10 @@ def test_an_all_zero_start_of_an_unstable_looking_model_is_brought_home():
         return out
 
     truth = np.array([-2.0, -8.0, -3.0, -10.0])
-    measured = short_period(truth) + np.random.default_rng(8).normal(size=(T.size, 2)) * [0.01, 0.02]
+    measured = short_period(truth) + np.random.default_rng(8).normal(size=(T.size, 2)) * [
+        0.01,
+        0.02,
+    ]
     fit = output_error(short_period, np.zeros(4), measured)
     assert fit.converged
     assert (np.abs(fit.theta - truth) < 4.5 * fit.std).all()
@@ -181,15 +223,22 @@ def test_an_all_zero_start_of_an_unstable_looking_model_is_brought_home():
 
 def test_sensitivities_carried_on_give_the_same_answer_with_fewer_simulations():
     measured = noisy(7)
-    fits = {way: output_error(lambda theta: decay(theta, T), 0.6 * TRUE, measured, differences=way) for way in ("auto", "secant")}
+    fits = {
+        way: output_error(lambda theta: decay(theta, T), 0.6 * TRUE, measured, differences=way)
+        for way in ("auto", "secant")
+    }
     assert all(fit.converged for fit in fits.values())
-    np.testing.assert_allclose(fits["secant"].theta, fits["auto"].theta, atol=1e-2 * fits["auto"].std.min())
+    np.testing.assert_allclose(
+        fits["secant"].theta, fits["auto"].theta, atol=1e-2 * fits["auto"].std.min()
+    )
     np.testing.assert_allclose(fits["secant"].std, fits["auto"].std, rtol=2e-3)
     assert fits["secant"].n_simulations < 0.7 * fits["auto"].n_simulations
 
 
 def test_no_convergence_is_said():
-    fit = output_error(lambda theta: decay(theta, T), [0.1, 5.0, 0.0, 0.0], noisy(6), max_iterations=1)
+    fit = output_error(
+        lambda theta: decay(theta, T), [0.1, 5.0, 0.0, 0.0], noisy(6), max_iterations=1
+    )
     assert not fit.converged
     assert "not converged" in fit.warnings[0]
 
@@ -199,7 +248,9 @@ def test_wrong_model_form_is_reported_and_the_right_one_is_not():
     u = signal.square(T * 3.0)
     y = signal.lfilter([0.05], [1.0, -0.95], u + 0.8 * u**2 * np.sin(T))
     measured = y + 0.01 * rng.normal(size=T.size)
-    wrong = output_error(lambda theta: signal.lfilter([theta[0]], [1.0, -theta[1]], u), [0.1, 0.9], measured)
+    wrong = output_error(
+        lambda theta: signal.lfilter([theta[0]], [1.0, -theta[1]], u), [0.1, 0.9], measured
+    )
     assert any("the model's form" in text for text in wrong.warnings)
     assert (wrong.std > 1.5 * wrong.std_crb).all()
 
@@ -210,14 +261,18 @@ def test_wrong_model_form_is_reported_and_the_right_one_is_not():
     assert right.warnings == []
 
 
-@pytest.mark.parametrize("plane", [aircraft.LONGITUDINAL, aircraft.LATERAL], ids=lambda plane: plane.name)
+@pytest.mark.parametrize(
+    "plane", [aircraft.LONGITUDINAL, aircraft.LATERAL], ids=lambda plane: plane.name
+)
 def test_turbulence_is_reported_and_calm_air_is_not(plane):
     warned = {}
     for wind in (0.0, 15.0):
         rng = np.random.default_rng([11, plane.inputs])
         truth, start = plane.draw(rng)
         inputs, measured = aircraft.fly(plane, truth, [400] * 3, wind, rng)
-        fit = output_error(lambda theta, u=inputs: aircraft.simulate(plane, theta, u), start, measured)
+        fit = output_error(
+            lambda theta, u=inputs: aircraft.simulate(plane, theta, u), start, measured
+        )
         assert fit.converged
         warned[wind] = [text for text in fit.warnings if "turbulence" in text]
         if wind == 0.0:
@@ -259,7 +314,9 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
     measured = 2.0 * np.exp(-0.5 * t) + 0.01 * np.random.default_rng(1).standard_normal(200)
 
     def fitted(**options):
-        return output_error(lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured, **options)
+        return output_error(
+            lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured, **options
+        )
 
     whole, alone = fitted(), fitted(errors=False)
     assert np.allclose(alone.theta, whole.theta, rtol=1e-12)

@@ -20,13 +20,23 @@ def model(theta):
     return [np.column_stack([y, y**2]), np.column_stack([y + theta[2] * T, y**2])]
 
 
-def problem(simulate=model, columns=(0, 1, 2), full=False, secant=False, theta=TRUE) -> OutputErrorProblem:
+def problem(
+    simulate=model, columns=(0, 1, 2), full=False, secant=False, theta=TRUE
+) -> OutputErrorProblem:
     rng = np.random.default_rng(0)
     measured = np.concatenate(model(TRUE)) + 0.02 * rng.standard_normal((160, 2))
     return OutputErrorProblem(
-        SafeSimulation(simulate, (80, 80), 2), measured, theta.copy(), list(columns), FREE, measured.std(axis=0), full, None,
-        first_steps(theta, *FREE), secant,
-    )  # fmt: skip
+        SafeSimulation(simulate, (80, 80), 2),
+        measured,
+        theta.copy(),
+        list(columns),
+        FREE,
+        measured.std(axis=0),
+        full,
+        None,
+        first_steps(theta, *FREE),
+        secant,
+    )
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -43,7 +53,9 @@ def test_the_gradient_is_the_costs_own(full):
     assert line.predict(np.zeros(3)) == pytest.approx(cost)
     # A short way along the gradient the linearised model foresees the fall of the cost.
     delta = 1e-3 * np.linalg.solve(line.information, line.gradient)
-    assert cost - line.predict(delta) == pytest.approx(cost - ours.evaluate(theta + delta)[0], rel=0.01)
+    assert cost - line.predict(delta) == pytest.approx(
+        cost - ours.evaluate(theta + delta)[0], rel=0.01
+    )
 
 
 def test_information_is_that_of_whitened_sensitivities():
@@ -53,9 +65,13 @@ def test_information_is_that_of_whitened_sensitivities():
     S = ours.sensitivity.dense()
     assert not S[:80, :, 2].any()
     r = np.diagonal(ours.noise(outputs).cov)
-    np.testing.assert_allclose(line.information, np.einsum("nak,nal,a->kl", S, S, 1.0 / r), rtol=1e-9)
+    np.testing.assert_allclose(
+        line.information, np.einsum("nak,nal,a->kl", S, S, 1.0 / r), rtol=1e-9
+    )
     residual = ours.measured - outputs
-    assert ours.evaluate(TRUE)[0] == pytest.approx(concentrated(residual, Noise(np.diag(np.mean(residual**2, axis=0)), False)))
+    assert ours.evaluate(TRUE)[0] == pytest.approx(
+        concentrated(residual, Noise(np.diag(np.mean(residual**2, axis=0)), False))
+    )
 
 
 def test_fixed_parameters_stay_and_failures_are_told():
@@ -88,7 +104,9 @@ def test_carried_sensitivities_meet_the_change_that_was_seen_and_cost_no_run():
     ours.settle(theta + step, after)
     assert ours.runs > runs
     np.testing.assert_allclose(
-        ours.sensitivity.dense(), exact.sensitivity.dense(), atol=0.02 * np.abs(exact.sensitivity.dense()).max()
+        ours.sensitivity.dense(),
+        exact.sensitivity.dense(),
+        atol=0.02 * np.abs(exact.sensitivity.dense()).max(),
     )
 
 

@@ -17,7 +17,9 @@ def test_longley_certified():
     reg = equation_error(np.column_stack([np.ones(16), nist.LONGLEY_X]), nist.LONGLEY_Y)
     np.testing.assert_allclose(reg.theta, nist.LONGLEY, rtol=1e-9)
     np.testing.assert_allclose(reg.std_white, nist.LONGLEY_SD, rtol=1e-9)
-    np.testing.assert_allclose(reg.std, nist.LONGLEY_SD, rtol=1e-9)  # 16 samples: no colour is claimed
+    np.testing.assert_allclose(
+        reg.std, nist.LONGLEY_SD, rtol=1e-9
+    )  # 16 samples: no colour is claimed
     assert np.sqrt(reg.s2) == pytest.approx(nist.LONGLEY_RESIDUAL_SD, rel=1e-9)
     assert reg.r2 == pytest.approx(nist.LONGLEY_R2, rel=1e-10)
     assert set(reg.status.values()) == {"identified"}
@@ -76,7 +78,9 @@ def test_coverage_of_coloured_and_white_intervals():
     rng = np.random.default_rng(4)
     hits, white = 0, 0
     for _ in range(200):
-        X = np.column_stack([np.ones(1500), coloured(rng, 1500, 0.95), np.sin(np.arange(1500) * 0.05)])
+        X = np.column_stack(
+            [np.ones(1500), coloured(rng, 1500, 0.95), np.sin(np.arange(1500) * 0.05)]
+        )
         reg = equation_error(X, X @ [1.0, 0.5, -2.0] + coloured(rng, 1500, 0.85))
         hits += int(np.sum(np.abs(reg.theta - [1.0, 0.5, -2.0]) < 1.96 * reg.std))
         white += int(np.sum(np.abs(reg.theta - [1.0, 0.5, -2.0]) < 1.96 * reg.std_white))
@@ -92,8 +96,12 @@ def test_collinear_columns_are_named_and_the_rest_estimated():
     y = X @ [1.0, 1.0, 3.0, 0.0, 0.0] + 0.1 * rng.normal(size=200)
     reg = equation_error(X, y, names=["a", "b", "c", "zero", "d"])
     assert reg.status == {
-        "a": "not-identified", "b": "not-identified", "c": "identified", "zero": "not-identified", "d": "not-identified"
-    }  # fmt: skip
+        "a": "not-identified",
+        "b": "not-identified",
+        "c": "identified",
+        "zero": "not-identified",
+        "d": "not-identified",
+    }
     assert "b" in reg.reason["a"]
     assert "d" in reg.reason["a"]
     assert "zero" in reg.reason["zero"]
@@ -106,7 +114,10 @@ def test_collinear_columns_are_named_and_the_rest_estimated():
 def test_segments_seek_no_correlation_across_joins():
     rng = np.random.default_rng(6)
     y = np.concatenate([coloured(rng, 400, 0.9), coloured(rng, 600, 0.9)])
-    one, two = equation_error(np.ones((1000, 1)), y), equation_error(np.ones((1000, 1)), y, segments=[400, 600])
+    one, two = (
+        equation_error(np.ones((1000, 1)), y),
+        equation_error(np.ones((1000, 1)), y, segments=[400, 600]),
+    )
     assert one.theta == pytest.approx(two.theta)
     assert one.std[0] != two.std[0]
 

@@ -21,7 +21,10 @@ def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
     assert np.isnan(fit.std[2])
     assert "output 1 has 1 samples, of which the parameters use up 1.0" in fit.reason["c"]
     measured[5, 1] = 3.1
-    assert output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"] == "identified"
+    assert (
+        output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"]
+        == "identified"
+    )
 
 
 def test_a_simulation_that_diverges_has_no_standard_error():
@@ -49,7 +52,13 @@ def test_a_simulation_that_diverges_has_no_standard_error():
 
 def test_bounds_of_a_name_that_is_none_are_a_value_error():
     with pytest.raises(ValueError, match="bounds names 1; the parameters are a, b, c"):
-        output_error(two_outputs, np.zeros(3), two_outputs([1, 2, 3]), names=["a", "b", "c"], bounds={1: (0, 2)})
+        output_error(
+            two_outputs,
+            np.zeros(3),
+            two_outputs([1, 2, 3]),
+            names=["a", "b", "c"],
+            bounds={1: (0, 2)},
+        )
 
 
 def test_a_zero_response_is_met_exactly_and_without_a_numerical_warning():
@@ -63,7 +72,15 @@ def test_initial_states_of_segments_may_be_nested_lists_or_rows_of_an_array():
     time = np.arange(60) * 0.05
     z = [start * np.exp(-2.0 * time) + 0.01 * rng.normal(size=60) for start in (1.0, 0.5)]
     fits = [
-        filter_error(lambda x, u, th: [th[0] * x[0]], lambda x, u, th: [x[0]], x0, [-1.0], None, z, [time, time])
+        filter_error(
+            lambda x, u, th: [th[0] * x[0]],
+            lambda x, u, th: [x[0]],
+            x0,
+            [-1.0],
+            None,
+            z,
+            [time, time],
+        )
         for x0 in ([[1.0], [0.5]], np.array([[1.0], [0.5]]), [np.array([1.0]), np.array([0.5])])
     ]
     assert abs(fits[0].theta[0] + 2.0) < 4.0 * fits[0].std[0]

@@ -16,7 +16,9 @@ def test_a_stack_is_cut_where_its_segments_join():
 
 
 def test_correlations_of_samples_and_of_what_is_not_known():
-    data = np.random.default_rng(0).standard_normal((50, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 9.0]])
+    data = np.random.default_rng(0).standard_normal((50, 3)) @ np.array(
+        [[1.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 9.0]]
+    )
     cov = np.cov(data.T)
     assert correlation(cov) == pytest.approx(np.corrcoef(data.T))
     cov[1] = cov[:, 1] = np.nan

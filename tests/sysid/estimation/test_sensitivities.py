@@ -7,7 +7,14 @@ import re
 import numpy as np
 import pytest
 
-from sysid.estimation.sensitivities import TARGETS, SafeSimulation, first_steps, roughness, sensitivities, target_for
+from sysid.estimation.sensitivities import (
+    TARGETS,
+    SafeSimulation,
+    first_steps,
+    roughness,
+    sensitivities,
+    target_for,
+)
 
 T = np.linspace(0.0, 3.0, 60)
 FREE = (np.full(2, -np.inf), np.full(2, np.inf))
@@ -32,7 +39,17 @@ def differences(theta, model=decay, limits=FREE, central=True, columns=(0, 1), m
     base = simulation(theta)
     assert not isinstance(base, str)
     step = first_steps(theta, *limits)
-    return sensitivities(simulation, theta, base, step, columns, limits, np.abs(base).max(axis=0), central=central, map_=map_)
+    return sensitivities(
+        simulation,
+        theta,
+        base,
+        step,
+        columns,
+        limits,
+        np.abs(base).max(axis=0),
+        central=central,
+        map_=map_,
+    )
 
 
 @pytest.mark.parametrize(("central", "close"), [(True, 1e-6), (False, 2e-3)])
@@ -40,10 +57,15 @@ def differences(theta, model=decay, limits=FREE, central=True, columns=(0, 1), m
 def test_derivatives_are_the_exact_ones(central, close, theta):
     found, truth = differences(theta, central=central), exact(theta)
     size = np.abs(truth).max(axis=(0, 1))
-    assert np.abs(found.sensitivity.dense() - truth).max(axis=(0, 1)) / size == pytest.approx(0.0, abs=close)
+    assert np.abs(found.sensitivity.dense() - truth).max(axis=(0, 1)) / size == pytest.approx(
+        0.0, abs=close
+    )
     assert found.effect.all()
     # Of another point they are others.
-    assert np.abs(found.sensitivity.dense() - exact((1.2 * theta[0], theta[1] + 0.3))).max() > 0.05 * size.max()
+    assert (
+        np.abs(found.sensitivity.dense() - exact((1.2 * theta[0], theta[1] + 0.3))).max()
+        > 0.05 * size.max()
+    )
 
 
 def test_at_a_bound_and_beside_a_failure_one_side_is_taken():
@@ -65,7 +87,9 @@ def test_what_moves_no_output_or_always_fails_has_no_effect():
     found = differences((2.0, 0.5), lambda theta: decay([theta[0], 0.5]))
     assert found.effect.tolist() == [True, False]
     assert not found.sensitivity.dense()[:, :, 1].any()
-    found = differences((2.0, 0.5), lambda theta: decay(theta) if theta[1] == 0.5 else np.full((T.size, 2), np.nan))
+    found = differences(
+        (2.0, 0.5), lambda theta: decay(theta) if theta[1] == 0.5 else np.full((T.size, 2), np.nan)
+    )
     assert found.effect.tolist() == [True, False]
 
 
@@ -79,14 +103,19 @@ def test_an_injected_map_runs_every_simulation():
 
     found = differences((2.0, 0.5), map_=counting)
     assert found.runs == sum(counted) > 0
-    np.testing.assert_array_equal(found.sensitivity.dense(), differences((2.0, 0.5)).sensitivity.dense())
+    np.testing.assert_array_equal(
+        found.sensitivity.dense(), differences((2.0, 0.5)).sensitivity.dense()
+    )
 
 
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
         (np.ones((3, 2)), r"returned shapes \[\(3, 2\)\], measured has \[\(4, 2\)\]"),
-        (np.array([[1.0, 2.0], [1.0, np.nan], [1.0, 1.0], [1.0, 1.0]]), "not finite, .* from stacked sample 1 on"),
+        (
+            np.array([[1.0, 2.0], [1.0, np.nan], [1.0, 1.0], [1.0, 1.0]]),
+            "not finite, .* from stacked sample 1 on",
+        ),
         (np.full((4, 2), 1e150), "beyond 1e.100"),
         ("words", "not numeric"),
     ],
@@ -100,7 +129,9 @@ def test_wrong_outputs_are_a_sentence(answer, said):
 def test_segments_are_stacked_and_a_model_may_raise_anything():
     simulation = SafeSimulation(lambda theta: [np.ones(2), 2.0 * np.ones(3)], (2, 3), 1)
     assert simulation(np.zeros(1)).ravel().tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
-    assert SafeSimulation(lambda theta: {}[1], (2,), 1)(np.zeros(1)) == "simulate raised KeyError: 1"
+    assert (
+        SafeSimulation(lambda theta: {}[1], (2,), 1)(np.zeros(1)) == "simulate raised KeyError: 1"
+    )
 
 
 def test_roughness_is_that_of_printed_digits():
@@ -126,5 +157,7 @@ def test_the_wanted_change_balances_and_is_bounded():
 
 
 def test_first_steps_without_a_hint():
-    found = first_steps(np.array([5.0, 0.0, 0.0]), np.array([-9.0, -1.0, -np.inf]), np.array([9.0, 3.0, np.inf]))
+    found = first_steps(
+        np.array([5.0, 0.0, 0.0]), np.array([-9.0, -1.0, -np.inf]), np.array([9.0, 3.0, np.inf])
+    )
     assert found == pytest.approx([5e-4, 4e-4, 1e-4])

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.sensitivities import SafeSimulation, first_steps, forward_differences, sensitivities
+from sysid.estimation.sensitivities import (
+    SafeSimulation,
+    first_steps,
+    forward_differences,
+    sensitivities,
+)
 from sysid.estimation.together import Shift, answers, grouped, rows_moved
 
 LENGTHS = (30, 40, 50)
@@ -17,7 +22,9 @@ THETA = np.array([0.7, 1.0, 2.0, 3.0, -0.5])
 class Decays:
     """Three decays; counts how often it is simulated."""
 
-    def __init__(self, of=lambda index: {1: (0,), 2: (1,), 3: (2,), 4: (1, 2)}.get(index), fails=None):
+    def __init__(
+        self, of=lambda index: {1: (0,), 2: (1,), 3: (2,), 4: (1, 2)}.get(index), fails=None
+    ):
         self.moved, self.fails, self.runs = of, fails, 0
 
     def __call__(self, theta):
@@ -37,14 +44,18 @@ def differences(model, central):
     base = simulation(THETA)
     limits = (np.full(5, -np.inf), np.full(5, np.inf))
     step, spread = first_steps(THETA, *limits), np.ones(2)
-    return sensitivities(simulation, THETA, base, step, range(5), limits, spread, central=central, map_=None)
+    return sensitivities(
+        simulation, THETA, base, step, range(5), limits, spread, central=central, map_=None
+    )
 
 
 @pytest.mark.parametrize("central", [False, True])
 def test_derivatives_together_are_those_one_by_one(central):
     model, plain = Decays(), Decays(of=lambda index: None)
     together, alone = differences(model, central), differences(plain, central)
-    np.testing.assert_allclose(together.sensitivity.dense(), alone.sensitivity.dense(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        together.sensitivity.dense(), alone.sensitivity.dense(), rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(together.step, alone.step, rtol=1e-9)
     # The starts take one run in place of three, the bias of two segments one of its own.
     assert together.runs < alone.runs
@@ -54,14 +65,22 @@ def test_derivatives_together_are_those_one_by_one(central):
 def test_a_wrong_word_about_what_moves_is_seen_in_the_derivatives():
     """Negative control: a start that is said to move another segment loses its own."""
     wrong = differences(Decays(of=lambda index: (0,) if index in (1, 2) else None), False)
-    assert np.abs(wrong.sensitivity.dense() - differences(Decays(), False).sensitivity.dense()).max() > 0.5
+    assert (
+        np.abs(wrong.sensitivity.dense() - differences(Decays(), False).sensitivity.dense()).max()
+        > 0.5
+    )
 
 
 def test_one_that_fails_does_not_take_its_group_along():
     found = differences(Decays(fails=lambda theta: theta[2] != THETA[2]), False)
     assert found.effect.tolist() == [True, True, False, True, True]
     right = differences(Decays(), False).sensitivity.dense()
-    np.testing.assert_allclose(np.delete(found.sensitivity.dense(), 2, axis=2), np.delete(right, 2, axis=2), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        np.delete(found.sensitivity.dense(), 2, axis=2),
+        np.delete(right, 2, axis=2),
+        rtol=1e-9,
+        atol=1e-12,
+    )
 
 
 def test_groups_share_no_row():
@@ -75,7 +94,9 @@ def test_groups_share_no_row():
 
 def test_each_answer_is_of_its_own_rows():
     simulation = SafeSimulation(Decays(), LENGTHS, 2)
-    shifts = [Shift(index, index, 0.25, rows_moved(simulation.simulate, index, EDGES)) for index in (1, 3)]
+    shifts = [
+        Shift(index, index, 0.25, rows_moved(simulation.simulate, index, EDGES)) for index in (1, 3)
+    ]
     found = list(answers(lambda points: map(simulation, points), THETA, shifts))
     assert [(shift.index, by) for shift, by, _ in found] == [(1, 0.25), (3, 0.25)]
     for shift, by, parts in found:
@@ -87,6 +108,13 @@ def test_each_answer_is_of_its_own_rows():
 def test_forward_differences_at_steps_given():
     found = forward_differences(Decays(), THETA, np.full(5, 1e-6), (LENGTHS, 2))
     assert found is not None
-    np.testing.assert_allclose(found.dense(), differences(Decays(), True).sensitivity.dense(), atol=1e-4)
+    np.testing.assert_allclose(
+        found.dense(), differences(Decays(), True).sensitivity.dense(), atol=1e-4
+    )
     assert [columns.tolist() for columns in found.columns] == [[0, 1], [0, 2, 4], [0, 3, 4]]
-    assert forward_differences(Decays(fails=lambda theta: theta[4] != THETA[4]), THETA, np.full(5, 1e-6), (LENGTHS, 2)) is None
+    assert (
+        forward_differences(
+            Decays(fails=lambda theta: theta[4] != THETA[4]), THETA, np.full(5, 1e-6), (LENGTHS, 2)
+        )
+        is None
+    )

@@ -38,27 +38,39 @@ def test_a_named_tuple_is_made_of_its_fields():
     found = load(dump({"states": value}))["states"]
     assert type(found) is GustStates
     assert found == value
-    assert "b of sysid.aerodynamics.gust_states:GustStates holds a str" in own.misfit(["2.8", 0.0, True, True])
-    assert own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.gust_states"})) is None
+    assert "b of sysid.aerodynamics.gust_states:GustStates holds a str" in own.misfit(
+        ["2.8", 0.0, True, True]
+    )
+    assert (
+        own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.gust_states"}))
+        is None
+    )
 
 
 def test_values_of_another_type_are_told():
     own = find_class("sysid.errors:Finding", FIELDS)
     assert own.misfit(["a", "b", "info", "m", {}, "", ""]) == ""
-    assert "message of sysid.errors:Finding holds a int" in own.misfit(["a", "b", "info", 3, {}, "", ""])
+    assert "message of sysid.errors:Finding holds a int" in own.misfit(
+        ["a", "b", "info", 3, {}, "", ""]
+    )
     assert own.misfit(["a"]) == "sysid.errors:Finding has 7 fields, not 1"
 
 
 @pytest.mark.parametrize(
     ("name", "fields", "said"),
     [
-        ("os:system", [], "no class of this program"), ("sysid..os:system", [], "no class"), (3, [], "no class"),
-        ("sysid.nothing:Here", [], "sysid.nothing|No module"), ("sysid.errors:LogError", [], "whose values are data"),
-        ("sysid.foreign.raw:Finding", FIELDS, "whose values are data"), ("sysid.errors:Finding", FIELDS[:4], "other fields"),
-        ("sysid.errors:Finding", FIELDS[::-1], "other fields"), ("sysid.data.nowhere:X", [], "no class"),
+        ("os:system", [], "no class of this program"),
+        ("sysid..os:system", [], "no class"),
+        (3, [], "no class"),
+        ("sysid.nothing:Here", [], "sysid.nothing|No module"),
+        ("sysid.errors:LogError", [], "whose values are data"),
+        ("sysid.foreign.raw:Finding", FIELDS, "whose values are data"),
+        ("sysid.errors:Finding", FIELDS[:4], "other fields"),
+        ("sysid.errors:Finding", FIELDS[::-1], "other fields"),
+        ("sysid.data.nowhere:X", [], "no class"),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_any_other_name_is_refused(name, fields, said):
     before = set(sys.modules)
     with pytest.raises((ValueError, ImportError), match=said):

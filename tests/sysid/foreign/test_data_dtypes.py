@@ -10,9 +10,19 @@ import pytest
 from sysid.foreign.data_dtypes import described, dtype_from
 
 TYPES = [
-    "<f8", ">i2", "|u1", "|b1", "<c16", "<M8[ns]", "<m8[us]", "<U5", "|S3", "|V7",
-    [("a", "<f8"), ("b", ">i4")], [("a", "<f8", (2, 3)), ("deep", [("c", "|u1"), ("d", "<U2")])],
-]  # fmt: skip
+    "<f8",
+    ">i2",
+    "|u1",
+    "|b1",
+    "<c16",
+    "<M8[ns]",
+    "<m8[us]",
+    "<U5",
+    "|S3",
+    "|V7",
+    [("a", "<f8"), ("b", ">i4")],
+    [("a", "<f8", (2, 3)), ("deep", [("c", "|u1"), ("d", "<U2")])],
+]
 
 
 @pytest.mark.parametrize("kind", TYPES, ids=str)
@@ -25,7 +35,12 @@ def test_a_type_comes_back_through_json(kind):
 
 @pytest.mark.parametrize(
     "dtype",
-    [np.dtype(object), np.dtype([("a", object)]), np.dtype("f8", metadata={"a": 1}), np.dtype((np.int32, (2,)))],
+    [
+        np.dtype(object),
+        np.dtype([("a", object)]),
+        np.dtype("f8", metadata={"a": 1}),
+        np.dtype((np.int32, (2,))),
+    ],
     ids=str,
 )
 def test_what_text_cannot_say_is_refused(dtype):
@@ -36,11 +51,22 @@ def test_what_text_cannot_say_is_refused(dtype):
 @pytest.mark.parametrize(
     "written",
     [
-        "|O", "i4,i4", "(2,)i4", "__import__('os')", "<f8 ", "<f99999999999", "", [["a", "|O"]], [["a", "<f8", [0]]],
-        [["a", "<f8", [-1]]], [["a", "<f8", [True]]], [[3, "<f8"]], json.loads("[[" * 12 + '"a","<i4"' + "]]" * 12),
+        "|O",
+        "i4,i4",
+        "(2,)i4",
+        "__import__('os')",
+        "<f8 ",
+        "<f99999999999",
+        "",
+        [["a", "|O"]],
+        [["a", "<f8", [0]]],
+        [["a", "<f8", [-1]]],
+        [["a", "<f8", [True]]],
+        [[3, "<f8"]],
+        json.loads("[[" * 12 + '"a","<i4"' + "]]" * 12),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_strangers_text_is_no_type(written):
     with pytest.raises((ValueError, TypeError)):
         dtype_from(written)

@@ -11,7 +11,10 @@ import pytest
 from sysid.foreign.data_limits import DataFileError
 from sysid.foreign.data_reader import Reader
 
-FINDING = ["sysid.errors:Finding", ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]]
+FINDING = [
+    "sysid.errors:Finding",
+    ["code", "channel", "severity", "message", "numbers", "spoils", "mend"],
+]
 
 
 def read(*nodes, classes=(), buffers=()):
@@ -21,10 +24,17 @@ def read(*nodes, classes=(), buffers=()):
 @pytest.mark.parametrize(
     ("node", "value"),
     [
-        (("none",), None), (("bool", True), True), (("int", -7), -7), (("int", "0x" + "f" * 40), 16**40 - 1),
-        (("float", 0.5), 0.5), (("str", "é"), "é"), (("path", "a/b"), Path("a/b")), (("list", []), []), (("tuple", []), ()),
+        (("none",), None),
+        (("bool", True), True),
+        (("int", -7), -7),
+        (("int", "0x" + "f" * 40), 16**40 - 1),
+        (("float", 0.5), 0.5),
+        (("str", "é"), "é"),
+        (("path", "a/b"), Path("a/b")),
+        (("list", []), []),
+        (("tuple", []), ()),
     ],
-)  # fmt: skip
+)
 def test_plain_nodes(node, value):
     found = read(node)
     assert found == value
@@ -60,7 +70,14 @@ def test_repeated_texts_are_one_object_and_a_missing_one_is_none():
 
 
 def test_mappings_and_slices():
-    found = read(("str", "a"), ("int", 1), ("none",), ("dict", [0, 1], [1, 2]), ("slice", [1, 2, 2]), ("list", [3, 4]))
+    found = read(
+        ("str", "a"),
+        ("int", 1),
+        ("none",),
+        ("dict", [0, 1], [1, 2]),
+        ("slice", [1, 2, 2]),
+        ("list", [3, 4]),
+    )
     assert found == [{"a": 1, 1: None}, slice(1, None, None)]
     proxy = read(("str", "a"), ("mappingproxy", [0], [0]))
     assert dict(proxy) == {"a": "a"}
@@ -77,7 +94,10 @@ def test_mappings_and_slices():
         ([("array", [3], "C", True, "<f8", 0)], "bytes are not those of its shape and type"),
         ([("array", [1], "X", True, "<f8", 0)], "no order"),
         ([("array", [-1], "C", True, "<f8", 0)], "no shape"),
-        ([("str", "c"), ("object", 0, [0, 0, 0, 0, 0, 0, 0])], "numbers of sysid.errors:Finding holds a str"),
+        (
+            [("str", "c"), ("object", 0, [0, 0, 0, 0, 0, 0, 0])],
+            "numbers of sysid.errors:Finding holds a str",
+        ),
         ([("eval", "1")], "value 0"),
         ([("list", []), ("set", [0])], "unhashable"),
         ([("none",), *(("list", [k]) for k in range(150))], "nested more than 100 deep"),

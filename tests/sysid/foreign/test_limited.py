@@ -28,7 +28,9 @@ from sysid.record import FlightRecord
 from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog
 from tests.helpers.places import ROOT
 
-has_address_limit = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no limit of address space here")
+has_address_limit = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="no limit of address space here"
+)
 
 
 def _message(kind: bytes, body: bytes) -> bytes:
@@ -39,10 +41,12 @@ def _slow_ulog(path: Path) -> Path:
     """Formats that hold one another, each many times: 30 KB that keep pyulog for minutes."""
     nested = b"".join(
         _message(b"F", f"f{i}:f{i + 1}[200] a;f{i + 1}[200] b;".encode()) for i in range(6)
-    ) + _message(b"F", b"f6:float z;")  # fmt: skip
+    ) + _message(b"F", b"f6:float z;")
     top = _message(b"F", b"sensor_combined:uint64_t timestamp;f0 q;")
     data = _message(b"A", b"\0\0\0sensor_combined") + _message(b"D", bytes(602)) * 50
-    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + _message(b"B", bytes(40)) + nested + top + data)
+    path.write_bytes(
+        b"ULog\x01\x12\x35\x01" + bytes(8) + _message(b"B", bytes(40)) + nested + top + data
+    )
     return path
 
 
@@ -59,22 +63,43 @@ def _same(a: RawLog, b: RawLog) -> None:
         for name, values in table.fields.items():
             assert values.dtype == b.messages[key].fields[name].dtype
             np.testing.assert_array_equal(values, b.messages[key].fields[name])
-    rest = [(r.dialect, dict(r.counts), dict(r.parameters), r.texts, r.vehicle, dict(r.facts), r.findings) for r in (a, b)]
+    rest = [
+        (
+            r.dialect,
+            dict(r.counts),
+            dict(r.parameters),
+            r.texts,
+            r.vehicle,
+            dict(r.facts),
+            r.findings,
+        )
+        for r in (a, b)
+    ]
     assert rest[0] == rest[1]
 
 
-def test_what_comes_through_the_child_is_what_the_reader_gives(tmp_path: Path, flown: FlightRecord) -> None:
+def test_what_comes_through_the_child_is_what_the_reader_gives(
+    tmp_path: Path, flown: FlightRecord
+) -> None:
     write_tlog(tmp_path / "a.tlog", flown)
     wanted = shipped_map("tlog").wanted()
-    _same(limited.read_raw(tmp_path / "a.tlog", "tlog", wanted), tlog.read(tmp_path / "a.tlog", wanted))
+    _same(
+        limited.read_raw(tmp_path / "a.tlog", "tlog", wanted),
+        tlog.read(tmp_path / "a.tlog", wanted),
+    )
     time_us = flown["time_s"] * 1e6
     write_ulog(tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": flown["V_mps"]})})
     _same(limited.read_raw(tmp_path / "a.ulg", "ulog", None), ulog.read(tmp_path / "a.ulg", None))
     flown.write(tmp_path / "a.parquet")
-    _same(limited.read_raw(tmp_path / "a.parquet", "parquet", None), tables.read_parquet(tmp_path / "a.parquet"))
+    _same(
+        limited.read_raw(tmp_path / "a.parquet", "parquet", None),
+        tables.read_parquet(tmp_path / "a.parquet"),
+    )
 
 
-def test_one_child_serves_several_files_and_a_refusal_does_not_end_it(tmp_path: Path, flown: FlightRecord) -> None:
+def test_one_child_serves_several_files_and_a_refusal_does_not_end_it(
+    tmp_path: Path, flown: FlightRecord
+) -> None:
     flown.write(tmp_path / "a.csv")
     (tmp_path / "bad.csv").write_text("time_s,q_radps\n0,1\n1,what\n")
     FlightRecord.read(tmp_path / "a.csv")
@@ -101,25 +126,36 @@ def test_a_relative_name_means_the_present_folder_and_stands_in_the_error(
 
 
 @pytest.mark.usefixtures("short_time")
-def test_a_log_that_would_take_minutes_is_refused_in_time_and_the_next_is_read(tmp_path: Path) -> None:
+def test_a_log_that_would_take_minutes_is_refused_in_time_and_the_next_is_read(
+    tmp_path: Path,
+) -> None:
     begun = time.monotonic()
     with pytest.raises(LogError, match=r"longer than the 1 s that a file of .* may take"):
         import_log(_slow_ulog(tmp_path / "slow.ulg"))
     assert time.monotonic() - begun < 60.0
     time_us = np.arange(100) * 1e4
-    write_ulog(tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": np.full(100, 20.0)})})
+    write_ulog(
+        tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": np.full(100, 20.0)})}
+    )
     assert len(import_log(tmp_path / "a.ulg")) == 100
 
 
 @has_address_limit
-def test_a_log_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_would_fill_the_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(LIMITS, "ulog", Limit(5.0, 1e6, 60_000_000, 8.0))
     fields = b"".join(b"float[60000] a%d;" % i for i in range(1500))
-    body = [_message(b"B", bytes(40)), _message(b"F", b"airspeed:" + fields + b"uint64_t timestamp;")]
+    body = [
+        _message(b"B", bytes(40)),
+        _message(b"F", b"airspeed:" + fields + b"uint64_t timestamp;"),
+    ]
     body += [_message(b"A", b"\0\0\0airspeed"), _message(b"D", bytes(60002)) * 20]
     (tmp_path / "big.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(body))
     # Where the system takes long over each request for memory that it refuses, the time limit comes first.
-    with pytest.raises(LogError, match=r"(of memory|longer than the \d+ s) that a file of .* may take"):
+    with pytest.raises(
+        LogError, match=r"(of memory|longer than the \d+ s) that a file of .* may take"
+    ):
         import_log(tmp_path / "big.ulg")
 
 
@@ -128,7 +164,9 @@ def test_a_log_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch
 def test_packed_texts_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
     texts = ["x" * 8_000_000 + str(i) for i in range(40)]
     table = pa.table({"time_s": np.arange(40.0), "manoeuvre": texts})
-    with pq.ParquetWriter(tmp_path / "a.parquet", table.schema, compression="zstd", use_dictionary=False) as writer:
+    with pq.ParquetWriter(
+        tmp_path / "a.parquet", table.schema, compression="zstd", use_dictionary=False
+    ) as writer:
         for _ in range(8):
             writer.write_table(table)
     assert (tmp_path / "a.parquet").stat().st_size < 2_000_000
@@ -139,7 +177,11 @@ def test_packed_texts_that_would_fill_the_memory_are_refused(tmp_path: Path) -> 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
 def test_a_pipe_a_folder_and_a_device_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    for path, kind in ((tmp_path / "pipe", "a pipe"), (Path("/dev/zero"), "a device"), (tmp_path, "a folder")):
+    for path, kind in (
+        (tmp_path / "pipe", "a pipe"),
+        (Path("/dev/zero"), "a device"),
+        (tmp_path, "a folder"),
+    ):
         with pytest.raises(LogError, match=f"is {kind}"):
             import_log(path)
         with pytest.raises(LogError, match=f"is {kind}"):
@@ -151,8 +193,22 @@ def test_a_pipe_a_folder_and_a_device_are_refused_at_once(tmp_path: Path) -> Non
 
 
 def _little() -> FlightRecord:
-    names = ("V_mps", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2",
-             "elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")  # fmt: skip
+    names = (
+        "V_mps",
+        "phi_rad",
+        "theta_rad",
+        "psi_rad",
+        "p_radps",
+        "q_radps",
+        "r_radps",
+        "ax_mps2",
+        "ay_mps2",
+        "az_mps2",
+        "elevator_deg",
+        "aileron_deg",
+        "rudder_deg",
+        "throttle_pct",
+    )
     return FlightRecord({"time_s": np.arange(100) * 0.02, **{n: np.full(100, 1.0) for n in names}})
 
 
@@ -163,16 +219,22 @@ def test_a_servo_pattern_is_a_name_and_no_format(tmp_path: Path) -> None:
         assert len(import_log(tmp_path / "a.log", tmp_path / "map.toml")) == 100
 
 
-def test_no_python_file_of_the_working_folder_runs_in_the_child(tmp_path: Path, flown: FlightRecord) -> None:
+def test_no_python_file_of_the_working_folder_runs_in_the_child(
+    tmp_path: Path, flown: FlightRecord
+) -> None:
     flown.write(tmp_path / "a.csv")
     for name in ("json", "queue", "numpy", "pandas", "signal", "sysid", "sitecustomize"):
         (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
     code = f"import sys; sys.path.append({str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.record import FlightRecord\n"
     code += "print(len(FlightRecord.read(Path('a.csv'))))"
     done = subprocess.run(
-        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True,
+        [sys.executable, "-P", "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
         env={k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONSAFEPATH")},
-    )  # fmt: skip
+    )
     assert done.stdout.strip() == str(len(flown))
     assert not list(tmp_path.glob("ran-*"))
 
@@ -196,7 +258,10 @@ def test_the_child_ends_with_a_killed_parent_even_in_the_middle_of_a_file(tmp_pa
     parent.wait()
     parent.stdout.close()
     deadline = time.monotonic() + 30.0
-    while Path(f"/proc/{child}").exists() and "Z" not in Path(f"/proc/{child}/stat").read_text().split()[2]:
+    while (
+        Path(f"/proc/{child}").exists()
+        and "Z" not in Path(f"/proc/{child}/stat").read_text().split()[2]
+    ):
         assert time.monotonic() < deadline, "the reader outlives its parent"
         time.sleep(0.05)
 
@@ -204,7 +269,10 @@ def test_the_child_ends_with_a_killed_parent_even_in_the_middle_of_a_file(tmp_pa
 def test_two_threads_wait_for_each_other(tmp_path: Path, flown: FlightRecord) -> None:
     flown.write(tmp_path / "a.csv")
     lengths: list[int] = []
-    threads = [threading.Thread(target=lambda: lengths.append(len(FlightRecord.read(tmp_path / "a.csv")))) for _ in range(4)]
+    threads = [
+        threading.Thread(target=lambda: lengths.append(len(FlightRecord.read(tmp_path / "a.csv"))))
+        for _ in range(4)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -212,7 +280,9 @@ def test_two_threads_wait_for_each_other(tmp_path: Path, flown: FlightRecord) ->
     assert lengths == [len(flown)] * 4
 
 
-def test_progress_comes_through(tmp_path: Path, flown: FlightRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_comes_through(
+    tmp_path: Path, flown: FlightRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # The clock is no part of this test: a busy machine may take its time.
     monkeypatch.setitem(LIMITS, "tlog", Limit(600.0, 0.25e6, 300_000_000, 8.0))
     write_tlog(tmp_path / "one.tlog", flown, every=1)
@@ -229,7 +299,9 @@ def test_a_reader_that_fails_in_an_unknown_way_keeps_its_traceback(tmp_path: Pat
         limited._ask(tmp_path / "a.csv", "csv", {"wanted": 5})
 
 
-def test_a_chunk_that_is_no_data_ends_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chunk_that_is_no_data_ends_the_child(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
     monkeypatch.setattr(limited, "load", lambda content: load(b"no data"))
     with pytest.raises(LogError, match="ended without an answer"):

@@ -9,7 +9,9 @@ import pytest
 
 from tests.helpers.places import ROOT
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no limit of address space here")
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="no limit of address space here"
+)
 
 # In a process of its own: under a limit anything else of the tests' process would fail too.
 SCRIPT = """
@@ -32,5 +34,12 @@ with MemoryLimit(10**13):
 
 
 def test_more_than_allowed_is_refused_and_the_old_limit_comes_back():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
     assert done.stdout.split() == ["held", "True", str(10**12)]

@@ -17,10 +17,14 @@ def test_what_is_sound_is_read() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        ("a = 1\nb = = 2\n", 2, "TOML"), ("a = 1\nb = [", 2, "TOML"), (f"a = {'[' * DEEP}{']' * DEEP}", None, "deeply"),
-        (f"a = {'9' * 5000}", None, "digits"), ("a = 2024-02-31", 1, "date"), ("a = 1\na = 2", 2, "TOML"),
+        ("a = 1\nb = = 2\n", 2, "TOML"),
+        ("a = 1\nb = [", 2, "TOML"),
+        (f"a = {'[' * DEEP}{']' * DEEP}", None, "deeply"),
+        (f"a = {'9' * 5000}", None, "digits"),
+        ("a = 2024-02-31", 1, "date"),
+        ("a = 1\na = 2", 2, "TOML"),
     ],
-)  # fmt: skip
+)
 def test_toml_that_is_none(text: str, line: int | None, word: str) -> None:
     with pytest.raises(ParseError, match=word) as found:
         parse_toml(text)
@@ -30,10 +34,13 @@ def test_toml_that_is_none(text: str, line: int | None, word: str) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        ('{"a": 1,\n "b" 2}', 2, "JSON"), ("", 1, "JSON"), (f"{'[' * DEEP}{']' * DEEP}", None, "deeply"),
-        ("9" * 5000, None, "digits"), (b'{"a": "\xff"}', None, "UTF-8"),
+        ('{"a": 1,\n "b" 2}', 2, "JSON"),
+        ("", 1, "JSON"),
+        (f"{'[' * DEEP}{']' * DEEP}", None, "deeply"),
+        ("9" * 5000, None, "digits"),
+        (b'{"a": "\xff"}', None, "UTF-8"),
     ],
-)  # fmt: skip
+)
 def test_json_that_is_none(text: str | bytes, line: int | None, word: str) -> None:
     with pytest.raises(ParseError, match=word) as found:
         parse_json(text)

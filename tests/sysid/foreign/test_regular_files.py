@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from sysid.foreign.regular_files import in_words, open_regular, read_regular, read_regular_text, require_regular
+from sysid.foreign.regular_files import (
+    in_words,
+    open_regular,
+    read_regular,
+    read_regular_text,
+    require_regular,
+)
 
 
 def test_a_regular_file_and_a_link_to_one_are_read(tmp_path: Path) -> None:
@@ -48,7 +54,9 @@ def test_pipes_sockets_devices_and_folders_are_refused_at_once_and_by_name(tmp_p
                 assert refusal.value.filename == str(path)
 
 
-def test_what_became_a_pipe_after_the_look_is_refused_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_became_a_pipe_after_the_look_is_refused_without_waiting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("sysid.foreign.regular_files.require_regular", lambda path: None)
     with pytest.raises(OSError, match="is a pipe"):
@@ -86,4 +94,9 @@ def test_a_missing_file_and_a_name_that_cannot_be_one(tmp_path: Path) -> None:
 
 
 def test_sizes_in_words() -> None:
-    assert [in_words(n) for n in (12, 62_000, 19_700_000, 3_200_000_000)] == ["12 bytes", "62 KB", "19.7 MB", "3.2 GB"]
+    assert [in_words(n) for n in (12, 62_000, 19_700_000, 3_200_000_000)] == [
+        "12 bytes",
+        "62 KB",
+        "19.7 MB",
+        "3.2 GB",
+    ]

@@ -39,7 +39,10 @@ def test_of_each_segment_the_columns_that_move_it_are_kept():
 
 def test_columns_are_gathered_from_their_segments():
     s = sensitivity(2)
-    given = [[s[a:b, :, k] if s[a:b, :, k].any() else None for a, b in ((0, 4), (4, 9), (9, 15))] for k in range(8)]
+    given = [
+        [s[a:b, :, k] if s[a:b, :, k].any() else None for a, b in ((0, 4), (4, 9), (9, 15))]
+        for k in range(8)
+    ]
     np.testing.assert_array_equal(Blocks.gathered(given, 3, EDGES).dense(), s)
     given[0][1] = None
     assert not np.array_equal(Blocks.gathered(given, 3, EDGES).dense(), s)

@@ -12,7 +12,9 @@ from sysid.linalg.recursions import first_order
 def test_a_step_rises_as_the_closed_form_says() -> None:
     k = np.arange(50)
     np.testing.assert_allclose(first_order(np.full(50, 0.2), 0.8), 1.0 - 0.8 ** (k + 1), rtol=1e-12)
-    np.testing.assert_allclose(first_order(np.zeros(50), 0.8, 3.0), 3.0 * 0.8 ** (k + 1), rtol=1e-12)
+    np.testing.assert_allclose(
+        first_order(np.zeros(50), 0.8, 3.0), 3.0 * 0.8 ** (k + 1), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.3, 0.999, -0.5])

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.air_velocity import COMPONENTS, alpha_of, beta_of, components_of, speed_of, with_air_data
+from sysid.logs.air_velocity import (
+    COMPONENTS,
+    alpha_of,
+    beta_of,
+    components_of,
+    speed_of,
+    with_air_data,
+)
 from sysid.logs.load import import_log
 from tests.helpers.synthetic import flight
 
@@ -20,7 +27,9 @@ def test_by_hand() -> None:
     assert speed_of(u, v, w)[0] == pytest.approx(13.0)
     assert np.tan(alpha_of(u, w)[0]) == pytest.approx(4.0)
     assert np.sin(beta_of(u, v, w)[0]) == pytest.approx(-4.0 / 13.0)
-    for back, first in zip(components_of(speed_of(u, v, w), alpha_of(u, w), beta_of(u, v, w)), (u, v, w), strict=True):
+    for back, first in zip(
+        components_of(speed_of(u, v, w), alpha_of(u, w), beta_of(u, v, w)), (u, v, w), strict=True
+    ):
         assert back == pytest.approx(first)
 
 
@@ -31,7 +40,11 @@ def test_what_stands_still_has_no_angle() -> None:
 
 
 def test_a_tables_own_columns_win() -> None:
-    columns = {"time_s": np.arange(2.0), **dict.fromkeys(COMPONENTS, np.full(2, 10.0)), "V_mps": np.full(2, 17.0)}
+    columns = {
+        "time_s": np.arange(2.0),
+        **dict.fromkeys(COMPONENTS, np.full(2, 10.0)),
+        "V_mps": np.full(2, 17.0),
+    }
     made = with_air_data(columns)
     assert made["V_mps"].tolist() == [17.0, 17.0]
     assert made["alpha_rad"] == pytest.approx(np.pi / 4)
@@ -47,7 +60,14 @@ def table(path: Path, every: int, names: dict[str, str] | None = None) -> None:
         noisy = values + 0.2 * rng.standard_normal(at.size)
         columns[name] = np.interp(at, at[::every], noisy[::every])
     header = ",".join((names or {}).get(n, n) for n in columns)
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=header, comments="", fmt="%.17g")
+    np.savetxt(
+        path,
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=header,
+        comments="",
+        fmt="%.17g",
+    )
 
 
 def test_u_v_w_of_a_csv_are_read_and_said_to_be_interpolated(tmp_path: Path) -> None:
@@ -57,7 +77,10 @@ def test_u_v_w_of_a_csv_are_read_and_said_to_be_interpolated(tmp_path: Path) -> 
     truth = flight(60.0, seed=3)
     assert np.nanmax(np.abs(fast["V_mps"] - truth["V_mps"])) < 1.5
     assert np.nanmedian(np.abs(fast["alpha_rad"] - truth["alpha_rad"])) < 0.02
-    told = [{f.channel: f.numbers["native_hz"] for f in r.metadata.findings if f.code == "interpolated"} for r in (fast, slow)]
+    told = [
+        {f.channel: f.numbers["native_hz"] for f in r.metadata.findings if f.code == "interpolated"}
+        for r in (fast, slow)
+    ]
     assert told[0] == {}
     assert told[1] == pytest.approx(dict.fromkeys(AIR, 10.0), rel=0.02)
 
@@ -70,7 +93,10 @@ def test_a_map_reads_them_under_any_name_and_unit(tmp_path: Path) -> None:
         '[signals.beta_rad]\nmessage = "csv"\nfields = ["U", "V", "W"]\nfunction = "air_beta"\n'
     )
     table(tmp_path / "b.csv", 1)
-    mapped, plain = import_log(tmp_path / "a.csv", tmp_path / "map.toml"), import_log(tmp_path / "b.csv")
+    mapped, plain = (
+        import_log(tmp_path / "a.csv", tmp_path / "map.toml"),
+        import_log(tmp_path / "b.csv"),
+    )
     np.testing.assert_allclose(mapped["V_mps"], 0.3048 * plain["V_mps"], rtol=1e-9)
     np.testing.assert_allclose(mapped["alpha_rad"], plain["alpha_rad"], atol=1e-12)
     np.testing.assert_allclose(mapped["beta_rad"], plain["beta_rad"], atol=1e-12)

@@ -26,7 +26,9 @@ ENTRIES = {
 def raw_log(dialect: str = "dataflash", **more) -> RawLog:
     messages = {
         ("IMU", 0): MessageTable(FAST, {"q": np.sin(FAST)}),
-        ("ATT", 0): MessageTable(SLOW, {"theta": 0.1 * SLOW, "psi": 2.0 * np.pi - 0.5 + 0.3 * SLOW}),
+        ("ATT", 0): MessageTable(
+            SLOW, {"theta": 0.1 * SLOW, "psi": 2.0 * np.pi - 0.5 + 0.3 * SLOW}
+        ),
         ("OUT", 0): MessageTable(SLOW, {"elevator": np.round(4.0 * np.sin(3.0 * SLOW))}),
         ("MODE", 0): MessageTable(np.array([0.0, 2.01]), {"number": np.array([0.0, 12.0])}),
     }
@@ -75,13 +77,20 @@ def test_texts_name_manoeuvres() -> None:
 
 def test_where_the_flight_began() -> None:
     raw = raw_log()
-    fix = MessageTable(SLOW, {"Lat": np.r_[0.0, np.full(49, 37.5)], "Lng": np.full(50, -76.0), "Alt": np.full(50, 12.0)})
+    fix = MessageTable(
+        SLOW,
+        {"Lat": np.r_[0.0, np.full(49, 37.5)], "Lng": np.full(50, -76.0), "Alt": np.full(50, 12.0)},
+    )
     log = RawLog("dataflash", {**raw.messages, ("GPS", 0): fix})
     assert made(log).metadata.start == {"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0}
     assert made(raw).metadata.start == {}
-    scaled = MessageTable(SLOW, {"lat": np.full(50, 375e6), "lon": np.full(50, -760e6), "alt": np.full(50, 12_000.0)})
+    scaled = MessageTable(
+        SLOW, {"lat": np.full(50, 375e6), "lon": np.full(50, -760e6), "alt": np.full(50, 12_000.0)}
+    )
     log = RawLog("tlog", {**raw.messages, ("GLOBAL_POSITION_INT", 0): scaled})
-    assert made(log).metadata.start == pytest.approx({"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0})
+    assert made(log).metadata.start == pytest.approx(
+        {"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0}
+    )
 
 
 def test_a_log_without_a_signal_of_the_map_is_refused() -> None:

@@ -35,10 +35,16 @@ def test_sections_of_others_do_not_make_another_card(card_path: Path, card: Airf
     ("text", "message"),
     [
         ("[inputs.elevator]\nservo_pwm = [[1500, 0]]", "two or more pairs"),
-        ("[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]", "did you mean limits"),
+        (
+            "[inputs.elevator]\nlimit = [1, 2]\nservo_pwm = [[1000, 0], [2000, 1]]",
+            "did you mean limits",
+        ),
         ("[inputs.elevator]\nlimits = [5, -5]\nservo_pwm = [[1000, 0], [2000, 1]]", "low, high"),
         ("[inputs.elevator]\nservo_pwm = { neutral = 1500 }", "linear form"),
-        ("[inputs.elevator]\nchannel = 0\nservo_pwm = [[1000, 0], [2000, 1]]", "servo output from 1"),
+        (
+            "[inputs.elevator]\nchannel = 0\nservo_pwm = [[1000, 0], [2000, 1]]",
+            "servo output from 1",
+        ),
         ("[mixing.spoiler]\nleft = 1", "unknown mixing"),
         ("[mixing.vtail]\nleft = { channel = 1 }", "needs channel and servo_pwm"),
         ("[sensors]\nposition_m = { accelerometer = [0, 0] }", "in metres"),
@@ -58,5 +64,7 @@ def test_bad_cards_are_refused_with_the_place(tmp_path: Path, text: str, message
 
 
 def test_linear_servo_form(tmp_path: Path) -> None:
-    (tmp_path / "airframe.toml").write_text("[inputs.rudder]\nservo_pwm = { neutral = 1520, per_us = -0.05 }")
+    (tmp_path / "airframe.toml").write_text(
+        "[inputs.rudder]\nservo_pwm = { neutral = 1520, per_us = -0.05 }"
+    )
     assert read_card(tmp_path).servos["rudder"].table == ((1520.0, 0.0), (1620.0, -5.0))

@@ -27,7 +27,8 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
 
 
 @pytest.mark.parametrize(
-    ("late_s", "dt", "stride"), few([(0.0, 0.02, 2), (0.006, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)], 2)
+    ("late_s", "dt", "stride"),
+    few([(0.0, 0.02, 2), (0.006, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)], 2),
 )
 def test_steps_are_found_where_they_happened(late_s, dt, stride):
     before = after = 0.0
@@ -58,7 +59,16 @@ def test_without_a_kink_a_step_is_where_it_is_expected():
         placed, sure = found.command, found.steps
         assert sure <= 2
         steps = np.flatnonzero(np.diff(logged)) + 1
-        assert abs(np.mean([placed[k - 1] - logged[k - 1] for k in steps] / (logged[steps] - logged[steps - 1])) - 0.5) < 0.15
+        assert (
+            abs(
+                np.mean(
+                    [placed[k - 1] - logged[k - 1] for k in steps]
+                    / (logged[steps] - logged[steps - 1])
+                )
+                - 0.5
+            )
+            < 0.15
+        )
         others = np.setdiff1d(np.arange(600), steps - 1)
         np.testing.assert_allclose(placed[others], logged[others], atol=1e-9)
 

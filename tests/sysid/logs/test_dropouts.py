@@ -14,7 +14,9 @@ N = 200
 def record(**columns):
     time = 1e5 + 0.02 * np.arange(N)
     wave = np.sin(0.1 * np.arange(N))
-    return FlightRecord({"time_s": time, "q_radps": wave, "elevator_deg": np.round(wave), **columns})
+    return FlightRecord(
+        {"time_s": time, "q_radps": wave, "elevator_deg": np.round(wave), **columns}
+    )
 
 
 def test_lost_rows_come_back_with_straight_lines_and_held_commands():
@@ -68,7 +70,9 @@ def test_a_table_of_pandas_is_read_with_its_row_numbers_and_checked_for_degrees(
     assert not [f for f in read.metadata.findings if in_degrees(f)]
     for name in ("phi_rad", "theta_rad", "q_radps"):
         table.assign(**{name: np.degrees(table[name])}).to_csv(tmp_path / "bad.csv", index=False)
-        assert [f for f in import_log(tmp_path / "bad.csv").metadata.findings if in_degrees(f)], name
+        assert [f for f in import_log(tmp_path / "bad.csv").metadata.findings if in_degrees(f)], (
+            name
+        )
 
 
 def test_a_header_without_rows_is_refused(tmp_path):

@@ -26,7 +26,9 @@ def purposes(record: FlightRecord) -> dict[str, tuple[bool, str]]:
 # --- dialects -----------------------------------------------------------------------------------------------------
 
 
-def test_four_hertz_telemetry_is_refused_for_identification_and_replay(tmp_path: Path, card_path: Path) -> None:
+def test_four_hertz_telemetry_is_refused_for_identification_and_replay(
+    tmp_path: Path, card_path: Path
+) -> None:
     path = tmp_path / "slow.tlog"
     write_tlog(path, flight(60.0, 40.0), every=10, with_imu=True)
     found = purposes(import_log(path, card_path=card_path))
@@ -34,9 +36,13 @@ def test_four_hertz_telemetry_is_refused_for_identification_and_replay(tmp_path:
     assert not found["replay"][0]
 
 
-def test_a_users_map_takes_the_place_of_the_dialects_entry(bin_log: Path, flown: FlightRecord, tmp_path: Path) -> None:
+def test_a_users_map_takes_the_place_of_the_dialects_entry(
+    bin_log: Path, flown: FlightRecord, tmp_path: Path
+) -> None:
     user_map = tmp_path / "map.toml"
-    user_map.write_text('[signals.elevator_deg]\nmessage = "RCOU"\nfield = "C2"\nscale = 0.05\noffset = -75.0\n')
+    user_map.write_text(
+        '[signals.elevator_deg]\nmessage = "RCOU"\nfield = "C2"\nscale = 0.05\noffset = -75.0\n'
+    )
     back = import_log(bin_log, user_map)
     np.testing.assert_allclose(back["elevator_deg"], flown["elevator_deg"], atol=0.03)
     assert "aileron_deg" not in back
@@ -62,7 +68,10 @@ def test_shipped_maps_are_sound_and_use_the_vocabulary() -> None:
         ("[signals.q_radps]\nmessage='A'\nfield='b'\ninstance=1.5", "whole number"),
         ("[signals.q_radps]\nmessage='A'\nfield='b'\ntable=[[1,2]]", "two or more pairs"),
         ("[signals.q_radps]\nmessage='A'\nfield='b'\ntable=[[2,2],[1,1]]", "increasing input"),
-        ("[signals.q_radps]\nmessage='A'\nfield='b'\ntable=[[1,2],[2,3]]\nscale=2", "either table or scale"),
+        (
+            "[signals.q_radps]\nmessage='A'\nfield='b'\ntable=[[1,2],[2,3]]\nscale=2",
+            "either table or scale",
+        ),
         ("[signals.q_radps]\nmessage='A'\nfield='b'\nfunction='sin'", "unknown function"),
         ("[signals.q_radps]\nmessage='A'\nfield='b'\nfunction='polar_cos'", "takes 2 fields"),
         ("[servos]\nmessage='RCOU'\nfield='C'", "must contain {n}"),
@@ -114,10 +123,16 @@ def test_copter_telemetry_serves_nothing(tmp_path: Path) -> None:
     assert "no aeroplane" in purposes(import_log(tmp_path / "c.tlog"))["replay"][1]
 
 
-def test_what_never_flew_or_has_negative_airspeed_serves_nothing(tmp_path: Path, card: AirframeCard) -> None:
+def test_what_never_flew_or_has_negative_airspeed_serves_nothing(
+    tmp_path: Path, card: AirframeCard
+) -> None:
     record = flight(20.0)
     still = record.with_columns(
-        {"V_mps": np.full(len(record), 0.4), "vn_mps": np.zeros(len(record)), "ve_mps": np.zeros(len(record))}
+        {
+            "V_mps": np.full(len(record), 0.4),
+            "vn_mps": np.zeros(len(record)),
+            "ve_mps": np.zeros(len(record)),
+        }
     )
     write_dataflash(still, tmp_path / "s.bin", card)
     assert "never flew" in purposes(import_log(tmp_path / "s.bin"))["identification"][1]
@@ -125,11 +140,16 @@ def test_what_never_flew_or_has_negative_airspeed_serves_nothing(tmp_path: Path,
     assert "negative" in purposes(import_log(tmp_path / "n.bin"))["identification"][1]
 
 
-def test_surfaces_that_stand_still_are_refused(tmp_path: Path, card: AirframeCard, card_path: Path) -> None:
+def test_surfaces_that_stand_still_are_refused(
+    tmp_path: Path, card: AirframeCard, card_path: Path
+) -> None:
     record = flight(20.0)
     zero = {c: np.zeros(len(record)) for c in ("elevator_deg", "aileron_deg", "rudder_deg")}
     write_dataflash(record.with_columns(zero), tmp_path / "z.bin", card)
-    assert "stand still" in purposes(import_log(tmp_path / "z.bin", card_path=card_path))["identification"][1]
+    assert (
+        "stand still"
+        in purposes(import_log(tmp_path / "z.bin", card_path=card_path))["identification"][1]
+    )
 
 
 def test_text_log_as_a_log(tmp_path: Path, card_path: Path) -> None:

@@ -22,7 +22,9 @@ LIMIT_S = 20.0  # a clean import of these logs takes well under a second
 
 
 @pytest.fixture(scope="module")
-def samples(tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card: AirframeCard) -> dict[str, bytes]:
+def samples(
+    tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card: AirframeCard
+) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("fuzz")
     short = flown.rows(slice(0, 600))
     out = {}
@@ -30,13 +32,21 @@ def samples(tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card:
     write_text_log(folder / "a.log", short)
     write_tlog(folder / "a.tlog", short)
     us = np.rint(short["time_s"] * 1e6).astype(np.int64)
-    names = {"gyro_rad": ("p_radps", "q_radps", "r_radps"), "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2")}
+    names = {
+        "gyro_rad": ("p_radps", "q_radps", "r_radps"),
+        "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2"),
+    }
     imu = {f"{g}[{i}]": short[n] for g, members in names.items() for i, n in enumerate(members)}
-    write_ulog(folder / "a.ulg", {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": short["V_mps"]})})
+    write_ulog(
+        folder / "a.ulg",
+        {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": short["V_mps"]})},
+    )
     short.write(folder / "a.csv")
     short.write(folder / "a.parquet")
     header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"
-    table = np.column_stack([short["time_s"], short["V_mps"] / 0.3048, short["q_radps"], short["elevator_deg"]])
+    table = np.column_stack(
+        [short["time_s"], short["V_mps"] / 0.3048, short["q_radps"], short["elevator_deg"]]
+    )
     np.savetxt(folder / "a.jsbsim", table, delimiter=",", header=header, comments="", fmt="%.9g")
     for kind in FORMATS:
         out[kind] = (folder / f"a.{kind}").read_bytes()
@@ -103,7 +113,9 @@ def test_undamaged_samples_are_read(kind: str, samples: dict[str, bytes], tmp_pa
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_damage_gives_a_record_or_a_clear_refusal(kind: str, samples: dict[str, bytes], tmp_path: Path) -> None:
+def test_damage_gives_a_record_or_a_clear_refusal(
+    kind: str, samples: dict[str, bytes], tmp_path: Path
+) -> None:
     counts = fuzz(samples[kind], kind, tmp_path, range(40))
     assert sum(counts.values()) == 40
 

@@ -21,14 +21,19 @@ TIME = np.arange(0.0, 200.0, 0.1)
 
 
 def degrees(north: np.ndarray | float, east: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(LAT + np.asarray(north) / NORTH_M), np.asarray(LNG + np.asarray(east) / EAST_M)
+    return np.asarray(LAT + np.asarray(north) / NORTH_M), np.asarray(
+        LNG + np.asarray(east) / EAST_M
+    )
 
 
 def logged(radius: float, mode: float = 12.0, **more: MessageTable) -> RawLog:
     """A flight that circles from 50 s on, mode MANUAL before; the first row lies at the start."""
     angle = np.sign(radius) * TIME * 0.22
     distance = 2.0 * np.sin(0.1 * TIME)
-    north, east = (c + (abs(radius) + distance) * f(angle) for c, f in zip(CENTRE, (np.cos, np.sin), strict=True))
+    north, east = (
+        c + (abs(radius) + distance) * f(angle)
+        for c, f in zip(CENTRE, (np.cos, np.sin), strict=True)
+    )
     north[0] = east[0] = 0.0
     lat, lng = degrees(north, east)
     messages = {
@@ -38,7 +43,12 @@ def logged(radius: float, mode: float = 12.0, **more: MessageTable) -> RawLog:
         "NTUN": MessageTable(TIME, {"XT": distance}),
     }
     messages |= more
-    return RawLog("dataflash", {(n, 0): t for n, t in messages.items()}, parameters={"WP_LOITER_RAD": radius}, vehicle="ArduPlane")
+    return RawLog(
+        "dataflash",
+        {(n, 0): t for n, t in messages.items()},
+        parameters={"WP_LOITER_RAD": radius},
+        vehicle="ArduPlane",
+    )
 
 
 def loiters(raw: RawLog) -> tuple[Loiter, ...]:
@@ -80,14 +90,23 @@ def test_loiter_commands_of_a_mission() -> None:
     lat, lng = degrees(np.array([0.0, 100.0, 300.0, 700.0]), np.array([0.0, 0.0, -80.0, 50.0]))
     table = MessageTable(
         np.array([1.0, 60.0, 80.0, 150.0]),
-        {"CId": np.array([17, 16, 18, 17]), "Prm3": np.array([0.0, 0.0, -75.0, 0.0]), "Lat": lat, "Lng": lng},
+        {
+            "CId": np.array([17, 16, 18, 17]),
+            "Prm3": np.array([0.0, 0.0, -75.0, 0.0]),
+            "Lat": lat,
+            "Lng": lng,
+        },
     )
     found = loiters(logged(100.0, mode=10.0, CMD=table))
     # The first stands in the log because it begins; the second is a waypoint.
     assert [(x.start_s, x.end_s, x.radius_m, x.clockwise) for x in found] == [
-        (80.0, 150.0, 75.0, False), (150.0, pytest.approx(199.9), 100.0, True),
-    ]  # fmt: skip
-    assert [(x.north_m, x.east_m) for x in found] == [pytest.approx((300.0, -80.0), abs=0.3), pytest.approx((700.0, 50.0), abs=0.7)]
+        (80.0, 150.0, 75.0, False),
+        (150.0, pytest.approx(199.9), 100.0, True),
+    ]
+    assert [(x.north_m, x.east_m) for x in found] == [
+        pytest.approx((300.0, -80.0), abs=0.3),
+        pytest.approx((700.0, 50.0), abs=0.7),
+    ]
 
 
 def test_what_says_no_radius_or_circles_in_no_such_mode_has_none() -> None:
@@ -102,7 +121,9 @@ def test_loiters_stay_with_a_record() -> None:
 
 
 @pytest.mark.parametrize("flight", ["flight4_loiter_medium", "flight5_loiter_severe"])
-def test_genuine_targets_are_where_positions_and_distances_put_them(flight_data: Path, card_path: Path, flight: str) -> None:
+def test_genuine_targets_are_where_positions_and_distances_put_them(
+    flight_data: Path, card_path: Path, flight: str
+) -> None:
     record = import_log(flight_data / "espaaro-ardupilot" / f"{flight}.BIN", None, card_path)
     (found,) = record.metadata.loiters
     part = record.between(found.start_s + 60.0, found.end_s)

@@ -26,7 +26,9 @@ def test_manoeuvres_from_a_table(tmp_path: Path) -> None:
         label_manoeuvres(record, table, "one")
 
 
-def test_without_a_column_of_flights_every_row_counts_and_the_later_one_wins(tmp_path: Path) -> None:
+def test_without_a_column_of_flights_every_row_counts_and_the_later_one_wins(
+    tmp_path: Path,
+) -> None:
     table = tmp_path / "m.csv"
     table.write_text("manoeuvre,start_s,end_s\npull-up,2,4\n3211,3,6\n")
     record = flight(10.0)
@@ -40,7 +42,10 @@ def test_without_a_column_of_flights_every_row_counts_and_the_later_one_wins(tmp
     ("text", "said"),
     [
         ("manoeuvre,start_s,end_s\na,soon,4\n", "start_s holds a time that is no number"),
-        ("manoeuvre,start_s,end_s\na,90,95\n", "no manoeuvre of flight 'one' lies between 0.0 and 10.0 s"),
+        (
+            "manoeuvre,start_s,end_s\na,90,95\n",
+            "no manoeuvre of flight 'one' lies between 0.0 and 10.0 s",
+        ),
         ("manoeuvre,start_s,end_s\n" + "a,1,2\n" * 10_001, "10001 manoeuvres; at most 10000"),
     ],
 )

@@ -33,7 +33,9 @@ def test_a_constant_is_in_the_first_wave_alone():
 def test_coloured_variances_are_those_of_the_process():
     rng = np.random.default_rng(3)
     n, time = 200, 0.4
-    waves = np.array([fft.dct(first_order(n, time, rng), norm="ortho") ** 2 for _ in range(3000)]).mean(axis=0)
+    waves = np.array(
+        [fft.dct(first_order(n, time, rng), norm="ortho") ** 2 for _ in range(3000)]
+    ).mean(axis=0)
     blocks = blocks_of(residuals_of([np.zeros(n)]), "CX", [np.ones((n, 1))])
     found = blocks.coloured(time)
     np.testing.assert_allclose(found, waves[: len(found)], rtol=0.2)
@@ -43,7 +45,9 @@ def test_coloured_variances_are_those_of_the_process():
 def test_flights_have_columns_where_there_are_several():
     one = blocks_of(residuals_of([np.zeros(60)] * 3), "CX", [np.ones((60, 1))] * 3)
     assert one.flights.shape == (len(one.y), 0)
-    two = blocks_of(residuals_of([np.zeros(60)] * 3, flights=[0, 0, 1]), "CX", [np.ones((60, 1))] * 3)
+    two = blocks_of(
+        residuals_of([np.zeros(60)] * 3, flights=[0, 0, 1]), "CX", [np.ones((60, 1))] * 3
+    )
     assert two.flights.shape == (len(two.y), 2)
     np.testing.assert_allclose(two.flights.sum(axis=1) ** 2, two.constant)
     assert (two.flights**2).sum(axis=0).tolist() == pytest.approx([120.0, 60.0])

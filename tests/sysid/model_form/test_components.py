@@ -17,7 +17,17 @@ STATES = ("V_mps", "alpha_rad")
 LENGTH = 250
 
 
-def draw(seed, polynomial, persistent, transient, noise, presumed=None, blocks=12, flights=1, of_flight=0.0):
+def draw(
+    seed,
+    polynomial,
+    persistent,
+    transient,
+    noise,
+    presumed=None,
+    blocks=12,
+    flights=1,
+    of_flight=0.0,
+):
     """Residuals whose parts are known, and the model's error in them piece by piece."""
     rng = np.random.default_rng(seed)
     beta = polynomial * rng.standard_normal(6)
@@ -30,7 +40,12 @@ def draw(seed, polynomial, persistent, transient, noise, presumed=None, blocks=1
         a = rng.uniform(0.5, 1.5) * np.exp(-((t - 2.0) ** 2)) * np.sin(4.0 * t + 6.3 * rng.random())
         x = np.column_stack([np.ones(n), v, a, v * v, v * a, a * a])
         flight = number // blocks
-        error = x @ beta + of_flights[flight] + persistent * rng.standard_normal() + transient * first_order(n, 0.4, rng)
+        error = (
+            x @ beta
+            + of_flights[flight]
+            + persistent * rng.standard_normal()
+            + transient * first_order(n, 0.4, rng)
+        )
         errors.append(filtered(error))
         series.append(filtered(error + noise * rng.standard_normal(n)))
         states.append({"V_mps": 20.0 + 2.0 * filtered(v), "alpha_rad": 0.03 * filtered(a)})
@@ -47,9 +62,14 @@ def share_inside(bounds, residuals, errors, widen=1.0):
     inside = []
     for piece, error in zip(residuals.pieces, errors, strict=True):
         z = bounds.normalised(piece.states)
-        variance = bounds.s2 * bounds.leverage_factor * bounds.leverage(z) + bounds.parts.persistent**2 + bounds.parts.transient**2
+        variance = (
+            bounds.s2 * bounds.leverage_factor * bounds.leverage(z)
+            + bounds.parts.persistent**2
+            + bounds.parts.transient**2
+        )
         inside.append(
-            np.abs(error - regressors(z, bounds.terms) @ bounds.beta_hat) <= widen * bounds.parts.total_t * np.sqrt(variance)
+            np.abs(error - regressors(z, bounds.terms) @ bounds.beta_hat)
+            <= widen * bounds.parts.total_t * np.sqrt(variance)
         )
     return float(np.mean(np.concatenate(inside)))
 
@@ -59,7 +79,9 @@ def over_draws(seeds, widen=1.0, **parts):
     shares = []
     for seed in seeds:
         residuals, errors = draw(seed, blocks=24, **parts)
-        made, new = (type(residuals)(residuals.pieces[k::2], 0.02, residuals.cutoffs) for k in (0, 1))
+        made, new = (
+            type(residuals)(residuals.pieces[k::2], 0.02, residuals.cutoffs) for k in (0, 1)
+        )
         shares.append(share_inside(fitted(made).bounds, new, errors[1::2], widen))
     return float(np.mean(shares))
 
@@ -68,8 +90,14 @@ def over_draws(seeds, widen=1.0, **parts):
     "parts",
     [
         {"polynomial": 0.005, "persistent": 0.005, "transient": 0.005, "noise": 0.02},
-        pytest.param({"polynomial": 0.01, "persistent": 0.0, "transient": 0.02, "noise": 0.01}, marks=pytest.mark.slow),
-        pytest.param({"polynomial": 0.0, "persistent": 0.02, "transient": 0.01, "noise": 0.03}, marks=pytest.mark.slow),
+        pytest.param(
+            {"polynomial": 0.01, "persistent": 0.0, "transient": 0.02, "noise": 0.01},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {"polynomial": 0.0, "persistent": 0.02, "transient": 0.01, "noise": 0.03},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["small", "transient", "persistent"],
 )
@@ -82,11 +110,19 @@ def test_new_blocks_lie_within_as_often_as_stated(parts):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "size", [(0.005, 0.005, 0.005, 0.02), (0.0, 0.02, 0.01, 0.03), (0.02, 0.01, 0.01, 0.02), (0.0, 0.0, 0.02, 0.02)]
+    "size",
+    [
+        (0.005, 0.005, 0.005, 0.02),
+        (0.0, 0.02, 0.01, 0.03),
+        (0.02, 0.01, 0.01, 0.02),
+        (0.0, 0.0, 0.02, 0.02),
+    ],
 )
 def test_coverage_over_many_draws(size):
     polynomial, persistent, transient, noise = size
-    share = over_draws(range(500), polynomial=polynomial, persistent=persistent, transient=transient, noise=noise)
+    share = over_draws(
+        range(500), polynomial=polynomial, persistent=persistent, transient=transient, noise=noise
+    )
     assert 0.93 <= share <= 0.975
 
 
@@ -116,14 +152,19 @@ def test_without_model_error_little_is_left_and_none_is_found():
 def test_a_noise_presumed_wrong_costs_no_coverage(presumed):
     parts = {"polynomial": 0.005, "persistent": 0.01, "transient": 0.01, "noise": 0.02}
     assert over_draws(range(8), presumed=presumed * 0.02, **parts) >= 0.93
-    told = [fitted(draw(seed, 0.0, 0.0, 0.0, 0.02, presumed=0.04)[0]).bounds.parts for seed in range(4)]
+    told = [
+        fitted(draw(seed, 0.0, 0.0, 0.0, 0.02, presumed=0.04)[0]).bounds.parts for seed in range(4)
+    ]
     # Overstated, it shows in the data, which scatter less than it says.
     assert np.mean([p.noise_scale for p in told]) < 0.75
 
 
 def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
     made = {"polynomial": 0.005, "persistent": 0.004, "transient": 0.005, "noise": 0.01}
-    apart = [fitted(draw(seed, blocks=6, flights=5, of_flight=0.02, **made)[0]).bounds.parts for seed in range(6)]
+    apart = [
+        fitted(draw(seed, blocks=6, flights=5, of_flight=0.02, **made)[0]).bounds.parts
+        for seed in range(6)
+    ]
     alike = [fitted(draw(seed, blocks=6, flights=5, **made)[0]).bounds.parts for seed in range(6)]
     assert np.mean([p.flight for p in apart]) > 3.0 * np.mean([p.flight for p in alike])
     assert np.mean([p.flight for p in apart]) == pytest.approx(0.02, rel=0.6)
@@ -132,7 +173,9 @@ def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
 
 def test_few_blocks_are_trusted_less():
     made = {"polynomial": 0.0, "persistent": 0.02, "transient": 0.002, "noise": 0.005}
-    few, many = ([fitted(draw(seed, blocks=n, **made)[0]).bounds for seed in range(4)] for n in (4, 40))
+    few, many = (
+        [fitted(draw(seed, blocks=n, **made)[0]).bounds for seed in range(4)] for n in (4, 40)
+    )
     assert np.mean([b.dof for b in few]) < 0.7 * np.mean([b.dof for b in many])
     # Twice the quantile of a normal distribution where four blocks are all that is known.
     assert np.mean([b.t for b in few]) > np.mean([b.t for b in many])
@@ -140,29 +183,52 @@ def test_few_blocks_are_trusted_less():
 
 def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
     """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n x n covariance."""
-    found = fitted(draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]).separation
+    found = fitted(
+        draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]
+    ).separation
     monkeypatch.setattr(components, "_TOGETHER", 500)  # a few points and rows at a time
-    problem, blocks, some = found.problem, found.problem.blocks, np.argsort(-found.found.weights)[:7]
+    problem, blocks, some = (
+        found.problem,
+        found.problem.blocks,
+        np.argsort(-found.found.weights)[:7],
+    )
     points = found.points.taken(some)
     solved = problem.solve(points)
     for k in range(len(some)):
         low = min(int(points.colour[k]), len(TIMES_S) - 2)
         share = points.colour[k] - low
-        coloured = (1.0 - share) * blocks.coloured(TIMES_S[low]) + share * blocks.coloured(TIMES_S[low + 1])
-        D = points.block[k] * blocks.constant + points.transient[k] * coloured + points.noise[k] * blocks.noise
-        S = np.diag(np.r_[np.full(problem.terms, points.polynomial[k]), np.full(2, points.flight[k])])
+        coloured = (1.0 - share) * blocks.coloured(TIMES_S[low]) + share * blocks.coloured(
+            TIMES_S[low + 1]
+        )
+        D = (
+            points.block[k] * blocks.constant
+            + points.transient[k] * coloured
+            + points.noise[k] * blocks.noise
+        )
+        S = np.diag(
+            np.r_[np.full(problem.terms, points.polynomial[k]), np.full(2, points.flight[k])]
+        )
         C, gain = np.diag(D) + problem.X @ S @ problem.X.T, S @ problem.X.T
-        dense = [stats.multivariate_normal(np.zeros(len(C)), factor * C).logpdf(blocks.y) for factor in (1.0, 1.1)]
+        dense = [
+            stats.multivariate_normal(np.zeros(len(C)), factor * C).logpdf(blocks.y)
+            for factor in (1.0, 1.1)
+        ]
         right, wrong = np.array(dense) + 0.5 * len(C) * np.log(2.0 * np.pi)
         assert solved.log_likelihood[k] == pytest.approx(right, abs=1e-6)
         assert abs(solved.log_likelihood[k] - wrong) > 0.1
         spread = np.sqrt(np.diag(solved.covariance[k]))
-        np.testing.assert_allclose(solved.beta[k], gain @ np.linalg.solve(C, blocks.y), atol=1e-6 * spread.min())
+        np.testing.assert_allclose(
+            solved.beta[k], gain @ np.linalg.solve(C, blocks.y), atol=1e-6 * spread.min()
+        )
         covariance = S - gain @ np.linalg.solve(C, gain.T)
         np.testing.assert_allclose(
-            solved.covariance[k] / np.outer(spread, spread), covariance / np.outer(spread, spread), atol=1e-6
+            solved.covariance[k] / np.outer(spread, spread),
+            covariance / np.outer(spread, spread),
+            atol=1e-6,
         )
-        np.testing.assert_allclose(found.rows.beta[some[k]], solved.beta[k], atol=1e-9 * spread.min())
+        np.testing.assert_allclose(
+            found.rows.beta[some[k]], solved.beta[k], atol=1e-9 * spread.min()
+        )
 
 
 def test_leaving_blocks_out_is_fitting_the_others():
@@ -170,7 +236,9 @@ def test_leaving_blocks_out_is_fitting_the_others():
     whole = fitted(residuals)
     rest = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)
     terms, b = whole.bounds.terms, whole.bounds
-    again = separate(blocks_of(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])).components()
+    again = separate(
+        blocks_of(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])
+    ).components()
     quick, all_blocks = whole.separation.without([0, 1]), whole.separation.components()
     assert quick.whole.mean == pytest.approx(again.whole.mean, rel=0.15)
     assert quick.transient == pytest.approx(again.transient, rel=0.15)
@@ -184,7 +252,9 @@ def test_a_quantile_of_an_uncertain_variance():
     nu = 6.0
     values = stats.invgamma(nu / 2.0, scale=nu / 2.0).ppf((np.arange(20_000) + 0.5) / 20_000)
     found = Uncertain(values, np.full(len(values), 1.0 / len(values)))
-    assert found.quantile(0.95) == pytest.approx(stats.t.ppf(0.975, nu) * np.sqrt((nu - 2.0) / nu), rel=0.01)
+    assert found.quantile(0.95) == pytest.approx(
+        stats.t.ppf(0.975, nu) * np.sqrt((nu - 2.0) / nu), rel=0.01
+    )
     sure = Uncertain(np.ones(3), np.full(3, 1.0 / 3.0))
     assert sure.quantile(0.95) == pytest.approx(1.959964, rel=1e-5)
     assert sure.dof > 1e5
@@ -194,10 +264,15 @@ def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval
     """Error in two blocks of twelve alone: its variance says too little of those two."""
     residuals, errors = draw(1, 0.0, 0.0, 0.0, 0.005)
     rng = np.random.default_rng(9)
-    series = [p.delta[:, 0] + (0.05 * filtered(first_order(LENGTH + 2 * HALF, 0.4, rng)) if k < 2 else 0.0)
-              for k, p in enumerate(residuals.pieces)]  # fmt: skip
+    series = [
+        p.delta[:, 0]
+        + (0.05 * filtered(first_order(LENGTH + 2 * HALF, 0.4, rng)) if k < 2 else 0.0)
+        for k, p in enumerate(residuals.pieces)
+    ]
     made = residuals_of(series, 0.005, [p.states for p in residuals.pieces])
-    errors = [e + s - p.delta[:, 0] for e, s, p in zip(errors, series, residuals.pieces, strict=True)]
+    errors = [
+        e + s - p.delta[:, 0] for e, s, p in zip(errors, series, residuals.pieces, strict=True)
+    ]
     found = fitted(made)
     assert found.separation.components().tail > 1.1
     assert share_inside(found.bounds, made, errors) > 0.93

@@ -20,14 +20,22 @@ def test_the_choice_is_the_best_set_where_all_sets_can_be_tried():
     now = bounds_from(x, rng.standard_normal(80), order=2)
     mission = {STATE: rng.normal(2.0, 0.2, 300)}
     places = (-2.0, 0.0, 1.0, 2.0, 3.0)
-    offers = [Offer(str(p), 10.0, information(now, {STATE: p + 0.1 * rng.standard_normal(50)})) for p in places]
+    offers = [
+        Offer(str(p), 10.0, information(now, {STATE: p + 0.1 * rng.standard_normal(50)}))
+        for p in places
+    ]
     chosen = choose(now, offers, mission, 30.0, 0.0)
     assert [c.seconds for c in chosen] == [10.0, 10.0, 10.0]
     halves = {
-        s: float(np.mean(after(now, [offers[k].information for k in s]).interval(mission)[1]
-                         - after(now, [offers[k].information for k in s]).interval(mission)[0])) / 2.0
+        s: float(
+            np.mean(
+                after(now, [offers[k].information for k in s]).interval(mission)[1]
+                - after(now, [offers[k].information for k in s]).interval(mission)[0]
+            )
+        )
+        / 2.0
         for s in itertools.combinations_with_replacement(range(5), 3)
-    }  # fmt: skip
+    }
     got = halves[tuple(sorted(c.index for c in chosen))]
     assert chosen[-1].half_width == pytest.approx(got, rel=1e-9)
     assert got <= 1.01 * min(halves.values())
@@ -53,5 +61,10 @@ def test_what_narrows_nothing_is_not_flown():
     told = information(now, {STATE: np.full(50, 2.0)})
     mission = {STATE: np.full(20, 2.0)}
     assert choose(now, [Offer("a", 10.0, nothing)], mission, 60.0, 0.0) == []
-    assert {c.index for c in choose(now, [Offer("a", 10.0, nothing), Offer("b", 10.0, told)], mission, 60.0, 0.0)} == {1}
+    assert {
+        c.index
+        for c in choose(
+            now, [Offer("a", 10.0, nothing), Offer("b", 10.0, told)], mission, 60.0, 0.0
+        )
+    } == {1}
     assert choose(now, [], mission, 60.0, 0.0) == []

@@ -25,7 +25,15 @@ def residuals(more=lambda states: 0.0, seed: int = 1, without: str = "") -> Resi
             slow = np.convolve(rng.standard_normal(n + 60), np.hanning(60) / 30.0, "valid")[:n]
             states[s] = {"V_mps": 21.0, "throttle_pct": 60.0}.get(s, 0.0) + slow
         states.pop(without, None)
-        delta = NOISE * np.array([np.convolve(rng.standard_normal(n + 4), np.ones(5) / np.sqrt(5.0), "valid") for _ in range(6)]).T
+        delta = (
+            NOISE
+            * np.array(
+                [
+                    np.convolve(rng.standard_normal(n + 4), np.ones(5) / np.sqrt(5.0), "valid")
+                    for _ in range(6)
+                ]
+            ).T
+        )
         delta[:, COEFFICIENTS.index("Cm")] += 0.02 * states["alpha_rad"] + more(states)
         pieces.append(ResidualPiece(f"piece {k}", 0.02 * np.arange(n), delta, states))
     return Residuals(tuple(pieces), 0.02, Cutoffs())

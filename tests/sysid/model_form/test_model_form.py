@@ -15,7 +15,13 @@ from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, toge
 from sysid.errors import LogError
 from sysid.model_form.coverage import coverage, leave_one_out, share_error
 from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates
-from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm, read_model_form
+from sysid.model_form.model_form import (
+    AircraftReference,
+    Filtering,
+    FlightUsed,
+    ModelForm,
+    read_model_form,
+)
 
 STATES = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 MEAN, SPREAD = np.array([21.0, 0.03, 0.0, 0.06]), np.array([1.5, 0.02, 0.15, 0.08])
@@ -24,17 +30,31 @@ MEAN, SPREAD = np.array([21.0, 0.03, 0.0, 0.06]), np.array([1.5, 0.02, 0.15, 0.0
 def truth(x: np.ndarray) -> np.ndarray:
     """A residual that is a second-order polynomial of the states."""
     z = (x - MEAN) / SPREAD
-    return 0.002 + 0.003 * z[:, 1] - 0.001 * z[:, 2] + 0.0008 * z[:, 1] ** 2 + 0.0005 * z[:, 0] * z[:, 3]
+    return (
+        0.002
+        + 0.003 * z[:, 1]
+        - 0.001 * z[:, 2]
+        + 0.0008 * z[:, 1] ** 2
+        + 0.0005 * z[:, 0] * z[:, 3]
+    )
 
 
-def made_up(seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memory: float = 0.0) -> Residuals:
+def made_up(
+    seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memory: float = 0.0
+) -> Residuals:
     """CX, CZ, Cm residuals `truth` plus Gaussian noise (first-order memory a sample); the states wander as in flight."""
     rng = np.random.default_rng(seed)
     out = []
     for number in range(pieces):
         time = 0.02 * np.arange(n)
-        waves = [np.sin(2 * np.pi * f * time + 6.3 * rng.random()) for f in rng.uniform(0.1, 0.8, 4)]
-        x = MEAN + SPREAD * (np.column_stack(waves) + 0.5 * rng.standard_normal(4) + 0.2 * rng.standard_normal((n, 4)))
+        waves = [
+            np.sin(2 * np.pi * f * time + 6.3 * rng.random()) for f in rng.uniform(0.1, 0.8, 4)
+        ]
+        x = MEAN + SPREAD * (
+            np.column_stack(waves)
+            + 0.5 * rng.standard_normal(4)
+            + 0.2 * rng.standard_normal((n, 4))
+        )
         white = rng.standard_normal((n, 6))
         e = np.empty((n, 6))
         e[0] = white[0]
@@ -46,38 +66,56 @@ def made_up(seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memo
 
 
 def form_of(
-    residuals: Residuals, options: FitOptions | None = None, coefficients: tuple[str, ...] = ("CX", "CZ", "Cm")
+    residuals: Residuals,
+    options: FitOptions | None = None,
+    coefficients: tuple[str, ...] = ("CX", "CZ", "Cm"),
 ) -> ModelForm:
     designs = {c: default_designs()[c] for c in coefficients}
     fitted = fit_bounds(residuals, designs, options)
     return ModelForm(
-        AircraftReference("x", "00"), (FlightUsed("f", "11", 32.0, 1600, ("alpha_rad",)),), Filtering(6.0, 2.0, 0.5, 50.0),
-        (options or FitOptions()).confidence, "grow", with_walk_rates(fitted, dict.fromkeys(designs, 0.012)),
-    )  # fmt: skip
+        AircraftReference("x", "00"),
+        (FlightUsed("f", "11", 32.0, 1600, ("alpha_rad",)),),
+        Filtering(6.0, 2.0, 0.5, 50.0),
+        (options or FitOptions()).confidence,
+        "grow",
+        with_walk_rates(fitted, dict.fromkeys(designs, 0.012)),
+    )
 
 
 @pytest.mark.parametrize("confidence", [0.68, 0.95, 0.99])
 def test_published_intervals_are_those_of_statsmodels(confidence):
     """Statsmodels on raw states (its own matrix, its own quantile) agrees with ours on normalised ones."""
     residuals = made_up(1)
-    bounds = fit_bounds(residuals, {"CX": Design(STATES)}, FitOptions(confidence, samples="all"))["CX"].bounds
+    bounds = fit_bounds(residuals, {"CX": Design(STATES)}, FitOptions(confidence, samples="all"))[
+        "CX"
+    ].bounds
     x = np.column_stack([residuals.states[s] for s in STATES])
     terms = full_polynomial(4)
     fit = sm.OLS(np.concatenate(residuals.columns("CX")), regressors(x - MEAN, terms)).fit()
     new = MEAN + SPREAD * np.random.default_rng(5).uniform(-4, 4, (50, 4))
-    theirs = fit.get_prediction(regressors(new - MEAN, terms)).conf_int(obs=True, alpha=1 - confidence)
+    theirs = fit.get_prediction(regressors(new - MEAN, terms)).conf_int(
+        obs=True, alpha=1 - confidence
+    )
     ours = np.column_stack(bounds.interval(dict(zip(STATES, new.T, strict=True))))
     width = theirs[:, 1] - theirs[:, 0]
     assert np.max(np.abs(ours - theirs) / width[:, None]) < 1e-8
     assert bounds.dof == 1600 - 15
     # The comparison can say no: a confidence one percent off is seen.
-    other = np.column_stack(bounds.interval(dict(zip(STATES, new.T, strict=True)), confidence - 0.01))
+    other = np.column_stack(
+        bounds.interval(dict(zip(STATES, new.T, strict=True)), confidence - 0.01)
+    )
     assert np.max(np.abs(other - theirs) / width[:, None]) > 1e-3
 
 
 def test_the_bounds_enclose_zero_and_the_interval_within_them():
     form = form_of(made_up(2, noise=0.0005))
-    states = dict(zip(STATES, (MEAN + SPREAD * np.random.default_rng(0).uniform(-3, 3, (200, 4))).T, strict=True))
+    states = dict(
+        zip(
+            STATES,
+            (MEAN + SPREAD * np.random.default_rng(0).uniform(-3, 3, (200, 4))).T,
+            strict=True,
+        )
+    )
     b = form.coefficients["CX"]
     low, high = b.interval(states)
     lower, upper = b.bounds(states)
@@ -107,7 +145,9 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
     published, ours, effective = [], [], []
     for seed in range(25):
         made, new = made_up(seed, memory=0.9), made_up(1000 + seed, memory=0.9)
-        published.append(coverage(form_of(made, FitOptions(samples="all"), ("CX",)), new)["CX"].share[0.95])
+        published.append(
+            coverage(form_of(made, FitOptions(samples="all"), ("CX",)), new)["CX"].share[0.95]
+        )
         form = form_of(made, coefficients=("CX",))
         ours.append(coverage(form, new)["CX"].share[0.95])
         effective.append(form.coefficients["CX"].n_effective)
@@ -122,12 +162,24 @@ def test_the_conformal_factor_is_finite_where_bounds_end_at_zero():
     form = form_of(made, coefficients=("CX",))
     b = form.coefficients["CX"]
     constant = np.array([float(not any(term)) for term in b.terms])
-    above = dataclasses.replace(form, coefficients={"CX": dataclasses.replace(b, beta_hat=0.1 * constant)})
+    above = dataclasses.replace(
+        form, coefficients={"CX": dataclasses.replace(b, beta_hat=0.1 * constant)}
+    )
     half = b.half_width(b.leverage(b.normalised(made.states)), b.t)
-    below = dataclasses.replace(made, pieces=tuple(dataclasses.replace(p, delta=np.full_like(p.delta, -0.1)) for p in made.pieces))
+    below = dataclasses.replace(
+        made,
+        pieces=tuple(
+            dataclasses.replace(p, delta=np.full_like(p.delta, -0.1)) for p in made.pieces
+        ),
+    )
     factor = coverage(above, below)["CX"].conformal.factor
     assert 0.2 / half.max() <= factor <= 0.2 / half.min()
-    inside = dataclasses.replace(made, pieces=tuple(dataclasses.replace(p, delta=np.full_like(p.delta, 0.05)) for p in made.pieces))
+    inside = dataclasses.replace(
+        made,
+        pieces=tuple(
+            dataclasses.replace(p, delta=np.full_like(p.delta, 0.05)) for p in made.pieces
+        ),
+    )
     assert coverage(above, inside)["CX"].conformal.factor == 0.0
 
 
@@ -153,7 +205,10 @@ def test_the_file_keeps_every_bit(tmp_path):
         form,
         outside="clamp",
         filtering=Filtering(6.0, float("inf"), 0.5, 50.0),
-        coefficients={**form.coefficients, "CX": dataclasses.replace(form.coefficients["CX"], walk_rate=float("nan"))},
+        coefficients={
+            **form.coefficients,
+            "CX": dataclasses.replace(form.coefficients["CX"], walk_rate=float("nan")),
+        },
     )
     path = tmp_path / "model-form.json"
     form.write(path)
@@ -175,9 +230,20 @@ def test_the_file_keeps_every_bit(tmp_path):
         (lambda d: d.pop("format"), "is no model form"),
         (lambda d: d["coefficients"]["CX"].pop("s2"), "lacks the key 's2'"),
         (lambda d: d["coefficients"]["CX"]["beta_hat"].pop(), "beta_hat must be 15 finite numbers"),
-        (lambda d: d["coefficients"]["CX"]["terms"].__setitem__(1, "V_kt"), "'V_kt' is not among the states"),
-        (lambda d: d["coefficients"]["CX"].update(states=["V_mps", "alpha_rad", "q_radps", "speed"]), "states holds"),
-        (lambda d: d["coefficients"].update(CL=d["coefficients"].pop("CX")), "'CL' is no coefficient"),
+        (
+            lambda d: d["coefficients"]["CX"]["terms"].__setitem__(1, "V_kt"),
+            "'V_kt' is not among the states",
+        ),
+        (
+            lambda d: d["coefficients"]["CX"].update(
+                states=["V_mps", "alpha_rad", "q_radps", "speed"]
+            ),
+            "states holds",
+        ),
+        (
+            lambda d: d["coefficients"].update(CL=d["coefficients"].pop("CX")),
+            "'CL' is no coefficient",
+        ),
         (lambda d: d.update(outside="shrink"), "allowed are grow and clamp"),
         (lambda d: d["coefficients"]["CX"].update(s2=-1.0), "must not be negative"),
         (lambda d: d["coefficients"].clear(), "holds no coefficient"),
@@ -206,7 +272,10 @@ def test_no_file_and_no_json_are_refused(tmp_path):
 def test_clamped_bounds_stand_still_outside_the_box_and_grown_ones_grow():
     grow = form_of(made_up(7))
     clamp = dataclasses.replace(grow, outside="clamp")
-    far = {s: np.array([m, m + 8 * d, m + 16 * d]) for s, m, d in zip(STATES, MEAN, SPREAD, strict=True)}
+    far = {
+        s: np.array([m, m + 8 * d, m + 16 * d])
+        for s, m, d in zip(STATES, MEAN, SPREAD, strict=True)
+    }
     width = {o.outside: np.subtract(*o.bounds(far)["CX"][::-1]) for o in (grow, clamp)}
     assert width["clamp"][1] == width["clamp"][2]
     assert width["grow"][2] > 2 * width["grow"][1] > 4 * width["grow"][0]
@@ -228,14 +297,22 @@ def test_the_data_lie_inside_their_hull_and_the_empty_corner_of_the_box_outside(
 
 def test_a_state_that_stood_still_is_left_out_and_said():
     residuals = made_up(9)
-    still = [dataclasses.replace(p, states={**p.states, "theta_rad": np.full(len(p), 0.06)}) for p in residuals.pieces]
+    still = [
+        dataclasses.replace(p, states={**p.states, "theta_rad": np.full(len(p), 0.06)})
+        for p in residuals.pieces
+    ]
     fitted = fit_bounds(Residuals(tuple(still), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
     assert len(fitted.bounds.terms) == 10
     assert not any(t[3] for t in fitted.bounds.terms)
     assert "theta_rad hardly varied" in fitted.notes[0]
-    elsewhere = {s: np.array([m]) for s, m in zip(STATES, MEAN, strict=True)} | {"theta_rad": np.array([0.3])}
+    elsewhere = {s: np.array([m]) for s, m in zip(STATES, MEAN, strict=True)} | {
+        "theta_rad": np.array([0.3])
+    }
     assert fitted.bounds.distance(elsewhere)[0] > 0.0
-    assert np.array_equal(fitted.bounds.bounds(elsewhere), fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])}))
+    assert np.array_equal(
+        fitted.bounds.bounds(elsewhere),
+        fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])}),
+    )
     quite = {s: np.full_like(v, 0.1) for s, v in still[0].states.items()}
     none = Residuals((dataclasses.replace(still[0], states=quite),), 0.02, Cutoffs())
     assert fit_bounds(none, {"CX": Design(STATES)})["CX"].bounds.terms == ((0, 0, 0, 0),)
@@ -243,7 +320,10 @@ def test_a_state_that_stood_still_is_left_out_and_said():
 
 def test_collinear_states_leave_terms_out_and_the_bounds_finite():
     residuals = made_up(10)
-    tied = [dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]}) for p in residuals.pieces]
+    tied = [
+        dataclasses.replace(p, states={**p.states, "theta_rad": 0.5 * p.states["alpha_rad"]})
+        for p in residuals.pieces
+    ]
     fitted = fit_bounds(Residuals(tuple(tied), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
     assert len(fitted.bounds.terms) == 10
     assert "theta_rad" in fitted.notes[0]
@@ -259,7 +339,9 @@ def test_a_short_flight_lowers_the_order_and_too_short_a_one_is_refused():
 
 
 def test_stepwise_keeps_the_true_terms():
-    fitted = fit_bounds(made_up(12, noise=0.001), {"CX": Design(STATES)}, FitOptions(select="stepwise"))["CX"]
+    fitted = fit_bounds(
+        made_up(12, noise=0.001), {"CX": Design(STATES)}, FitOptions(select="stepwise")
+    )["CX"]
     names = {term_name(t, STATES) for t in fitted.bounds.terms}
     assert {"1", "alpha_rad", "q_radps", "alpha_rad^2", "V_mps*theta_rad"} <= names
     assert len(names) <= 8
@@ -279,7 +361,10 @@ def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
 
 def test_pieces_of_one_name_are_left_out_by_stretch():
     residuals = made_up(13, n=150, pieces=24)
-    same = tuple(dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k) for k, p in enumerate(residuals.pieces))
+    same = tuple(
+        dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k)
+        for k, p in enumerate(residuals.pieces)
+    )
     found = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
     assert len(found) == 10
     assert "excited, 0 to 23 s" in found

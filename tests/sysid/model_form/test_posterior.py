@@ -51,8 +51,13 @@ def test_the_same_points_every_time():
 def test_densities_of_what_points_are_drawn_from():
     """In logits: uniform points are logistic, later ones Student's."""
     z = np.random.default_rng(0).normal(0.0, 2.0, (50, 3))
-    np.testing.assert_allclose(_Source(7).log_density(z), np.log(7) + stats.logistic.logpdf(z).sum(axis=1))
-    mean, shape = np.array([0.5, -1.0, 0.0]), np.array([[1.0, 0.4, 0.0], [0.4, 2.0, 0.3], [0.0, 0.3, 0.1]])
+    np.testing.assert_allclose(
+        _Source(7).log_density(z), np.log(7) + stats.logistic.logpdf(z).sum(axis=1)
+    )
+    mean, shape = (
+        np.array([0.5, -1.0, 0.0]),
+        np.array([[1.0, 0.4, 0.0], [0.4, 2.0, 0.3], [0.0, 0.3, 0.1]]),
+    )
     found = _Source(9, mean, np.linalg.cholesky(shape)).log_density(z)
     np.testing.assert_allclose(found, np.log(9) + stats.multivariate_t(mean, shape, df=5).logpdf(z))
     assert not np.allclose(found, np.log(9) + stats.multivariate_normal(mean, shape).logpdf(z))

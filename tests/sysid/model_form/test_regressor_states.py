@@ -17,15 +17,27 @@ def measured(seed, size, n=300, pieces=9):
     true, noisy = [], []
     for _ in range(pieces):
         t = DT * np.arange(n + 4)
-        x = 20.0 + 2.0 * rng.standard_normal() + size * np.sin(2 * np.pi * 0.2 * t + 6.3 * rng.random())
+        x = (
+            20.0
+            + 2.0 * rng.standard_normal()
+            + size * np.sin(2 * np.pi * 0.2 * t + 6.3 * rng.random())
+        )
         true.append(filtered(x))
         noisy.append(filtered(x + STD * rng.standard_normal(n + 4)))
     return true, noisy
 
 
 def cleaned(noisy, std=STD):
-    made = residuals_of([np.zeros(len(x)) for x in noisy], states=[{"V_mps": x, "theta_rad": x / 100.0} for x in noisy])
-    pieces = [type(p)(p.label, p.time_s, p.delta, p.states, 0, noise_of(len(p), 0.01, states={"V_mps": std})) for p in made.pieces]
+    made = residuals_of(
+        [np.zeros(len(x)) for x in noisy],
+        states=[{"V_mps": x, "theta_rad": x / 100.0} for x in noisy],
+    )
+    pieces = [
+        type(p)(
+            p.label, p.time_s, p.delta, p.states, 0, noise_of(len(p), 0.01, states={"V_mps": std})
+        )
+        for p in made.pieces
+    ]
     return quiet_states(pieces, DT)
 
 
@@ -45,7 +57,9 @@ def test_most_of_the_noise_goes_and_the_motion_stays(size):
     assert all(np.array_equal(f["theta_rad"], x / 100.0) for f, x in zip(found, noisy, strict=True))
     # A state presumed free of noise keeps all of it.
     kept = cleaned(noisy, 1e-6)
-    assert rms([f["V_mps"] - b for f, b in zip(kept, true, strict=True)]) == pytest.approx(before, rel=0.05)
+    assert rms([f["V_mps"] - b for f, b in zip(kept, true, strict=True)]) == pytest.approx(
+        before, rel=0.05
+    )
 
 
 def test_a_band_without_motion_takes_no_other_bands_motion():
@@ -54,14 +68,25 @@ def test_a_band_without_motion_takes_no_other_bands_motion():
     true = []
     for number, n in enumerate((361, 311, 206, 271, 281, 291, 196, 261, 291)):
         t = DT * np.arange(n + 4)
-        true.append(20.0 + (8.0 * np.exp(-((t - 2.5) ** 2)) * np.sin(4.0 * (t - 2.5)) if number in (1, 5) else 0.0 * t))
+        true.append(
+            20.0
+            + (
+                8.0 * np.exp(-((t - 2.5) ** 2)) * np.sin(4.0 * (t - 2.5))
+                if number in (1, 5)
+                else 0.0 * t
+            )
+        )
     noisy = [filtered(x + STD * rng.standard_normal(len(x))) for x in true]
     found, true = cleaned(noisy), [filtered(x) for x in true]
-    assert rms([f["V_mps"] - b for f, b in zip(found, true, strict=True)]) < 0.2 * rms([b - 20.0 for b in true])
+    assert rms([f["V_mps"] - b for f, b in zip(found, true, strict=True)]) < 0.2 * rms(
+        [b - 20.0 for b in true]
+    )
 
 
 def test_pieces_that_do_not_know_their_noise_stay_as_they_are():
     made = residuals_of([np.zeros(50)] * 2)
-    bare = type(made)(tuple(type(p)(p.label, p.time_s, p.delta, p.states) for p in made.pieces), DT, made.cutoffs)
+    bare = type(made)(
+        tuple(type(p)(p.label, p.time_s, p.delta, p.states) for p in made.pieces), DT, made.cutoffs
+    )
     assert quiet(bare) is bare
     assert quiet(made).pieces[0].noise is made.pieces[0].noise

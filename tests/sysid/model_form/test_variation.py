@@ -39,7 +39,9 @@ def test_a_true_random_walks_rate_is_the_same_over_any_step_above_the_filters():
     level = np.cumsum(0.012 * np.sqrt(0.02) * rng.standard_normal(len(time)))
     y = 0.02 * (level - level.mean())
     states = {"V_mps": 20.0 + rng.standard_normal(len(time))}
-    residuals = Residuals((ResidualPiece("x", time, np.column_stack([y] * 6), states),), 0.02, Cutoffs())
+    residuals = Residuals(
+        (ResidualPiece("x", time, np.column_stack([y] * 6), states),), 0.02, Cutoffs()
+    )
     bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
     low, high = bounds.bounds(residuals.states)
     found = variation(residuals, "CZ", bounds, cutoff_hz=10.0)

@@ -36,7 +36,11 @@ def test_a_straight_line_follows_the_textbook():
     at = np.array([-2.0, 0.0, 0.7, 5.0])
     both = np.concatenate([x, more])
     for bounds, data in ((now, x), (then, both)):
-        expected = 2.0 * now.s2 * (1.0 / len(data) + (at - data.mean()) ** 2 / np.sum((data - data.mean()) ** 2))
+        expected = (
+            2.0
+            * now.s2
+            * (1.0 / len(data) + (at - data.mean()) ** 2 / np.sum((data - data.mean()) ** 2))
+        )
         assert parameter_variance(bounds, {STATE: at}) == pytest.approx(expected, rel=1e-12)
     assert (then.n, then.n_effective, then.dof) == (60, 30.0, 28.0)
     assert then.t == pytest.approx(stats.t.ppf(0.975, 28.0))
@@ -52,17 +56,24 @@ def test_a_refit_of_both_data_sets_has_the_predicted_interval():
     """Second order in two states, other normalisation in the refit: the same functions, so the same variance."""
     rng = np.random.default_rng(2)
     names = ("V_mps", "alpha_rad")
-    first, second = rng.normal([21.0, 0.02], [1.0, 0.03], (300, 2)), rng.normal([24.0, 0.05], [0.5, 0.02], (200, 2))
+    first, second = (
+        rng.normal([21.0, 0.02], [1.0, 0.03], (300, 2)),
+        rng.normal([24.0, 0.05], [0.5, 0.02], (200, 2)),
+    )
     both = np.vstack([first, second])
     y = rng.standard_normal(500)
     now = bounds_from(first, y[:300], names, 2, centre=first.mean(axis=0), scale=first.std(axis=0))
     refit = bounds_from(both, y, names, 2, centre=both.mean(axis=0), scale=both.std(axis=0))
     then = after(now, [information(now, dict(zip(names, second.T, strict=True)))])
     at = dict(zip(names, rng.normal([23.0, 0.03], [1.0, 0.03], (50, 2)).T, strict=True))
-    assert parameter_variance(then, at) / now.s2 == pytest.approx(parameter_variance(refit, at) / refit.s2, rel=1e-6)
+    assert parameter_variance(then, at) / now.s2 == pytest.approx(
+        parameter_variance(refit, at) / refit.s2, rel=1e-6
+    )
     # Samples at twice the rate are worth half as much.
     twice = {name: np.repeat(v, 2) for name, v in zip(names, second.T, strict=True)}
-    assert after(now, [information(now, twice, 0.5)]).XtX_inv == pytest.approx(then.XtX_inv, rel=1e-9)
+    assert after(now, [information(now, twice, 0.5)]).XtX_inv == pytest.approx(
+        then.XtX_inv, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.8])
@@ -91,7 +102,9 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
         y = A @ beta
         found.append(np.mean(np.maximum(y + half, 0.0) - np.minimum(y - half, 0.0)))
     error = np.std(found) / np.sqrt(len(found))
-    assert predicted.total == pytest.approx(np.mean(found), abs=max(4.0 * error, 0.002 * predicted.total))
+    assert predicted.total == pytest.approx(
+        np.mean(found), abs=max(4.0 * error, 0.002 * predicted.total)
+    )
     if offset:
         # The stretched part is there: half-widths alone would be less.
         assert predicted.total > 1.1 * np.mean(2.0 * half)
@@ -150,7 +163,9 @@ def test_scatter_falls_with_speed_as_it_was_made_to():
 def test_weighted_quartiles():
     values = np.arange(1.0, 101.0)
     assert weighted_quartiles(values, np.ones(100)) == pytest.approx([25.0, 50.0, 75.0])
-    assert weighted_quartiles(values, (values == 7.0).astype(float)) == pytest.approx([7.0, 7.0, 7.0])
+    assert weighted_quartiles(values, (values == 7.0).astype(float)) == pytest.approx(
+        [7.0, 7.0, 7.0]
+    )
     assert np.isnan(weighted_quartiles(values, np.zeros(100))).all()
 
 

@@ -16,27 +16,50 @@ from uqharness.simulator.linear import modes
 
 
 def test_trim_and_modes_are_those_of_the_command(capsys: pytest.CaptureFixture):
-    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--bank-deg", "20", "--altitude-m", "100", "--json"]) == 0
+    assert (
+        main(
+            [
+                "modes",
+                "espaaro",
+                "--speed-mps",
+                "22.2",
+                "--bank-deg",
+                "20",
+                "--altitude-m",
+                "100",
+                "--json",
+            ]
+        )
+        == 0
+    )
     wanted = json.loads(capsys.readouterr().out)
     steady = uq.find_trim("espaaro", 22.2, bank_rad=math.radians(20.0), altitude_m=100.0)
     assert math.degrees(steady.alpha_rad) == wanted["trim"]["alpha_deg"]
     assert steady.thrust_N == wanted["trim"]["thrust_N"]
     model = uq.linearise(uq.find_aircraft("espaaro"), steady)
-    assert [(m.name, m.real, m.imag) for m in modes(model)] == [(m["name"], m["real"], m["imag"]) for m in wanted["modes"]]
+    assert [(m.name, m.real, m.imag) for m in modes(model)] == [
+        (m["name"], m["real"], m["imag"]) for m in wanted["modes"]
+    ]
     assert np.isfinite(model.A).all()
     assert model.B.shape == (8, len(model.controls))
     assert capsys.readouterr() == ("", "")
 
 
 def test_no_steady_flight_is_a_result_that_cannot_be_linearised():
-    steady = replace(uq.find_trim("espaaro", 22.2), converged=False, reason="no steady flight at 5 m/s")
+    steady = replace(
+        uq.find_trim("espaaro", 22.2), converged=False, reason="no steady flight at 5 m/s"
+    )
     with pytest.raises(uq.BadInputError, match="cannot linearise"):
         uq.linearise("espaaro", steady)
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [({"V_mps": -1.0}, "V_mps = -1"), ({"bank_rad": 2.0}, "bank_rad = 2"), ({"altitude_m": math.nan}, "altitude_m = nan")],
+    [
+        ({"V_mps": -1.0}, "V_mps = -1"),
+        ({"bank_rad": 2.0}, "bank_rad = 2"),
+        ({"altitude_m": math.nan}, "altitude_m = nan"),
+    ],
 )
 def test_numbers_that_mean_no_flight_are_refused(wrong: dict, message: str):
     with pytest.raises(uq.BadInputError, match=message):
@@ -44,14 +67,20 @@ def test_numbers_that_mean_no_flight_are_refused(wrong: dict, message: str):
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_instrument_writes_what_the_command_writes(tmp_path: Path, capsys: pytest.CaptureFixture):
     words = ["--constant", "CX=0.008,Cm=-0.01:0.02", "--json"]
     assert main(["instrument", "c172x", "--out", str(tmp_path / "command" / "c172x"), *words]) == 0
     wanted = json.loads(capsys.readouterr().out)
-    done = uq.instrument("c172x", constant={"CX": 0.008, "Cm": (-0.01, 0.02)}, out=tmp_path / "python" / "c172x")
+    done = uq.instrument(
+        "c172x", constant={"CX": 0.008, "Cm": (-0.01, 0.02)}, out=tmp_path / "python" / "c172x"
+    )
     assert tree(done.folder) == tree(tmp_path / "command" / "c172x")
     assert done.verdict is not None
     assert done.verdict.status == wanted["check"]["status"] == "works"
@@ -63,7 +92,10 @@ def test_a_model_form_goes_in_as_it_came_out(tmp_path: Path):
     made = uq.fit_model_form("espaaro", flight, checks=False)
     path = tmp_path / "model-form.json"
     path.write_text(made.form.to_json())
-    folders = [uq.instrument("espaaro", form, out=tmp_path / str(k)).folder for k, form in enumerate((made, made.form, path))]
+    folders = [
+        uq.instrument("espaaro", form, out=tmp_path / str(k)).folder
+        for k, form in enumerate((made, made.form, path))
+    ]
     assert tree(folders[0]) == tree(folders[1]) == tree(folders[2])
     assert tree(folders[0]) != tree(uq.find_aircraft("espaaro").folder)
 
@@ -73,7 +105,9 @@ def test_bounds_that_cannot_be_are_refused(tmp_path: Path):
         with pytest.raises(uq.BadInputError, match="constant: C"):
             uq.instrument("espaaro", constant=wrong, out=tmp_path / "out")
     with pytest.raises(uq.BadInputError, match="two sources"):
-        uq.instrument("espaaro", tmp_path / "model-form.json", constant={"CX": 0.1}, out=tmp_path / "out")
+        uq.instrument(
+            "espaaro", tmp_path / "model-form.json", constant={"CX": 0.1}, out=tmp_path / "out"
+        )
     (tmp_path / "broken.json").write_text("{")
     with pytest.raises(uq.LogError):
         uq.instrument("espaaro", tmp_path / "broken.json", out=tmp_path / "out")

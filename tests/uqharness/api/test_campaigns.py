@@ -28,7 +28,9 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
     return uq.run_campaign(CAMPAIGN, tmp_path_factory.mktemp("python") / "results", workers=2)
 
 
-def test_a_campaign_leaves_the_bytes_of_the_command(result: CampaignResult, tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_a_campaign_leaves_the_bytes_of_the_command(
+    result: CampaignResult, tmp_path: Path, capsys: pytest.CaptureFixture
+):
     assert main(["campaign", "run", str(CAMPAIGN), "--out", str(tmp_path / "out"), "--serial"]) == 0
     for name in TABLES:
         assert (result.folder / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
@@ -46,7 +48,9 @@ def test_both_engines_fly_the_same_campaign(result: CampaignResult, tmp_path: Pa
     assert set(result.cases["engine"]) == {"batch"}
     assert set(other["engine"]) == {"jsbsim"}
     for name in ("cross_track_median_m", "altitude_max_m", "speed_mean_mps_measured"):
-        np.testing.assert_allclose(result.cases[name], other[name], rtol=0.0, atol=1e-7, err_msg=name)
+        np.testing.assert_allclose(
+            result.cases[name], other[name], rtol=0.0, atol=1e-7, err_msg=name
+        )
         assert not np.array_equal(result.cases[name], other[name])
     assert not set(result.cases["case_id"]) & set(other["case_id"])
 
@@ -58,7 +62,15 @@ def test_its_tables_are_those_of_the_folder(result: CampaignResult):
     assert set(boxes) == set(zip(stored["metric"], stored["condition"], strict=True))
     for (metric, condition), box in boxes.items():
         rows = stored[(stored["metric"] == metric) & (stored["condition"] == condition)]
-        for name in ("value", "lower", "upper", "band_lower", "band_upper", "corner_lower", "corner_upper"):
+        for name in (
+            "value",
+            "lower",
+            "upper",
+            "band_lower",
+            "band_upper",
+            "corner_lower",
+            "corner_upper",
+        ):
             np.testing.assert_array_equal(getattr(box, name), rows[name])
     statements = result.statements()
     assert list(statements["radius_m"]) == [15, 25, 15, 25]
@@ -68,7 +80,9 @@ def test_its_tables_are_those_of_the_folder(result: CampaignResult):
 def test_a_dictionary_and_a_file_mean_the_same(result: CampaignResult, tmp_path: Path):
     sections = tomllib.loads(CAMPAIGN.read_text())
     told: list[Progress] = []
-    found = uq.run_campaign(sections, tmp_path / "out", workers=1, hours=20 / 3600, on_progress=told.append)
+    found = uq.run_campaign(
+        sections, tmp_path / "out", workers=1, hours=20 / 3600, on_progress=told.append
+    )
     assert told[-1].done == len(found.cases) == 4
     assert found.manifest["campaign"]["aleatory"]["flights"] == 1
     assert found.manifest["command"] == ""
@@ -76,13 +90,19 @@ def test_a_dictionary_and_a_file_mean_the_same(result: CampaignResult, tmp_path:
     flown = result.cases[result.cases["aleatory_id"] == 0].reset_index(drop=True)
     pd.testing.assert_frame_equal(found.cases, flown)
     spec = read_file(CAMPAIGN)
-    assert all(campaign_of(given).as_dict() == spec.as_dict() for given in (sections, spec, CAMPAIGN, str(CAMPAIGN)))
+    assert all(
+        campaign_of(given).as_dict() == spec.as_dict()
+        for given in (sections, spec, CAMPAIGN, str(CAMPAIGN))
+    )
 
 
 def test_a_dictionary_may_hold_numbers_of_numpy_and_paths():
     plain = tomllib.loads(CAMPAIGN.read_text())
     given = tomllib.loads(CAMPAIGN.read_text())
-    given["campaign"] |= {"seed": np.int64(plain["campaign"]["seed"]), "aircraft": Path(plain["campaign"]["aircraft"])}
+    given["campaign"] |= {
+        "seed": np.int64(plain["campaign"]["seed"]),
+        "aircraft": Path(plain["campaign"]["aircraft"]),
+    }
     given["aleatory"] |= {
         "flights": np.int32(plain["aleatory"]["flights"]),
         "duration_s": np.float64(20),
@@ -124,7 +144,10 @@ def test_bad_input_is_said(result: CampaignResult, tmp_path: Path):
     with pytest.raises(uq.BadInputError, match="received int"):
         uq.run_campaign(3, tmp_path / "out")
     with pytest.raises(uq.BadInputError, match="flights"):
-        uq.run_campaign(tomllib.loads(CAMPAIGN.read_text()) | {"aleatory": {"flights": 0, "duration_s": 1}}, tmp_path / "out")
+        uq.run_campaign(
+            tomllib.loads(CAMPAIGN.read_text()) | {"aleatory": {"flights": 0, "duration_s": 1}},
+            tmp_path / "out",
+        )
     with pytest.raises(uq.BadInputError, match="workers = 0"):
         uq.run_campaign(CAMPAIGN, tmp_path / "out", workers=0)
     with pytest.raises(uq.BadInputError, match="engine = 'numba'"):

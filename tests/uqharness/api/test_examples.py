@@ -29,10 +29,17 @@ def run(name: str, text: str) -> list[str]:
 
 @pytest.mark.parametrize(
     ("face", "name"),
-    [pytest.param(face, name, marks=pytest.mark.slow if name in SLOW else ()) for face, name in public_functions()],
+    [
+        pytest.param(face, name, marks=pytest.mark.slow if name in SLOW else ())
+        for face, name in public_functions()
+    ],
 )
 def test_the_example_gives_what_it_says(
-    face: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+    face: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture,
 ):
     monkeypatch.chdir(tmp_path)
     assert run(name, example_of(getattr(importlib.import_module(face), name))) == []

@@ -16,15 +16,37 @@ from uqharness.api.flights import given_flights
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
 
-WORDS = ["--script", "doublet-elevator", "--duration-s", "6", "--wind-mps", "3", "--turbulence", "light", "--noise", "--seed", "3"]
+WORDS = [
+    "--script",
+    "doublet-elevator",
+    "--duration-s",
+    "6",
+    "--wind-mps",
+    "3",
+    "--turbulence",
+    "light",
+    "--noise",
+    "--seed",
+    "3",
+]
 
 
 def flown() -> uq.api.flights.Flight:
-    return uq.fly("espaaro", "doublet-elevator", duration_s=6, wind_mps=3, turbulence="light", noise=True, seed=3)
+    return uq.fly(
+        "espaaro",
+        "doublet-elevator",
+        duration_s=6,
+        wind_mps=3,
+        turbulence="light",
+        noise=True,
+        seed=3,
+    )
 
 
 @pytest.mark.parametrize("ending", ["parquet", "csv", "bin"])
-def test_a_flight_is_that_of_the_command(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_a_flight_is_that_of_the_command(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture
+):
     command, python = tmp_path / f"command.{ending}", tmp_path / f"python.{ending}"
     assert main(["fly", "espaaro", *WORDS, "--json", "--out", str(command)]) == 0
     lost = json.loads(capsys.readouterr().out)["left_out"]
@@ -48,7 +70,15 @@ def test_its_table_holds_every_column_of_the_record():
     assert list(table.columns) == list(flight.record.columns)
     assert len(table) == len(flight) == 301
     np.testing.assert_array_equal(table["q_radps"], flight["q_radps"])
-    other = uq.fly("espaaro", "doublet-elevator", duration_s=6, wind_mps=3, turbulence="light", noise=True, seed=4)
+    other = uq.fly(
+        "espaaro",
+        "doublet-elevator",
+        duration_s=6,
+        wind_mps=3,
+        turbulence="light",
+        noise=True,
+        seed=4,
+    )
     assert not table["q_radps"].equals(other.to_dataframe()["q_radps"])
     assert other.sha256 != flight.sha256 == flown().sha256
 
@@ -62,7 +92,9 @@ def test_a_crash_is_a_result():
 def test_what_is_read_is_what_was_flown(tmp_path: Path):
     flown().write(tmp_path / "a.parquet")
     flown().write(tmp_path / "b.bin")
-    first, second = uq.read_flights([tmp_path / "a.parquet", str(tmp_path / "b.bin")], find_aircraft("espaaro"))
+    first, second = uq.read_flights(
+        [tmp_path / "a.parquet", str(tmp_path / "b.bin")], find_aircraft("espaaro")
+    )
     pd.testing.assert_frame_equal(first.to_dataframe(), flown().to_dataframe(), check_dtype=False)
     assert (first.name, second.name) == ("a", "b")
     assert second.record.metadata.dialect == "dataflash"
@@ -72,7 +104,13 @@ def test_what_is_read_is_what_was_flown(tmp_path: Path):
 def test_flights_are_taken_as_they_are_given(tmp_path: Path):
     aircraft, flight = find_aircraft("espaaro"), flown()
     flight.write(tmp_path / "a.parquet")
-    for given in (flight, flight.record, tmp_path / "a.parquet", str(tmp_path / "a.parquet"), [flight]):
+    for given in (
+        flight,
+        flight.record,
+        tmp_path / "a.parquet",
+        str(tmp_path / "a.parquet"),
+        [flight],
+    ):
         (found,) = given_flights(given, aircraft)
         np.testing.assert_array_equal(found["q_radps"], flight["q_radps"])
     with pytest.raises(uq.BadInputError, match="given more than once"):

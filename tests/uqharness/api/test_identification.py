@@ -32,22 +32,48 @@ def command(words: list[str], capsys: pytest.CaptureFixture) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-def test_identify_gives_what_the_command_gives(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
-    words = ["identify", "espaaro", "--flight", str(flight), "--params", ",".join(PARAMETERS), "--workers", "1", "--no-figures"]
+def test_identify_gives_what_the_command_gives(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    words = [
+        "identify",
+        "espaaro",
+        "--flight",
+        str(flight),
+        "--params",
+        ",".join(PARAMETERS),
+        "--workers",
+        "1",
+        "--no-figures",
+    ]
     wanted = command([*words, "--out", str(tmp_path / "out")], capsys)
     for given in (flight, uq.read_flights([flight], "espaaro"), flown(1)):
         found = uq.identify("espaaro", given, parameters=PARAMETERS, workers=1)
         document = fit_document(found, wanted["flights"], [])
         for key in ("parameters", "names", "cov", "fit", "method", "converged", "simulations"):
             assert document[key] == wanted[key], key
-        assert list(found.to_dataframe()["estimate"]) == [wanted["parameters"][n]["value"] for n in PARAMETERS]
+        assert list(found.to_dataframe()["estimate"]) == [
+            wanted["parameters"][n]["value"] for n in PARAMETERS
+        ]
     other = uq.identify("espaaro", flight, parameters=PARAMETERS, workers=1, biases=["p", "q"])
     assert other.to_dataframe()["estimate"].tolist() != found.to_dataframe()["estimate"].tolist()
     assert capsys.readouterr() == ("", "")
 
 
-def test_compare_gives_what_the_command_gives(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
-    words = ["compare", "espaaro", "--flight", str(flight), "--workers", "1", "--no-figures", "--out", str(tmp_path / "out")]
+def test_compare_gives_what_the_command_gives(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    words = [
+        "compare",
+        "espaaro",
+        "--flight",
+        str(flight),
+        "--workers",
+        "1",
+        "--no-figures",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     wanted = command(words, capsys)
     found = uq.compare("espaaro", flight, workers=1)
     document = document_of(found)
@@ -58,22 +84,50 @@ def test_compare_gives_what_the_command_gives(flight: Path, tmp_path: Path, caps
     assert capsys.readouterr() == ("", "")
 
 
-def test_fit_model_form_gives_the_file_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_fit_model_form_gives_the_file_of_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
     path = tmp_path / "bounds.parquet"
     uq.fly("espaaro_truth", "flight-bounds", duration_s=24, noise=True, seed=2).write(path)
-    more = ["--states", "CX=V,alpha,q", "--terms", "Cm=1,alpha,p^2", "--outside", "clamp", "--confidence", "0.9"]
+    more = [
+        "--states",
+        "CX=V,alpha,q",
+        "--terms",
+        "Cm=1,alpha,p^2",
+        "--outside",
+        "clamp",
+        "--confidence",
+        "0.9",
+    ]
     for words, options in (
         ([], {}),
         (
             more,
             {
-                "states": {"CX": ["V", "alpha", "q"]}, "terms": {"Cm": ["1", "alpha", "p^2"]}, "outside": "clamp",
+                "states": {"CX": ["V", "alpha", "q"]},
+                "terms": {"Cm": ["1", "alpha", "p^2"]},
+                "outside": "clamp",
                 "confidence": 0.9,
             },
         ),
-    ):  # fmt: skip
+    ):
         out = tmp_path / f"out{len(words)}"
-        assert main(["bounds", "espaaro", "--flight", str(path), "--no-check", "--no-figures", *words, "--out", str(out)]) == 0
+        assert (
+            main(
+                [
+                    "bounds",
+                    "espaaro",
+                    "--flight",
+                    str(path),
+                    "--no-check",
+                    "--no-figures",
+                    *words,
+                    "--out",
+                    str(out),
+                ]
+            )
+            == 0
+        )
         capsys.readouterr()
         made = uq.fit_model_form("espaaro", path, checks=False, **options)
         assert made.form.to_json() == (out / "model-form.json").read_text()

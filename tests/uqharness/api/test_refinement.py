@@ -26,7 +26,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
     monkeypatch.setattr("uqharness.cli.refine.refine", refine)
     monkeypatch.setattr("uqharness.refinement.run.refine", refine)
     monkeypatch.setattr("uqharness.cli.refine.write_results", lambda *a: None)
-    monkeypatch.setattr("uqharness.cli.refine.write_report", lambda *a, **k: SimpleNamespace(text=""))
+    monkeypatch.setattr(
+        "uqharness.cli.refine.write_report", lambda *a, **k: SimpleNamespace(text="")
+    )
     monkeypatch.setattr(refinement, "write_results", lambda *a: None)
     monkeypatch.setattr(refinement, "write_report", lambda *a, **k: None)
     return found
@@ -36,9 +38,21 @@ def test_it_asks_what_the_command_asks(asked: list, tmp_path: Path):
     files = [tmp_path / f"{name}.parquet" for name in "ab"]
     for seed, path in enumerate(files):
         uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed).write(path)
-    words = ["--train", str(files[0]), "--test", str(files[1]), "--out", str(tmp_path / "out"), "--no-pbox", "--workers", "1"]
+    words = [
+        "--train",
+        str(files[0]),
+        "--test",
+        str(files[1]),
+        "--out",
+        str(tmp_path / "out"),
+        "--no-pbox",
+        "--workers",
+        "1",
+    ]
     assert main(["refine", "espaaro", *words]) == 0
-    uq.refine("espaaro", train=files[0], test=[str(files[1])], out=tmp_path / "out", pbox=False, workers=1)
+    uq.refine(
+        "espaaro", train=files[0], test=[str(files[1])], out=tmp_path / "out", pbox=False, workers=1
+    )
     command, python = (request for request, _ in asked)
     assert command == python
     wanted = ["--train", "a.parquet", "--test", "b.parquet", "--no-pbox", "--workers", "1"]
@@ -48,7 +62,13 @@ def test_it_asks_what_the_command_asks(asked: list, tmp_path: Path):
 def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
     flights = [uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed) for seed in range(3)]
     flights[2].write(tmp_path / "file.parquet")
-    uq.refine("espaaro", train=flights[:2], test=tmp_path / "file.parquet", out=tmp_path / "deep" / "out", servos="ideal")
+    uq.refine(
+        "espaaro",
+        train=flights[:2],
+        test=tmp_path / "file.parquet",
+        out=tmp_path / "deep" / "out",
+        servos="ideal",
+    )
     request, records = asked[0]
     assert [path.name for path in request.train] == ["trim.parquet", "trim-2.parquet"]
     assert request.ideal_servos
@@ -74,14 +94,23 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         ({"train": 5}, "BadInputError", "flights = 5"),
         ({"pbox": "stormy"}, "BadInputError", "pbox = 'stormy': True or False"),
         ({"figures": 1}, "BadInputError", "figures = 1"),
-        ({"workers": "2"}, "BadInputError", "workers = '2': a whole number of at least 1 is needed"),
+        (
+            {"workers": "2"},
+            "BadInputError",
+            "workers = '2': a whole number of at least 1 is needed",
+        ),
         ({"workers": 1.5}, "BadInputError", r"workers = 1\.5"),
         ({"on_stage": 3}, "BadInputError", "on_stage = 3"),
         ({"effects": 3}, "BadInputError", "effects = 3"),
     ],
 )
 def test_bad_input_is_said(asked: list, tmp_path: Path, wrong: dict, error: str, message: str):
-    given = {"aircraft": "espaaro", "train": tmp_path / "a.parquet", "test": tmp_path / "b.parquet", "out": tmp_path / "out"}
+    given = {
+        "aircraft": "espaaro",
+        "train": tmp_path / "a.parquet",
+        "test": tmp_path / "b.parquet",
+        "out": tmp_path / "out",
+    }
     with pytest.raises(getattr(uq, error), match=message):
         uq.refine(**(given | wrong))
     assert asked == []
@@ -94,13 +123,38 @@ def test_every_option_is_in_the_command(asked: list, tmp_path: Path):
         uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed).write(path)
     effects, campaign, out = tmp_path / "own.toml", tmp_path / "mission.toml", tmp_path / "out"
     effects.write_text('[[effect]]\nname = "own"\ncoefficient = "Cm"\nterm = "alpha^3"\n')
-    words = ["--train", str(files[0]), "--test", str(files[1]), "--servos", "ideal", "--effects", str(effects)]
-    assert main(["refine", "espaaro", *words, "--campaign", str(campaign), "--no-figures", "--out", str(out)]) == 0
+    words = [
+        "--train",
+        str(files[0]),
+        "--test",
+        str(files[1]),
+        "--servos",
+        "ideal",
+        "--effects",
+        str(effects),
+    ]
+    assert (
+        main(
+            [
+                "refine",
+                "espaaro",
+                *words,
+                "--campaign",
+                str(campaign),
+                "--no-figures",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     options = {"servos": "ideal", "effects": effects, "campaign": campaign, "figures": False}
     uq.refine("espaaro", train=files[0], test=files[1], out=out, **options)
     command, python = (request for request, _ in asked)
     assert command == python
-    assert {"--effects", "own.toml", "--campaign", "mission.toml", "--no-figures", "ideal"} <= set(python.command)
+    assert {"--effects", "own.toml", "--campaign", "mission.toml", "--no-figures", "ideal"} <= set(
+        python.command
+    )
 
 
 @pytest.mark.parametrize("way", ["python", "command"])
@@ -112,5 +166,19 @@ def test_flights_that_cannot_be_used_leave_no_folder(way: str, tmp_path: Path):
             with pytest.raises((uq.BadInputError, uq.LogError), match=message):
                 uq.refine("espaaro", train=file, test=test, out=out)
         else:
-            assert main(["refine", "espaaro", "--train", str(file), "--test", str(test), "--out", str(out)]) == 2
+            assert (
+                main(
+                    [
+                        "refine",
+                        "espaaro",
+                        "--train",
+                        str(file),
+                        "--test",
+                        str(test),
+                        "--out",
+                        str(out),
+                    ]
+                )
+                == 2
+            )
         assert not out.exists()

@@ -48,7 +48,14 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
     (folder / "script.py").write_text(code)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.run(
-        [sys.executable, *words], input=code, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, *words],
+        input=code,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
 
 
@@ -62,7 +69,14 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
         pytest.param("pipe", IDENTIFY, "True", marks=pytest.mark.slow),
         ("notebook", IDENTIFY, "True"),
     ],
-    ids=["campaign-script", "campaign-pipe", "campaign-notebook", "identify-script", "identify-pipe", "identify-notebook"],
+    ids=[
+        "campaign-script",
+        "campaign-pipe",
+        "campaign-notebook",
+        "identify-script",
+        "identify-pipe",
+        "identify-notebook",
+    ],
 )
 def test_it_ends_well_and_runs_once(how: str, code: str, said: str, tmp_path: Path):
     done = run(how, code, tmp_path)

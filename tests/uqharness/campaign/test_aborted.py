@@ -19,7 +19,9 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 
 def corner(*flights):
     """(status, share flown, loss of control) of each flight."""
-    return pd.DataFrame([{"status": s, "duration_s": 3600.0 * d, "loss_of_control": c} for s, d, c in flights])
+    return pd.DataFrame(
+        [{"status": s, "duration_s": 3600.0 * d, "loss_of_control": c} for s, d, c in flights]
+    )
 
 
 def test_each_aborted_flight_is_of_one_kind():
@@ -40,13 +42,17 @@ def test_limits_are_per_hour_flown():
     """Half of the flights end half way: 0.5 aborted flights in 0.75 flights' time."""
     half = corner(*[("diverged", 0.5, 1), ("ok", 1.0, 0)] * 200)
     kept_on = corner(*[("ok", 1.0, 1), ("ok", 1.0, 0)] * 200)
-    (ended,), (flew_on,) = (aborted([group], 3600.0).upper(0.025, None) for group in (half, kept_on))
+    (ended,), (flew_on,) = (
+        aborted([group], 3600.0).upper(0.025, None) for group in (half, kept_on)
+    )
     assert ended > 0.5 / 0.75
     assert 0.5 < flew_on < ended
 
 
 def test_nothing_flown_bounds_nothing():
-    assert aborted([corner(*[("diverged", 0.0, 1)] * 50)], 3600.0).upper(0.025, None).tolist() == [np.inf]
+    assert aborted([corner(*[("diverged", 0.0, 1)] * 50)], 3600.0).upper(0.025, None).tolist() == [
+        np.inf
+    ]
 
 
 @pytest.mark.parametrize(
@@ -62,4 +68,6 @@ def test_a_flight_by_itself(tmp_path, status, flown_s, lost, expected):
     spec = fakes.small_spec(tmp_path, flights=1)
     case = build_cases(spec, find_mission(spec))[0]
     outcome = CaseOutcome(case.case_id, status, "", flown_s, {"loss_of_control": lost})
-    assert aborted_flight(outcome, replace(case.flight, burn_in_s=60.0, duration_s=150.0)) == pytest.approx(expected)
+    assert aborted_flight(
+        outcome, replace(case.flight, burn_in_s=60.0, duration_s=150.0)
+    ) == pytest.approx(expected)

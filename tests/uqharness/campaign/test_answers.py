@@ -12,8 +12,11 @@ from uqharness.errors import BadInputError
 
 MANIFEST = {"format": 1, "state": "complete"}
 HEAD = "condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours,distance\n"
-ANSWERS = [Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.3456), Answer("5 m/s none", 15.0, 2.0, "open", "too few flights", 4.0),
-           Answer("7 m/s none", 15.0, 2.0, "yes", "", 1.0)]  # fmt: skip
+ANSWERS = [
+    Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.3456),
+    Answer("5 m/s none", 15.0, 2.0, "open", "too few flights", 4.0),
+    Answer("7 m/s none", 15.0, 2.0, "yes", "", 1.0),
+]
 
 
 def test_a_summary_and_a_line_a_condition():

@@ -21,9 +21,9 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 def folder(tmp_path_factory):
     """Six walks of 20 flights."""
     root = tmp_path_factory.mktemp("walks")
-    text = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 6\nwalk_rate_per_sqrt_s = 0.01').replace(
-        "flights = 3", "flights = 20"
-    )
+    text = fakes.CAMPAIGN.replace(
+        '"corners"', '"walk"\nsamples = 6\nwalk_rate_per_sqrt_s = 0.01'
+    ).replace("flights = 3", "flights = 20")
     spec = read_campaign(fakes.campaign_file(root, text))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)

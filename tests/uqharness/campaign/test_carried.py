@@ -14,7 +14,9 @@ HOURS = np.array([float(FLIGHTS)])
 
 def counts(per_h: float, cluster: int = 1, seed: int = 1) -> np.ndarray:
     """(1, flights of an hour) in clusters."""
-    return (cluster * np.random.default_rng(seed).poisson(per_h / cluster, (1, FLIGHTS))).astype(float)
+    return (cluster * np.random.default_rng(seed).poisson(per_h / cluster, (1, FLIGHTS))).astype(
+        float
+    )
 
 
 SILENT = np.zeros((1, FLIGHTS))
@@ -72,20 +74,33 @@ def test_a_corner_that_assumes_hears_of_the_others():
     assert carried({10.0: few, 15.0: np.zeros((2, FLIGHTS))}, 15.0, hours, ASSUMED, ERROR).beyond
 
 
-def false_yes(cluster: int, nearer_per_h: float | None, repeats: int = 1500, hours: int = 80) -> float:
+def false_yes(
+    cluster: int, nearer_per_h: float | None, repeats: int = 1500, hours: int = 80
+) -> float:
     """Share of campaigns of flights of an hour that call .1 per hour acceptable where a little more than that is true.
 
     Enough hours for a yes at a dispersion of 2 where nothing is seen.
     """
     rng = np.random.default_rng([cluster, repeats])
     flown, shape = np.array([float(hours)]), (repeats, 1, hours)
-    asked, nearer = ((cluster * rng.poisson(rate / cluster, shape)).astype(float) for rate in (0.1001, nearer_per_h or 1.0))
+    asked, nearer = (
+        (cluster * rng.poisson(rate / cluster, shape)).astype(float)
+        for rate in (0.1001, nearer_per_h or 1.0)
+    )
     found = [
-        carried({15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row}, 15.0, flown, ASSUMED, ERROR)
+        carried(
+            {15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row},
+            15.0,
+            flown,
+            ASSUMED,
+            ERROR,
+        )
         for row, near in zip(asked, nearer, strict=True)
     ]
     allowed = np.maximum(observed_dispersion(asked[:, 0]), [item.dispersion[0] for item in found])
-    limits = upper_limits(np.full(repeats, float(hours)), asked.sum(axis=(1, 2)), allowed, ERROR / 2)
+    limits = upper_limits(
+        np.full(repeats, float(hours)), asked.sum(axis=(1, 2)), allowed, ERROR / 2
+    )
     return float(np.mean((limits <= 0.1) & ~np.array([item.beyond for item in found])))
 
 
@@ -99,7 +114,9 @@ def false_yes(cluster: int, nearer_per_h: float | None, repeats: int = 1500, hou
         ),
     ],
 )
-def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(cluster, nearer_per_h, repeats):
+def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(
+    cluster, nearer_per_h, repeats
+):
     assert false_yes(cluster, nearer_per_h, repeats) <= 0.05
 
 

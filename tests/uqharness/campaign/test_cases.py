@@ -35,7 +35,9 @@ def test_golden_seeds():
 
 
 def test_seeds_are_in_the_range_of_the_generator_and_distinct():
-    seeds = [flight_seed(0, index, kind) for index in range(2000) for kind in ("turbulence", "noise")]
+    seeds = [
+        flight_seed(0, index, kind) for index in range(2000) for kind in ("turbulence", "noise")
+    ]
     assert min(seeds) >= 1
     assert max(seeds) <= 2**31 - 2
     assert len(set(seeds)) == len(seeds)
@@ -46,10 +48,14 @@ def test_seeds_are_in_the_range_of_the_generator_and_distinct():
 
 def test_walks_depend_on_sample_and_coefficient():
     states = {
-        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist()) for name in ("w0", "w1") for coefficient in COEFFICIENTS
+        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist())
+        for name in ("w0", "w1")
+        for coefficient in COEFFICIENTS
     }
     assert len(states) == 12
-    assert np.array_equal(walk_stream(1, "w0", "CX").generate_state(4), walk_stream(1, "w0", "CX").generate_state(4))
+    assert np.array_equal(
+        walk_stream(1, "w0", "CX").generate_state(4), walk_stream(1, "w0", "CX").generate_state(4)
+    )
 
 
 def test_golden_case_ids(spec):
@@ -61,7 +67,9 @@ def test_golden_case_ids(spec):
 
 def test_corners_and_their_order(spec):
     samples = epistemic_samples(spec)
-    assert [sample.epistemic_id for sample in samples] == ["".join(bits) for bits in itertools.product("01", repeat=6)]
+    assert [sample.epistemic_id for sample in samples] == [
+        "".join(bits) for bits in itertools.product("01", repeat=6)
+    ]
     assert dict(samples[1].levels) == {**dict.fromkeys(COEFFICIENTS, 0.0), "Cn": 1.0}
     properties = uq_properties(spec, samples[1])
     assert properties["uq/active"] == 1.0
@@ -77,8 +85,12 @@ def test_certain_coefficients_have_no_delta(tmp_path):
     properties = uq_properties(spec, samples[0])
     # The aircraft's own bounds may follow the state, so a certain coefficient is switched off and no bound is touched.
     assert {name: value for name, value in properties.items() if name.endswith("/active")} == {
-        "uq/active": 1.0, "uq/CY/active": 0.0, "uq/CZ/active": 0.0, "uq/Cl/active": 0.0, "uq/Cn/active": 0.0,
-    }  # fmt: skip
+        "uq/active": 1.0,
+        "uq/CY/active": 0.0,
+        "uq/CZ/active": 0.0,
+        "uq/Cl/active": 0.0,
+        "uq/Cn/active": 0.0,
+    }
     assert not [name for name in properties if name.endswith(("/lower", "/upper"))]
     given = 'coefficients = ["Cm", "CX"]\nbounds = { CX = 0.008, Cm = 0.012 }\n'
     constant = read_campaign(campaign_file(tmp_path, CAMPAIGN.partition("bounds =")[0] + given))
@@ -98,10 +110,14 @@ def test_levels_are_a_full_grid_and_none_touches_nothing(tmp_path):
 
 
 def test_random_numbers_are_common_to_corners_and_conditions(tmp_path):
-    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 3]").replace('"moderate"', '["light", "severe"]')
+    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 3]").replace(
+        '"moderate"', '["light", "severe"]'
+    )
     cases = build_cases(read_campaign(campaign_file(tmp_path, text)), MISSION)
     assert len(cases) == 3 * 2 * 2 * 64
-    seeds = {(case.aleatory_id, case.flight.seed_turbulence, case.flight.seed_noise) for case in cases}
+    seeds = {
+        (case.aleatory_id, case.flight.seed_turbulence, case.flight.seed_noise) for case in cases
+    }
     assert len(seeds) == 3
     # Stopped anywhere, corners have flown equally often to within one.
     first = [case.epistemic_id for case in cases[:300]]
@@ -113,11 +129,18 @@ def test_the_id_follows_everything_that_defines_a_flight(spec):
     base = build_cases(spec, MISSION)[0].case_id
     for change in ({"aircraft_hash": "c" * 64}, {"script_hash": "c" * 64}):
         assert build_cases(spec, dataclasses.replace(MISSION, **change))[0].case_id != base
-    for change in ({"duration_s": 151.0}, {"wind_mps": (4.0,)}, {"turbulence_source": "spec"}, {"sensor_noise": False}):
+    for change in (
+        {"duration_s": 151.0},
+        {"wind_mps": (4.0,)},
+        {"turbulence_source": "spec"},
+        {"sensor_noise": False},
+    ):
         other = dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update=change))
         assert build_cases(other, MISSION)[0].case_id != base, change
     # Where files lie, and how many flights follow, do not define a flight.
-    moved = dataclasses.replace(MISSION, aircraft=Path("elsewhere/plane"), script=Path("elsewhere/loiter.xml"))
+    moved = dataclasses.replace(
+        MISSION, aircraft=Path("elsewhere/plane"), script=Path("elsewhere/loiter.xml")
+    )
     assert build_cases(spec, moved)[0].case_id == base
     more = dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": 9}))
     assert build_cases(more, MISSION)[0].case_id == base

@@ -7,7 +7,15 @@ import pandas as pd
 import pytest
 
 from uqharness.campaign.columns import ERROR_METRICS
-from uqharness.campaign.conditions import Condition, conditions, excursion_cells, hardest_of, in_condition, pboxes, samples
+from uqharness.campaign.conditions import (
+    Condition,
+    conditions,
+    excursion_cells,
+    hardest_of,
+    in_condition,
+    pboxes,
+    samples,
+)
 
 METRIC = ERROR_METRICS[0]
 
@@ -18,11 +26,20 @@ def frame(**columns) -> pd.DataFrame:
     rows = [(wind, corner, k) for wind in (5.0, 3.0) for corner in ("00", "01") for k in range(4)]
     n = len(rows)
     status = ["crashed" if corner == "00" and k == 3 else "ok" for _, corner, k in rows]
-    return pd.DataFrame({
-        "wind_mps": [r[0] for r in rows], "turbulence": ["none"] * n, "epistemic_id": [r[1] for r in rows], "status": status,
-        "duration_s": [1800.0] * n, "excursions_15m": np.arange(n) % 3, "excursions_15m_3d": np.nan,
-        **dict.fromkeys(ERROR_METRICS, np.nan), METRIC: rng.gamma(2.0, 1.0, n), **columns,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "wind_mps": [r[0] for r in rows],
+            "turbulence": ["none"] * n,
+            "epistemic_id": [r[1] for r in rows],
+            "status": status,
+            "duration_s": [1800.0] * n,
+            "excursions_15m": np.arange(n) % 3,
+            "excursions_15m_3d": np.nan,
+            **dict.fromkeys(ERROR_METRICS, np.nan),
+            METRIC: rng.gamma(2.0, 1.0, n),
+            **columns,
+        }
+    )
 
 
 def test_conditions_in_the_tables_order_and_in_words():
@@ -33,7 +50,12 @@ def test_conditions_in_the_tables_order_and_in_words():
 
 
 def test_the_hardest_is_the_strongest_turbulence_before_the_strongest_wind():
-    found = [Condition(9.0, "light"), Condition(3.0, "severe"), Condition(5.0, "severe"), Condition(12.0, "none")]
+    found = [
+        Condition(9.0, "light"),
+        Condition(3.0, "severe"),
+        Condition(5.0, "severe"),
+        Condition(12.0, "none"),
+    ]
     assert hardest_of(found) == Condition(5.0, "severe")
     assert hardest_of(found[::3]) == Condition(9.0, "light")
 
@@ -51,13 +73,18 @@ def test_what_is_not_known_of_a_flight_is_counted():
 
 def test_a_metric_that_no_flight_has_is_left_out():
     found = list(pboxes(frame()))
-    assert [(metric, condition.wind_mps) for metric, condition, _ in found] == [(METRIC, 5.0), (METRIC, 3.0)]
+    assert [(metric, condition.wind_mps) for metric, condition, _ in found] == [
+        (METRIC, 5.0),
+        (METRIC, 3.0),
+    ]
     assert list(pboxes(frame(**{METRIC: np.nan}))) == []
 
 
 def test_rates_are_counts_over_hours():
     cells = excursion_cells(frame(), [15.0])
-    assert [(c.condition.wind_mps, c.distance, c.radius_m) for c in cells] == [(w, "horizontal", 15.0) for w in (5.0, 3.0)]
+    assert [(c.condition.wind_mps, c.distance, c.radius_m) for c in cells] == [
+        (w, "horizontal", 15.0) for w in (5.0, 3.0)
+    ]
     rates = cells[0].rates
     assert [r.epistemic_id for r in rates] == ["00", "01"]
     assert [r.flights for r in rates] == [4, 4]

@@ -29,7 +29,14 @@ CORNERS = 'method = "corners"'
 
 
 LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
-METHODS = [CORNERS, f"{CORNERS}\ninterior = 5", LEVELS, 'method = "lhs"\nsamples = 7', 'method = "white"\nsamples = 3', "none"]
+METHODS = [
+    CORNERS,
+    f"{CORNERS}\ninterior = 5",
+    LEVELS,
+    'method = "lhs"\nsamples = 7',
+    'method = "white"\nsamples = 3',
+    "none",
+]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -46,13 +53,21 @@ def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     assert size.hours == pytest.approx(size.flights * 210.0 / 3600.0)
     assert cost.size_of(spec, 5).flights == -(-size.flights // 5)
     flight = cost.one_case(spec, mission).flight
-    assert (flight.aircraft, flight.duration_s, flight.turbulence) == (mission.aircraft, 150.0, "moderate")
+    assert (flight.aircraft, flight.duration_s, flight.turbulence) == (
+        mission.aircraft,
+        150.0,
+        "moderate",
+    )
 
 
 def test_a_model_forms_points_are_counted_too(tmp_path):
     made_up_form().write(tmp_path / "model-form.json")
     head = fakes.CAMPAIGN.partition("bounds =")[0] + 'bounds = "model-form.json"\n'
-    for more, samples, interior in (("", 80, 16), ("interior = 0\n", 64, 0), ('set = "ellipsoid"\n', 92, 16)):
+    for more, samples, interior in (
+        ("", 80, 16),
+        ("interior = 0\n", 64, 0),
+        ('set = "ellipsoid"\n', 92, 16),
+    ):
         spec = read_campaign(fakes.campaign_file(tmp_path, head + more))
         size = cost.size_of(spec)
         assert size.epistemic == len(epistemic_samples(spec)) == samples
@@ -69,7 +84,11 @@ def test_a_campaign_that_may_end_sooner_says_at_most(tmp_path):
 def test_time_is_that_of_what_is_missing():
     size = cost.Size(10, 1, 64, 640, 3600.0, False)
     found = cost.Cost(size, 40, cost.Pace(1.0, 0.001), 2)
-    assert (found.missing, found.seconds, found.is_long) == (600, pytest.approx(600 * 4.6 / 2), False)
+    assert (found.missing, found.seconds, found.is_long) == (
+        600,
+        pytest.approx(600 * 4.6 / 2),
+        False,
+    )
     assert "40 flights done before; about 23 min on 2 processes of this machine" in found.words
     assert cost.Cost(size, 0, cost.Pace(600.0, 0.0), 2).is_long
     assert cost.Cost(size, 0, None, 2).seconds is None
@@ -77,8 +96,15 @@ def test_time_is_that_of_what_is_missing():
 
 
 def test_pace_separates_what_a_flight_takes_from_what_a_second_takes(monkeypatch):
-    monkeypatch.setattr(cost, "_timed", lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None)
-    brief, whole = (FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds) for seconds in (5.0, 600.0))
+    monkeypatch.setattr(
+        cost,
+        "_timed",
+        lambda flown, flight: 0.1 + 0.001 * flight.duration_s if flown(flight) else None,
+    )
+    brief, whole = (
+        FlightSpec(Path("plane"), Path("loiter.xml"), duration_s=seconds)
+        for seconds in (5.0, 600.0)
+    )
     pace = cost.measured_pace(lambda flight: True, brief, whole)
     assert pace == cost.Pace(pytest.approx(0.1), pytest.approx(0.001))
     assert cost.measured_pace(lambda flight: False, brief, whole) is None
@@ -104,7 +130,10 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
         tracemalloc.stop()
     said = capsys.readouterr()
     assert (code, said.out) == (2, "")
-    assert "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h" in said.err
+    assert (
+        "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h"
+        in said.err
+    )
     assert "128 GB of disk" in said.err
     assert "give --yes to fly it all the same, or --hours H" in said.err
     assert most < 200e6
@@ -112,7 +141,9 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
 
 
 @pytest.mark.parametrize("engine", ["batch", "jsbsim"])
-def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(tmp_path, monkeypatch, engine):
+def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(
+    tmp_path, monkeypatch, engine
+):
     class Enough(Exception):
         pass
 
@@ -134,13 +165,26 @@ def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(tmp_
     with pytest.raises(Enough):
         run_campaign(spec, tmp_path / "out", **everything)
     assert (tmp_path / "out").exists()
-    assert [(found.engine, found.missing, found.pace is None) for found in costs] == [(engine, 192, False)] * 2
+    assert [(found.engine, found.missing, found.pace is None) for found in costs] == [
+        (engine, 192, False)
+    ] * 2
 
 
-def test_a_slow_model_is_refused_after_its_check_flight_and_yes_flies_it(tmp_path, monkeypatch, capsys):
+def test_a_slow_model_is_refused_after_its_check_flight_and_yes_flies_it(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: cost.Pace(3600.0, 0.0))
-    command = ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out"), "--serial"]
+    monkeypatch.setattr(
+        "uqharness.campaign.run.validate_model", lambda fly, case: cost.Pace(3600.0, 0.0)
+    )
+    command = [
+        "campaign",
+        "run",
+        str(fakes.campaign_file(tmp_path)),
+        "--out",
+        str(tmp_path / "out"),
+        "--serial",
+    ]
     assert main(command) == 2
     assert "about 8 days on 1 process of this machine" in capsys.readouterr().err
     with_flights = (tmp_path / "out" / JOURNAL).stat().st_size
@@ -154,13 +198,20 @@ def test_a_slow_model_is_refused_after_its_check_flight_and_yes_flies_it(tmp_pat
 
 
 def test_check_flies_nothing_that_counts(tmp_path, capsys):
-    text = fakes.CAMPAIGN.replace('"plane"', '"espaaro"').replace('"loiter.xml"', '"scripts/loiter.xml"')
+    text = fakes.CAMPAIGN.replace('"plane"', '"espaaro"').replace(
+        '"loiter.xml"', '"scripts/loiter.xml"'
+    )
     text = text.replace("150", "3600")
     path = fakes.campaign_file(tmp_path, text)
     before = sorted(tmp_path.rglob("*"))
     assert main(["campaign", "check", str(path), "--json", "--workers", "2"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["flights"], found["epistemic_samples"], found["conditions"], found["more_than_a_day"]) == (
+    assert (
+        found["flights"],
+        found["epistemic_samples"],
+        found["conditions"],
+        found["more_than_a_day"],
+    ) == (
         192,
         64,
         1,

@@ -23,7 +23,9 @@ from uqharness.errors import EnginesDifferError
 from uqharness.flight import flight_seed
 from uqharness.parquet_files import read_table
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
 TABLES = ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
 METRIC = "cross_track_median_m"
 
@@ -44,7 +46,9 @@ def spec(tmp_path):
 
 
 def run(spec, out, flown=None, executor=None):
-    return run_campaign(spec, out, executor=executor or SerialExecutor(), fly=engines(flown or Flown()))
+    return run_campaign(
+        spec, out, executor=executor or SerialExecutor(), fly=engines(flown or Flown())
+    )
 
 
 def tables(out):
@@ -60,7 +64,9 @@ def width(spec, out):
 
 
 @pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_millionth_does_not(spec, tmp_path, late):
+def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_millionth_does_not(
+    spec, tmp_path, late
+):
     iqr = width(spec, tmp_path / "alike")
     # Asked for by name: an engine that nobody asked for would give way to JSBSim at the first look.
     spec = spec.with_engine("batch")
@@ -70,12 +76,16 @@ def test_a_hundred_thousandth_of_the_spread_stops_the_campaign_and_a_hundred_mil
     assert read_manifest(tmp_path / "wrong")["state"] == "interrupted"
     assert not (tmp_path / "wrong" / "cases.parquet").exists()
     assert run(spec, tmp_path / "right", Flown(offset=1e-8 * iqr, late=late)).failed == 0
-    rows = [row for row in read_check(tmp_path / "right") if row.metric == METRIC and row.part == WHOLE]
+    rows = [
+        row for row in read_check(tmp_path / "right") if row.metric == METRIC and row.part == WHOLE
+    ]
     assert {row.verdict for row in rows} == {"alike"}
     assert max(float(row.difference) for row in rows) == pytest.approx(1e-8, rel=0.2)
 
 
-def test_a_campaign_that_was_stopped_stops_again_also_with_an_engine_that_is_right_by_now(spec, tmp_path):
+def test_a_campaign_that_was_stopped_stops_again_also_with_an_engine_that_is_right_by_now(
+    spec, tmp_path
+):
     # The wrong flights are counted already.
     for flown in (Flown(offset=1.0, late=True), Flown(offset=1.0, late=True), Flown()):
         with pytest.raises(EnginesDifferError):
@@ -110,7 +120,10 @@ def test_flights_left_to_the_judge_are_flown_by_the_next_run(spec, tmp_path):
     run(spec, tmp_path / "undisturbed")
     assert tables(out) == tables(tmp_path / "undisturbed")
     # The first seconds are those of flights that were still missing, which depends on when the run was stopped.
-    judged = [{row.case_id for row in read_check(folder) if row.part == WHOLE} for folder in (out, tmp_path / "undisturbed")]
+    judged = [
+        {row.case_id for row in read_check(folder) if row.part == WHOLE}
+        for folder in (out, tmp_path / "undisturbed")
+    ]
     assert judged[0] == judged[1] != set()
 
 
@@ -123,7 +136,10 @@ def test_only_the_guilty_case_of_a_group_is_crashed(tmp_path, kind):
     frame = read_table(tmp_path / "out" / "cases.parquet").to_pandas()
     (guilty,) = frame[frame["status"] == "crashed"].to_dict("records")
     assert (guilty["epistemic_id"], guilty["aleatory_id"]) == ("111111", 2)
-    expected = {Deadly: "signal 11 (SIGSEGV) (tried 2 times)", Raising: "RuntimeError: a flight that raises"}[kind]
+    expected = {
+        Deadly: "signal 11 (SIGSEGV) (tried 2 times)",
+        Raising: "RuntimeError: a flight that raises",
+    }[kind]
     assert expected in guilty["reason"]
 
 
@@ -145,7 +161,12 @@ def test_the_command_ends_with_one_and_a_sentence(tmp_path, capsys, monkeypatch)
         raise EnginesDifferError("out: the batch engine differs from JSBSim")
 
     monkeypatch.setattr(command.campaign_run, "run_campaign", stopped)
-    assert main(["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]) == 1
+    assert (
+        main(
+            ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]
+        )
+        == 1
+    )
     assert capsys.readouterr().err.strip().endswith("the batch engine differs from JSBSim")
 
 
@@ -161,7 +182,9 @@ def outcome(status="ok", **metrics):
 
 
 def verdicts(tmp_path, batch, jsbsim, moved=None):
-    case = dataclasses.replace(build_cases(fakes.small_spec(tmp_path, 1), find_mission(fakes.small_spec(tmp_path, 1)))[0])
+    case = dataclasses.replace(
+        build_cases(fakes.small_spec(tmp_path, 1), find_mission(fakes.small_spec(tmp_path, 1)))[0]
+    )
     rows = compared(WHOLE, case, (batch, jsbsim), {METRIC: 1.0}, lambda _: moved)
     return {row.metric: (row.verdict, row.remark) for row in rows}
 
@@ -175,9 +198,15 @@ def test_a_count_may_differ_only_where_the_flight_came_near_the_radius(tmp_path)
 
 
 def test_a_status_may_differ_only_where_jsbsims_own_differs_after_one_ulp(tmp_path):
-    batch, jsbsim = outcome("diverged", loss_of_control=1.0), outcome("ground-contact", loss_of_control=1.0)
+    batch, jsbsim = (
+        outcome("diverged", loss_of_control=1.0),
+        outcome("ground-contact", loss_of_control=1.0),
+    )
     assert verdicts(tmp_path, batch, jsbsim, jsbsim)["status"][0] == "differs"
-    assert verdicts(tmp_path, batch, jsbsim, batch)["status"] == ("excused", "JSBSim's own differs after one ulp")
+    assert verdicts(tmp_path, batch, jsbsim, batch)["status"] == (
+        "excused",
+        "JSBSim's own differs after one ulp",
+    )
 
 
 def test_a_flight_without_a_result_in_time_is_compared_with_nothing(tmp_path):
@@ -194,7 +223,11 @@ def test_metrics_beyond_lost_control_are_judged_by_jsbsims_own_rounding(tmp_path
     def value(number, lost):
         return outcome(**{METRIC: number, "loss_of_control": lost})
 
-    for lost, moved, expected in ((1.0, 5.0001, "excused"), (1.0, 5.0 + 1e-9, "differs"), (0.0, 6.0, "differs")):
+    for lost, moved, expected in (
+        (1.0, 5.0001, "excused"),
+        (1.0, 5.0 + 1e-9, "differs"),
+        (0.0, 6.0, "differs"),
+    ):
         found = verdicts(tmp_path, value(5.0005, lost), value(5.0, lost), value(moved, lost))
         assert found[METRIC][0] == expected
     assert verdicts(tmp_path, value(math.nan, 0.0), value(math.nan, 0.0))[METRIC][0] == "alike"
@@ -202,9 +235,14 @@ def test_metrics_beyond_lost_control_are_judged_by_jsbsims_own_rounding(tmp_path
 
 
 def test_what_differs_is_named_with_the_worst_first(tmp_path):
-    case = build_cases(fakes.small_spec(tmp_path, 1), find_mission(fakes.small_spec(tmp_path, 1)))[0]
+    case = build_cases(fakes.small_spec(tmp_path, 1), find_mission(fakes.small_spec(tmp_path, 1)))[
+        0
+    ]
     pair = (outcome(**{METRIC: 2.0, "other": 1.1}), outcome(**{METRIC: 1.0, "other": 1.0}))
     rows = compared(WHOLE, case, pair, {METRIC: 1.0, "other": 1.0}, lambda _: pair[1])
-    with pytest.raises(EnginesDifferError, match=f"has {METRIC} 2.0 in the batch engine and 1.0 in JSBSim, 1 of its spread apart"):
+    with pytest.raises(
+        EnginesDifferError,
+        match=f"has {METRIC} 2.0 in the batch engine and 1.0 in JSBSim, 1 of its spread apart",
+    ):
         refuse_difference(tmp_path, rows)
     refuse_difference(tmp_path, [row for row in rows if row.verdict == "alike"])

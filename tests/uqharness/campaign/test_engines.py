@@ -10,7 +10,14 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Flown, Understanding, engines
 from uqharness.campaign.cases import Mission, build_cases
-from uqharness.campaign.engines import Earlier, Engines, earlier_engine, engine_words, settle, varying_properties
+from uqharness.campaign.engines import (
+    Earlier,
+    Engines,
+    earlier_engine,
+    engine_words,
+    settle,
+    varying_properties,
+)
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.salvage import Flying, salvage
@@ -43,15 +50,25 @@ def run(spec, out, given=ALIKE, **keys):
 
 
 def test_auto_takes_the_batch_engine_where_it_understands_everything(spec):
-    assert settled(spec, ALIKE).words == "batch, because it understands the whole aircraft and mission"
-    assert settled(spec, PUZZLED).words == "jsbsim, because plane.xml:7: <rocket_engine> is not understood"
+    assert (
+        settled(spec, ALIKE).words == "batch, because it understands the whole aircraft and mission"
+    )
+    assert (
+        settled(spec, PUZZLED).words
+        == "jsbsim, because plane.xml:7: <rocket_engine> is not understood"
+    )
     assert settled(spec, WITHOUT).words == "jsbsim, because llvmlite is not installed"
-    assert settled(spec, Engines.of(fakes.steady)).words == "jsbsim, because the flights are flown by a function of their own"
+    assert (
+        settled(spec, Engines.of(fakes.steady)).words
+        == "jsbsim, because the flights are flown by a function of their own"
+    )
     assert settled(spec.with_engine("jsbsim"), ALIKE).words == "jsbsim, because it was asked for"
     assert settled(spec, ALIKE).asked == "auto"
 
 
-@pytest.mark.parametrize(("given", "said"), [(PUZZLED, "plane.xml:7: <rocket"), (WITHOUT, "llvmlite is not installed")])
+@pytest.mark.parametrize(
+    ("given", "said"), [(PUZZLED, "plane.xml:7: <rocket"), (WITHOUT, "llvmlite is not installed")]
+)
 def test_what_was_asked_for_and_cannot_be_is_refused_with_the_reasons(spec, given, said):
     with pytest.raises(BadInputError, match="was asked for and cannot fly this campaign") as error:
         settled(spec.with_engine("batch"), given)
@@ -59,10 +76,19 @@ def test_what_was_asked_for_and_cannot_be_is_refused_with_the_reasons(spec, give
 
 
 def test_auto_goes_on_in_the_engine_of_the_earlier_flights(spec):
-    assert settled(spec, ALIKE, Earlier("jsbsim", ("plane.xml:7: no",))).words == "jsbsim, because plane.xml:7: no"
+    assert (
+        settled(spec, ALIKE, Earlier("jsbsim", ("plane.xml:7: no",))).words
+        == "jsbsim, because plane.xml:7: no"
+    )
     assert settled(spec, PUZZLED, Earlier("batch")).words == "batch"
-    assert settled(spec.with_engine("jsbsim"), ALIKE, Earlier("batch")).words == "jsbsim, because it was asked for"
-    with pytest.raises(BadInputError, match="this campaign flies in the batch engine, and llvmlite is not installed"):
+    assert (
+        settled(spec.with_engine("jsbsim"), ALIKE, Earlier("batch")).words
+        == "jsbsim, because it was asked for"
+    )
+    with pytest.raises(
+        BadInputError,
+        match="this campaign flies in the batch engine, and llvmlite is not installed",
+    ):
         settled(spec, WITHOUT, Earlier("batch"))
 
 
@@ -77,22 +103,32 @@ def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
 
 
 def test_many_reasons_are_counted():
-    assert engine_words("jsbsim", tuple(f"reason {n}" for n in range(10))).endswith("reason 7; and 2 more")
+    assert engine_words("jsbsim", tuple(f"reason {n}" for n in range(10))).endswith(
+        "reason 7; and 2 more"
+    )
     assert engine_words("jsbsim", ()) == "jsbsim"
 
 
 def test_the_engine_is_part_of_every_case_id_and_old_ids_stay(spec):
     mission = Mission(spec.path, "a" * 64, spec.path, "b" * 64)
-    old, named, batch = (build_cases(spec.with_engine(name), mission) for name in ("auto", "jsbsim", "batch"))
+    old, named, batch = (
+        build_cases(spec.with_engine(name), mission) for name in ("auto", "jsbsim", "batch")
+    )
     assert [case.case_id for case in old] == [case.case_id for case in named]
     assert not {case.case_id for case in old} & {case.case_id for case in batch}
     assert {case.engine for case in batch} == {"batch"}
 
 
 def test_varying_properties_are_levels_variables_and_parameters(tmp_path):
-    text = fakes.CAMPAIGN + '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = 1.4\nstd = 0.02\n'
+    text = (
+        fakes.CAMPAIGN
+        + '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = 1.4\nstd = 0.02\n'
+    )
     found = varying_properties(read_campaign(fakes.campaign_file(tmp_path, text)))
-    assert found == (*(f"uq/{name}/level" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")), "inertia/mass-slugs")
+    assert found == (
+        *(f"uq/{name}/level" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")),
+        "inertia/mass-slugs",
+    )
 
 
 def test_manifest_table_and_status_say_which_engine_and_why(spec, tmp_path):
@@ -100,10 +136,16 @@ def test_manifest_table_and_status_say_which_engine_and_why(spec, tmp_path):
     assert (summary.engine, summary.statuses) == ("batch", {"ok": 64})
     manifest = read_manifest(tmp_path / "out")
     assert manifest["campaign"]["campaign"]["engine"] == "batch"
-    assert manifest["engine"] == {"asked": "auto", "why": ["it understands the whole aircraft and mission"]}
+    assert manifest["engine"] == {
+        "asked": "auto",
+        "why": ["it understands the whole aircraft and mission"],
+    }
     assert set(read_table(tmp_path / "out" / "cases.parquet")["engine"].to_pylist()) == {"batch"}
     found = read_status(tmp_path / "out")
-    assert (found.engine, found.why) == ("batch", ("it understands the whole aircraft and mission",))
+    assert (found.engine, found.why) == (
+        "batch",
+        ("it understands the whole aircraft and mission",),
+    )
 
 
 def test_another_engine_is_refused_in_the_same_folder_and_auto_is_not(spec, tmp_path):
@@ -169,7 +211,10 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
 
     path = fakes.campaign_file(tmp_path)
     monkeypatch.setattr(module, "OwnBatch", lambda: PUZZLED.batch)
-    assert main(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--engine", "batch"]) == 2
+    assert (
+        main(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--engine", "batch"])
+        == 2
+    )
     assert "plane.xml:7: <rocket_engine>" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

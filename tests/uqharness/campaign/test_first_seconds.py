@@ -11,7 +11,13 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Flown, engines
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.first_seconds import CASES_EACH, STORING_S, batch_pace, compare_start, throwaway_process
+from uqharness.campaign.first_seconds import (
+    CASES_EACH,
+    STORING_S,
+    batch_pace,
+    compare_start,
+    throwaway_process,
+)
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 
@@ -40,7 +46,10 @@ def test_some_cases_of_each_condition_are_compared_over_ten_seconds_without_burn
 
 
 def test_what_cannot_be_flown_is_bad_input(cases):
-    given = replace(engines(Flown()), fly_group=lambda engine, flights: [fakes.refuses(flight) for flight in flights])
+    given = replace(
+        engines(Flown()),
+        fly_group=lambda engine, flights: [fakes.refuses(flight) for flight in flights],
+    )
     with pytest.raises(BadInputError, match="uq/active"):
         compare_start(given, cases, SerialExecutor())
 
@@ -51,5 +60,8 @@ def test_the_pace_is_that_of_many_lanes_however_few_cases_there_are(cases):
     assert pace is not None
     assert pace.flight_s == STORING_S
     assert 0.002 / 60.0 < pace.per_second < 0.02 / 60.0
-    failing = replace(engines(Flown()), fly_group=lambda engine, flights: [fakes.diverges(flight) for flight in flights])
+    failing = replace(
+        engines(Flown()),
+        fly_group=lambda engine, flights: [fakes.diverges(flight) for flight in flights],
+    )
     assert batch_pace(failing, cases, SerialExecutor()) is None

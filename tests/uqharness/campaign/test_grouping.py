@@ -32,7 +32,9 @@ def test_every_case_is_in_one_group_of_one_condition(tmp_path):
     assert len(groups) >= 4, "two workers have something to do"
 
 
-@pytest.mark.parametrize(("duration_s", "most"), [(150.0, MOST_LANES), (3600.0, 491), (86_000.0, 20)])
+@pytest.mark.parametrize(
+    ("duration_s", "most"), [(150.0, MOST_LANES), (3600.0, 491), (86_000.0, 20)]
+)
 def test_a_group_takes_no_longer_than_meant(tmp_path, duration_s, most):
     groups = groups_of(cases(tmp_path, 40, duration_s=duration_s), 1)
     lanes = max(len(group.cases) for group in groups)

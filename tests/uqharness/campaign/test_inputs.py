@@ -49,7 +49,9 @@ FIT = {
 }
 
 
-def model_form(path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), transient=None, **changes):
+def model_form(
+    path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), transient=None, **changes
+):
     """A model form with bounds of CX, CZ and Cm; told apart into parts where ``transient`` is given."""
     form = made_up_form({name: PUBLISHED[name] for name in names})
     form = form if transient is None else with_parts(form, transient=transient)
@@ -81,7 +83,9 @@ def test_a_latin_hypercube_fills_every_cell_of_every_dimension(tmp_path):
     assert np.abs(np.corrcoef(points.T) - np.eye(6)).max() < 4.5 / np.sqrt(200)
     # A dimension is a stream of its own: fewer coefficients move none of the others' levels.
     fewer = 'method = "lhs"\nsamples = 200\ncoefficients = ["Cm"]\nbounds = { Cm = 0.012 }\n'
-    assert [item.levels["Cm"] for item in epistemic_samples(campaign(tmp_path, fewer))] == list(points[:, 4])
+    assert [item.levels["Cm"] for item in epistemic_samples(campaign(tmp_path, fewer))] == list(
+        points[:, 4]
+    )
 
 
 def test_walks_are_numbered_drivers_in_their_own_streams(tmp_path):
@@ -89,10 +93,14 @@ def test_walks_are_numbered_drivers_in_their_own_streams(tmp_path):
     samples = epistemic_samples(campaign(tmp_path, text))
     assert samples[2].driver == LevelDriver("walk", 7, "walk-000002", COEFFICIENTS, (0.012,) * 6)
     assert not samples[2].levels
-    assert walk_stream(7, "walk-000002", "CX").generate_state(1) != walk_stream(7, "walk-000001", "CX").generate_state(1)
+    assert walk_stream(7, "walk-000002", "CX").generate_state(1) != walk_stream(
+        7, "walk-000001", "CX"
+    ).generate_state(1)
     cases = build_cases(campaign(tmp_path, text), mission(tmp_path))
     # One walk over all flights, and the air common to all walks.
-    assert {case.flight.levels for case in cases if case.epistemic_id == "walk-000001"} == {samples[1].driver}
+    assert {case.flight.levels for case in cases if case.epistemic_id == "walk-000001"} == {
+        samples[1].driver
+    }
     assert len({case.case_id for case in cases}) == 9
     assert len({case.seed for case in cases}) == 3
     more = epistemic_samples(campaign(tmp_path, text.replace("samples = 3", "samples = 5")))
@@ -110,15 +118,23 @@ def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
     model_form(tmp_path / "model-form.json")
     text = 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\ncoefficients = ["CZ", "CX"]\n'
     sample = epistemic_samples(campaign(tmp_path, text))[0]
-    assert (sample.driver.coefficients, sample.driver.rates_per_sqrt_s) == (("CX", "CZ"), (0.02, 0.012))
-    corners = epistemic_samples(campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n'))
+    assert (sample.driver.coefficients, sample.driver.rates_per_sqrt_s) == (
+        ("CX", "CZ"),
+        (0.02, 0.012),
+    )
+    corners = epistemic_samples(
+        campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n')
+    )
     assert [item.epistemic_id for item in corners][:2] == ["0-0-0-", "0-0-1-"]
     given = text.replace("samples", "walk_rate_per_sqrt_s = { CX = 0.5 }\nsamples")
     assert epistemic_samples(campaign(tmp_path, given))[0].driver.rates_per_sqrt_s == (0.5, 0.012)
     with pytest.raises(BadInputError, match="no walk_rate for Cm"):
         campaign(tmp_path, 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\n')
     with pytest.raises(BadInputError, match="has no bounds for Cn"):
-        campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cn"]\n')
+        campaign(
+            tmp_path,
+            'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cn"]\n',
+        )
 
 
 CORNERS = 'method = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX", "Cm"]\n'
@@ -132,18 +148,28 @@ def test_transient_error_flies_where_the_form_has_it_the_same_at_every_corner(tm
     assert len(cases) == 3 * (4 + 16)
     for case in cases:
         # CZ has such a part, and is certain in this campaign.
-        assert case.flight.transient == TransientDriver(7, case.aleatory_id, ("Cm",), (pytest.approx(rate),))
+        assert case.flight.transient == TransientDriver(
+            7, case.aleatory_id, ("Cm",), (pytest.approx(rate),)
+        )
     still = build_cases(campaign(tmp_path, CORNERS + "transient = false\n"), mission(tmp_path))
     assert all(case.flight.transient is None for case in still)
     assert {case.case_id for case in still}.isdisjoint(case.case_id for case in cases)
-    said = [campaign(tmp_path, CORNERS + more).as_dict()["epistemic"]["transient"] for more in ("", "transient = false\n")]
+    said = [
+        campaign(tmp_path, CORNERS + more).as_dict()["epistemic"]["transient"]
+        for more in ("", "transient = false\n")
+    ]
     assert said == [True, False]
     assert (
-        spec_of(describe(spec, mission(tmp_path), 60, "") | {"campaign_file": str(tmp_path / "campaign.toml")}).inputs
+        spec_of(
+            describe(spec, mission(tmp_path), 60, "")
+            | {"campaign_file": str(tmp_path / "campaign.toml")}
+        ).inputs
         == spec.inputs
     )
     # The same coefficient's walk joins walks and the hypercube alike.
-    lhs = build_cases(campaign(tmp_path, CORNERS.replace('"corners"', '"lhs"\nsamples = 2')), mission(tmp_path))
+    lhs = build_cases(
+        campaign(tmp_path, CORNERS.replace('"corners"', '"lhs"\nsamples = 2')), mission(tmp_path)
+    )
     assert lhs[0].flight.transient == cases[0].flight.transient
 
 
@@ -162,13 +188,27 @@ def test_a_form_without_such_a_part_flies_none(tmp_path):
 
 def test_what_the_bounds_do_not_hold_is_refused_with_its_line(tmp_path):
     model_form(tmp_path / "model-form.json")
-    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: .*has no transient part"):
+    with pytest.raises(
+        BadInputError,
+        match=r"campaign.toml:\d+: \[epistemic\] transient = true: .*has no transient part",
+    ):
         campaign(tmp_path, CORNERS + "transient = true\n")
-    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] transient = true: bounds are no model-form.json"):
+    with pytest.raises(
+        BadInputError,
+        match=r"campaign.toml:\d+: \[epistemic\] transient = true: bounds are no model-form.json",
+    ):
         campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = true\n')
-    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] set = .ellipsoid.: it needs intervals"):
+    with pytest.raises(
+        BadInputError,
+        match=r"campaign.toml:\d+: \[epistemic\] set = .ellipsoid.: it needs intervals",
+    ):
         campaign(tmp_path, f'method = "corners"\n{BOUNDS}set = "ellipsoid"\n')
-    assert campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = false\n').inputs.transient_rates == {}
+    assert (
+        campaign(
+            tmp_path, f'method = "corners"\n{BOUNDS}transient = false\n'
+        ).inputs.transient_rates
+        == {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -184,7 +224,9 @@ def test_a_bad_model_form_is_refused(tmp_path, content, message):
         (tmp_path / "model-form.json").write_text(content)
     with pytest.raises(BadInputError, match=message):
         campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n')
-    with pytest.raises(BadInputError, match=r"campaign.toml:\d+: \[epistemic\] bounds: must be numbers"):
+    with pytest.raises(
+        BadInputError, match=r"campaign.toml:\d+: \[epistemic\] bounds: must be numbers"
+    ):
         campaign(tmp_path, 'method = "corners"\nbounds = "wide"\n')
 
 
@@ -193,13 +235,21 @@ PARAMETERS = '[epistemic.parameters]\nfit = "fit.json"\n'
 
 def test_parameters_are_drawn_from_the_covariance(tmp_path):
     write(tmp_path / "fit.json", FIT)
-    samples = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 4000\n{PARAMETERS}'))
+    samples = epistemic_samples(
+        campaign(tmp_path, f'method = "none"\nsamples = 4000\n{PARAMETERS}')
+    )
     assert samples[3].epistemic_id == "nominal+p000003"
     drawn = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in samples])
     for column, name in enumerate(FIT["names"]):
         known = FIT["parameters"][name]
-        assert stats.kstest(drawn[:, column], "norm", args=(known["value"], known["std"])).pvalue > 1e-3
-        assert stats.kstest(drawn[:, column], "norm", args=(known["value"], 1.2 * known["std"])).pvalue < 1e-3
+        assert (
+            stats.kstest(drawn[:, column], "norm", args=(known["value"], known["std"])).pvalue
+            > 1e-3
+        )
+        assert (
+            stats.kstest(drawn[:, column], "norm", args=(known["value"], 1.2 * known["std"])).pvalue
+            < 1e-3
+        )
     assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.7, abs=4 * (1 - 0.49) / np.sqrt(4000))
     fewer = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 5\n{PARAMETERS}'))
     assert [item.parameters for item in fewer] == [item.parameters for item in samples[:5]]
@@ -222,14 +272,20 @@ def test_parameters_multiply_corners_and_join_walks(tmp_path):
     samples = epistemic_samples(corners)
     assert len(samples) == 64 * 3
     assert [item.epistemic_id for item in samples[:4]] == [
-        "000000+p000000", "000000+p000001", "000000+p000002", "000001+p000000",
-    ]  # fmt: skip
+        "000000+p000000",
+        "000000+p000001",
+        "000000+p000002",
+        "000001+p000000",
+    ]
     assert samples[0].parameters == samples[3].parameters != samples[1].parameters
     case = build_cases(corners, mission(tmp_path))[0]
     assert case.flight.properties["aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
     assert case.inputs["parameter_aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
     walks = epistemic_samples(
-        campaign(tmp_path, f'method = "walk"\nwalk_rate_per_sqrt_s = 0.01\nsamples = 3\n{BOUNDS}{PARAMETERS}')
+        campaign(
+            tmp_path,
+            f'method = "walk"\nwalk_rate_per_sqrt_s = 0.01\nsamples = 3\n{BOUNDS}{PARAMETERS}',
+        )
     )
     assert len({item.parameters["aero/Cm_q"] for item in walks}) == len(walks) == 3
 
@@ -254,27 +310,43 @@ def test_a_bad_fit_is_refused(tmp_path, change, message):
 def test_unknown_parameters_and_a_confidence_without_a_box_are_refused(tmp_path):
     write(tmp_path / "fit.json", FIT)
     with pytest.raises(BadInputError, match="aero/CZ_q is not among the identified"):
-        campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}parameters = ["aero/CZ_q"]\n')
-    with pytest.raises(BadInputError, match=r'\[epistemic.parameters\].*confidence belongs to distribution = "box"'):
+        campaign(
+            tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}parameters = ["aero/CZ_q"]\n'
+        )
+    with pytest.raises(
+        BadInputError, match=r'\[epistemic.parameters\].*confidence belongs to distribution = "box"'
+    ):
         campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}confidence = 0.9\n')
 
 
 def variables(mean):
-    return HEAD + f'[aleatory.variables."load/kg"]\ndistribution = "normal"\nmean = {mean}\nstd = 0.5\n'
+    return (
+        HEAD
+        + f'[aleatory.variables."load/kg"]\ndistribution = "normal"\nmean = {mean}\nstd = 0.5\n'
+    )
 
 
 def test_a_variable_is_drawn_per_flight_and_common_to_corners(tmp_path):
-    cases = build_cases(campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("20")), mission(tmp_path))
+    cases = build_cases(
+        campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("20")), mission(tmp_path)
+    )
     drawn = {case.aleatory_id: case.flight.properties["load/kg"] for case in cases}
     assert len(set(drawn.values())) == 3
     assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in cases)
     assert cases[0].inputs == {"variable_load/kg": drawn[0]}
-    many = campaign(tmp_path, 'method = "none"\n', variables("20").replace("flights = 3", "flights = 3000"))
+    many = campaign(
+        tmp_path, 'method = "none"\n', variables("20").replace("flights = 3", "flights = 3000")
+    )
     values = [case.flight.properties["load/kg"] for case in build_cases(many, mission(tmp_path))]
     assert stats.kstest(values, "norm", args=(20.0, 0.5)).pvalue > 1e-3
     # A variable's stream bears its name: another variable beside it moves nothing.
-    other = variables("20") + '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
-    again = build_cases(campaign(tmp_path, f'method = "corners"\n{BOUNDS}', other), mission(tmp_path))
+    other = (
+        variables("20")
+        + '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
+    )
+    again = build_cases(
+        campaign(tmp_path, f'method = "corners"\n{BOUNDS}', other), mission(tmp_path)
+    )
     assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in again)
 
 
@@ -284,11 +356,17 @@ def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
     assert len(cases) == 3 * 128
     low, high = cases[0], cases[1]
     assert (low.epistemic_id, high.epistemic_id) == ("000000+0", "000000+1")
-    assert high.flight.properties["load/kg"] - low.flight.properties["load/kg"] == pytest.approx(3.0)
+    assert high.flight.properties["load/kg"] - low.flight.properties["load/kg"] == pytest.approx(
+        3.0
+    )
     assert (low.inputs["level_load/kg"], high.inputs["level_load/kg"]) == (0.0, 1.0)
-    nominal = build_cases(campaign(tmp_path, 'method = "none"\n', variables("[19, 22]")), mission(tmp_path))
+    nominal = build_cases(
+        campaign(tmp_path, 'method = "none"\n', variables("[19, 22]")), mission(tmp_path)
+    )
     assert [case.epistemic_id for case in nominal[:2]] == ["nominal+0", "nominal+1"]
-    lhs = epistemic_samples(campaign(tmp_path, f'method = "lhs"\nsamples = 8\n{BOUNDS}', variables("[19, 22]")))
+    lhs = epistemic_samples(
+        campaign(tmp_path, f'method = "lhs"\nsamples = 8\n{BOUNDS}', variables("[19, 22]"))
+    )
     assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
 
 
@@ -303,10 +381,16 @@ def heavy(spec):
 
 def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
-    head = variables("[19, 22]").replace("std = 0.5", "std = 0.01").replace("flights = 3", "flights = 20")
+    head = (
+        variables("[19, 22]")
+        .replace("std = 0.5", "std = 0.01")
+        .replace("flights = 3", "flights = 20")
+    )
     epistemic = 'method = "corners"\ncoefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
     spec = campaign(tmp_path, epistemic, head)
-    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path))
+    run_campaign(
+        spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path)
+    )
     assert main(["sensitivity", str(tmp_path / "out"), "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
     indices = found["altitude_median_m"]["indices"]
@@ -320,18 +404,35 @@ def test_one_property_cannot_be_random_and_unknown_at_once(tmp_path):
     write(tmp_path / "fit.json", FIT)
     head = variables("20").replace("load/kg", "aero/Cm_q")
     with pytest.raises(BadInputError, match="either random from flight to flight or unknown"):
-        build_cases(campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}', head), mission(tmp_path))
+        build_cases(
+            campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}', head),
+            mission(tmp_path),
+        )
 
 
 def test_what_was_drawn_stands_in_the_table_and_moves_with_no_worker(tmp_path):
     spec = campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("[19, 22]"))
-    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady, mission=mission(tmp_path))
+    run_campaign(
+        spec,
+        tmp_path / "out",
+        executor=SerialExecutor(),
+        fly=fakes.steady,
+        mission=mission(tmp_path),
+    )
     frame = read_table(tmp_path / "out" / CASES).to_pandas()
     assert list(frame.columns[-2:]) == ["level_load/kg", "variable_load/kg"]
     step = frame[frame["level_load/kg"] == 1]["variable_load/kg"].to_numpy() - 3.0
     assert step == pytest.approx(frame[frame["level_load/kg"] == 0]["variable_load/kg"].to_numpy())
-    walk = campaign(tmp_path, f'method = "walk"\nsamples = 2\nwalk_rate_per_sqrt_s = 0.01\n{BOUNDS}')
-    run_campaign(walk, tmp_path / "walk", executor=SerialExecutor(), fly=fakes.steady, mission=mission(tmp_path))
+    walk = campaign(
+        tmp_path, f'method = "walk"\nsamples = 2\nwalk_rate_per_sqrt_s = 0.01\n{BOUNDS}'
+    )
+    run_campaign(
+        walk,
+        tmp_path / "walk",
+        executor=SerialExecutor(),
+        fly=fakes.steady,
+        mission=mission(tmp_path),
+    )
     frame = read_table(tmp_path / "walk" / CASES).to_pandas()
     # A level that moves is no number of a flight.
     assert frame["level_CX"].isna().all()
@@ -358,7 +459,9 @@ def test_bounds_of_other_files_are_noted(tmp_path, bounded):
         model_form(tmp_path / "model-form.json", aircraft=AircraftReference(name, digest))
         notes = bounds_notes(read_campaign(tmp_path / "campaign.toml"))
         assert len(notes) == told
-        assert all("made for aircraft 'glider', not 'espaaro'" in n for n in notes if name == "glider")
+        assert all(
+            "made for aircraft 'glider', not 'espaaro'" in n for n in notes if name == "glider"
+        )
     assert bounds_notes(campaign(tmp_path, 'method = "corners"\n' + BOUNDS)) == []
 
 
@@ -377,7 +480,9 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     copy = out / "aircraft" / "plane"
     assert {spec.aircraft for spec in flown} == {copy}
     written = (copy / "Systems" / "model-form.xml").read_bytes()
-    assert written == model_form_xml(read_model_form(tmp_path / "model-form.json"), find_aircraft(tmp_path / "plane"))
+    assert written == model_form_xml(
+        read_model_form(tmp_path / "model-form.json"), find_aircraft(tmp_path / "plane")
+    )
     frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
     assert list(frame.index) == ["0-----", "1-----"]
     assert frame["extrapolated_share"].between(0.0, 1.0).all()
@@ -405,7 +510,11 @@ def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
     text = re.sub(r"<property[^>]*>uq/C\w/active</property>", "", system.read_text())
     assert "uq/active" in text
     system.write_text(text)
-    spec = campaign(tmp_path, 'method = "corners"\ncoefficients = ["CX"]\n', HEAD.replace('"plane"', f'"{folder}"'))
+    spec = campaign(
+        tmp_path,
+        'method = "corners"\ncoefficients = ["CX"]\n',
+        HEAD.replace('"plane"', f'"{folder}"'),
+    )
     flight = build_cases(spec, mission(tmp_path))[1].flight
     brief = dataclasses.replace(
         flight,
@@ -425,5 +534,7 @@ def test_a_plugin_without_switches_has_its_certain_bounds_set_to_zero(tmp_path):
 def test_bounds_need_the_plugin(tmp_path, bounded):
     xml = tmp_path / "plane" / "espaaro.xml"
     xml.write_text(xml.read_text().replace('<system file="model-form"/>', ""))
-    with pytest.raises(BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'):
+    with pytest.raises(
+        BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'
+    ):
         run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)

@@ -59,7 +59,9 @@ def spec(tmp_path, text=TOML):
 
 
 def run(tmp_path, out, executor=None, text=TOML, fly=fakes.by_corner, **keys):
-    return run_campaign(spec(tmp_path, text), tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys)
+    return run_campaign(
+        spec(tmp_path, text), tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys
+    )
 
 
 def tables(folder):
@@ -85,7 +87,10 @@ def test_each_cell_gets_its_answer_and_no_flight_more_than_it_needs(tmp_path):
     for (_, name), group in frame.groupby(["wind_mps", "epistemic_id"]):
         assert group["aleatory_id"].tolist() == list(range(len(group))), name
         assert len(group) % 4 == 0
-    signed = {(row["condition"], row["radius_m"], row["distance"]): row for row in rows(tmp_path / "out", "statements.csv")}
+    signed = {
+        (row["condition"], row["radius_m"], row["distance"]): row
+        for row in rows(tmp_path / "out", "statements.csv")
+    }
     calm = signed["3 m/s severe", "15", "horizontal"]
     assert (calm["answer"], calm["best_per_h"], calm["worst_lower_per_h"]) == ("yes", "0", "0")
     rough = signed["7 m/s severe", "15", "horizontal"]
@@ -129,7 +134,11 @@ def test_workers_and_interruptions_move_no_byte(tmp_path, answer_for):
     again = run(tmp_path, "killed", text=text, fly=fakes.aborts_always)
     assert (again.done_before, again.progress.flown_s) == (again.cases, 0.0)
     assert tables(tmp_path / "killed") == reference
-    corners = [row for row in rows(tmp_path / "whole", "decisions.csv") if row["condition"] == "7 m/s severe"]
+    corners = [
+        row
+        for row in rows(tmp_path / "whole", "decisions.csv")
+        if row["condition"] == "7 m/s severe"
+    ]
     own = {row["epistemic_id"]: row["answer"] for row in corners}
     assert own["11----"] == ("no" if answer_for == "corner" else "open")
     assert own["all"] == "no"
@@ -149,8 +158,9 @@ def test_status_while_it_flies_and_after(tmp_path, capsys):
     assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [(item["condition"], item["answer"]) for item in found["answers"]] == [
-        ("3 m/s severe", "yes"), ("7 m/s severe", "no"),
-    ]  # fmt: skip
+        ("3 m/s severe", "yes"),
+        ("7 m/s severe", "no"),
+    ]
     assert main(["campaign", "status", str(tmp_path / "out")]) == 0
     assert "at most 1 excursions per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
 
@@ -169,7 +179,9 @@ def test_the_band_pays_for_having_looked(tmp_path):
     """Same flights, decided or planned: the band of a campaign that could have stopped anywhere is wider."""
     run(tmp_path, "out")
     flown = read_table(tmp_path / "out" / "pbox.parquet").to_pandas()
-    planned = TOML.partition("[stop]")[0].replace("flights = 40", "flights = 4").replace("[3, 7]", "7")
+    planned = (
+        TOML.partition("[stop]")[0].replace("flights = 40", "flights = 4").replace("[3, 7]", "7")
+    )
     run(tmp_path, "planned", text=planned)
     fixed = read_table(tmp_path / "planned" / "pbox.parquet").to_pandas()
     same = flown[flown["condition"] == "7 m/s severe"].reset_index(drop=True)
@@ -189,10 +201,14 @@ def test_what_cannot_be_decided_is_refused(tmp_path):
 def test_failed_flights_keep_a_cell_from_yes(tmp_path):
     text = TOML.replace("flights = 40", "flights = 8").replace("[3, 7]", "3")
     run(tmp_path, "out", text=text, fly=fakes.diverges)
-    (cell,) = [row for row in rows(tmp_path / "out", "decisions.csv") if row["epistemic_id"] == "all"]
+    (cell,) = [
+        row for row in rows(tmp_path / "out", "decisions.csv") if row["epistemic_id"] == "all"
+    ]
     assert (cell["answer"], cell["reason"]) == ("open", "all flights flown")
     (signed,) = [
-        row for row in rows(tmp_path / "out", "statements.csv") if row["radius_m"] == "15" and row["distance"] == "horizontal"
+        row
+        for row in rows(tmp_path / "out", "statements.csv")
+        if row["radius_m"] == "15" and row["distance"] == "horizontal"
     ]
     assert (signed["answer"], signed["failed"]) == ("open", "32")
 
@@ -204,13 +220,23 @@ def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
     for hours, calm, rough in ((12, "yes", "no"), (2, "open", "open")):
         out = f"out-{hours}"
         run(tmp_path, out, text=planned.replace("flights = 40\n", "") + stop.format(hours))
-        answers = {row["condition"]: row for row in rows(tmp_path / out, "statements.csv")
-                   if row["radius_m"] == "15" and row["distance"] == "horizontal"}  # fmt: skip
+        answers = {
+            row["condition"]: row
+            for row in rows(tmp_path / out, "statements.csv")
+            if row["radius_m"] == "15" and row["distance"] == "horizontal"
+        }
         assert answers["3 m/s severe"]["answer"] == calm
         assert answers["7 m/s severe"]["answer"] == rough
         assert float(answers["3 m/s severe"]["hours"]) == 4 * hours
         assert float(answers["3 m/s severe"]["extrapolated_share"]) == 0.0
         assert not (tmp_path / out / "decisions.csv").exists()
         for row in rows(tmp_path / out, "excursions.csv"):
-            assert float(row["flights_lower_per_h"]) <= float(row["rate_per_h"]) <= float(row["flights_upper_per_h"])
-            assert float(row["flights_upper_per_h"]) >= float(row["limit_upper_per_h"]) or int(row["excursions"]) > 0
+            assert (
+                float(row["flights_lower_per_h"])
+                <= float(row["rate_per_h"])
+                <= float(row["flights_upper_per_h"])
+            )
+            assert (
+                float(row["flights_upper_per_h"]) >= float(row["limit_upper_per_h"])
+                or int(row["excursions"]) > 0
+            )

@@ -25,7 +25,9 @@ from uqharness.parquet_files import read_table
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +47,9 @@ def tables(folder):
 
 def run(tmp_path, out, executor=None, fly=fakes.steady, flights=2, **keys):
     spec = fakes.small_spec(tmp_path, flights)
-    return run_campaign(spec, tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys)
+    return run_campaign(
+        spec, tmp_path / out, executor=executor or SerialExecutor(), fly=fly, **keys
+    )
 
 
 def test_the_table_has_one_row_per_flight_and_the_agreed_columns(tmp_path):
@@ -55,14 +59,42 @@ def test_the_table_has_one_row_per_flight_and_the_agreed_columns(tmp_path):
     assert table.num_rows == 128
     levels = [f"level_{name}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]
     assert table.column_names == [
-        "case_id", "epistemic_id", *levels, "aleatory_id", "wind_mps", "turbulence", "seed", "engine", "duration_s", "status",
-        "reason", "cross_track_median_m", "cross_track_mean_m", "cross_track_max_m",
-        "altitude_median_m", "altitude_mean_m", "altitude_max_m", "speed_median_mps", "speed_mean_mps", "speed_max_mps",
-        "cross_track_median_m_measured", "cross_track_mean_m_measured", "cross_track_max_m_measured",
-        "altitude_median_m_measured", "altitude_mean_m_measured", "altitude_max_m_measured",
-        "speed_median_mps_measured", "speed_mean_mps_measured", "speed_max_mps_measured",
-        "excursions_15m", "excursions_25m", "excursions_15m_3d", "excursions_25m_3d", "loss_of_control", "extrapolated_share",
-    ]  # fmt: skip
+        "case_id",
+        "epistemic_id",
+        *levels,
+        "aleatory_id",
+        "wind_mps",
+        "turbulence",
+        "seed",
+        "engine",
+        "duration_s",
+        "status",
+        "reason",
+        "cross_track_median_m",
+        "cross_track_mean_m",
+        "cross_track_max_m",
+        "altitude_median_m",
+        "altitude_mean_m",
+        "altitude_max_m",
+        "speed_median_mps",
+        "speed_mean_mps",
+        "speed_max_mps",
+        "cross_track_median_m_measured",
+        "cross_track_mean_m_measured",
+        "cross_track_max_m_measured",
+        "altitude_median_m_measured",
+        "altitude_mean_m_measured",
+        "altitude_max_m_measured",
+        "speed_median_mps_measured",
+        "speed_mean_mps_measured",
+        "speed_max_mps_measured",
+        "excursions_15m",
+        "excursions_25m",
+        "excursions_15m_3d",
+        "excursions_25m_3d",
+        "loss_of_control",
+        "extrapolated_share",
+    ]
     assert set(ERROR_METRICS) | set(excursion_columns((15.0, 25.0))) <= set(table.column_names)
     assert table["duration_s"].to_pylist() == [150.0] * 128
     assert read_manifest(tmp_path / "out")["state"] == "complete"
@@ -77,7 +109,13 @@ EXECUTORS = {
 }
 
 
-@pytest.mark.parametrize("names", [("fork3", "spawn2", "reversed"), pytest.param(("fork1", "forkserver2"), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("fork3", "spawn2", "reversed"),
+        pytest.param(("fork1", "forkserver2"), marks=pytest.mark.slow),
+    ],
+)
 def test_workers_order_and_start_method_move_no_byte(tmp_path, names):
     run(tmp_path, "serial", fly=fakes.hazardous_but_alive)
     reference = tables(tmp_path / "serial")
@@ -101,7 +139,9 @@ def test_failures_are_rows_with_reasons(tmp_path):
     assert len(frame) == 128
     assert summary.failed == (frame["status"] != "ok").sum() > 0
     assert {"SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError"} <= {
-        word for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError") if frame["reason"].str.contains(word).any()
+        word
+        for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError")
+        if frame["reason"].str.contains(word).any()
     }
     diverged = frame[frame["status"] == "diverged"].iloc[0]
     assert diverged["duration_s"] == 30.0
@@ -149,7 +189,17 @@ def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
 def test_kill_9_at_random_moments_and_resume_gives_the_same_bytes(tmp_path):
     fakes.campaign_file(tmp_path)
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "tests.helpers.campaign_fakes", str(tmp_path), str(out), "3", "slow", "2", "fork"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.helpers.campaign_fakes",
+        str(tmp_path),
+        str(out),
+        "3",
+        "slow",
+        "2",
+        "fork",
+    ]
     chance = random.Random(20161201)
     kept = [0]
     for _ in range(3):
@@ -192,7 +242,10 @@ def wait_for_the_end_of(session):
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
     (tmp_path / "out").mkdir()
-    with run_lock(tmp_path / "out"), pytest.raises(BadInputError, match="another run is using this folder"):
+    with (
+        run_lock(tmp_path / "out"),
+        pytest.raises(BadInputError, match="another run is using this folder"),
+    ):
         run(tmp_path, "out")
 
 
@@ -257,7 +310,9 @@ def test_progress_counts_only_what_is_on_the_disk(tmp_path):
 
 
 def test_progress_figures():
-    progress = Progress(cases=100, done=60, done_before=50, failed=1, flown_s=7200.0, elapsed_s=10.0, workers=2)
+    progress = Progress(
+        cases=100, done=60, done_before=50, failed=1, flown_s=7200.0, elapsed_s=10.0, workers=2
+    )
     assert progress.eta_s == pytest.approx(40.0)
     assert progress.hours_per_core_hour == pytest.approx(360.0)
     assert replace(progress, done=50).eta_s is None

@@ -15,7 +15,11 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.sensitivity import analyse_campaign, read_corner_campaign, read_interior_campaign
+from uqharness.campaign.sensitivity import (
+    analyse_campaign,
+    read_corner_campaign,
+    read_interior_campaign,
+)
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
@@ -36,7 +40,9 @@ def known_effects(spec):
     draw = np.random.default_rng(spec.seed_turbulence)
     chance = float(draw.gamma(4.0))
     metrics = dict.fromkeys(fakes.ERROR_METRICS, 1.0) | dict.fromkeys(fakes.EXCURSIONS, 0.0)
-    metrics["cross_track_median_m"] = 5.0 + sum(SLOPES[name] * level[name] for name in SLOPES) + chance
+    metrics["cross_track_median_m"] = (
+        5.0 + sum(SLOPES[name] * level[name] for name in SLOPES) + chance
+    )
     metrics["altitude_median_m"] = 2.0 + 3.0 * level["CX"] * level["CY"] + level["CZ"] + chance
     metrics["speed_median_mps"] = chance
     metrics |= {"loss_of_control": 0.0, "extrapolated_share": 0.0}
@@ -82,7 +88,9 @@ def interior_fails(spec):
 
 
 def fly(folder, function, name="out", text=fakes.CAMPAIGN, flights=FLIGHTS):
-    spec = read_campaign(fakes.campaign_file(folder, text.replace("flights = 3", f"flights = {flights}")))
+    spec = read_campaign(
+        fakes.campaign_file(folder, text.replace("flights = 3", f"flights = {flights}"))
+    )
     with pytest.MonkeyPatch.context() as patch:
         # The check flight in a process of its own is tested elsewhere and costs seconds.
         patch.setattr("uqharness.campaign.run.validate_model", lambda *_: None)
@@ -109,7 +117,10 @@ def test_additive_shares_are_exact_and_the_order_certain(flown):
     assert found.ranking.first == "CX"
     assert found.ranking.certain
     # Known at a bound, the envelope loses just that share: 7.75 m wide, 52 %.
-    assert "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by 52 %" in found.words
+    assert (
+        "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by 52 %"
+        in found.words
+    )
     assert "Certain:" in found.words
 
 
@@ -126,7 +137,9 @@ def test_an_interaction_makes_a_range_and_the_order_uncertain(flown):
 
 def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
     found = found_in(flown, "speed_median_mps")
-    assert all(math.isnan(index.maximum.value) and index.reason for index in found.result.indices.values())
+    assert all(
+        math.isnan(index.maximum.value) and index.reason for index in found.result.indices.values()
+    )
     assert found.ranking.first == ""
     assert "no width" in found.words
 
@@ -137,16 +150,22 @@ def test_interior_levels_check_the_corners(tmp_path):
     middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
     middle = fly(tmp_path, bump, "middle", middle_text, 2)
     flown = read_corner_campaign(corners)
-    (found,) = analyse_campaign(flown, read_interior_campaign(middle, flown), ("cross_track_median_m",))
+    (found,) = analyse_campaign(
+        flown, read_interior_campaign(middle, flown), ("cross_track_median_m",)
+    )
     # All levels in the middle: 3.875 + 2 of the corners' 0..7.75; the bump does not lead outside.
     assert found.result.holds is True
     text = middle_text.replace("[0.5]", "[0.5, 1.0]")
     mixed = fly(tmp_path, bump, "mixed", text, 2)
-    (found,) = analyse_campaign(flown, read_interior_campaign(mixed, flown), ("cross_track_median_m",))
+    (found,) = analyse_campaign(
+        flown, read_interior_campaign(mixed, flown), ("cross_track_median_m",)
+    )
     # CX in the middle, all others up: 3.75 + 2 + 2 = the corners' 7.75 at most.
     assert found.result.details["interior_outside"] == pytest.approx(0.0, abs=1e-9)
     steep = fly(tmp_path, steeper, "steep", text, 2)
-    (found,) = analyse_campaign(flown, read_interior_campaign(steep, flown), ("cross_track_median_m",))
+    (found,) = analyse_campaign(
+        flown, read_interior_campaign(steep, flown), ("cross_track_median_m",)
+    )
     assert found.result.details["interior_outside"] == pytest.approx(1.0 / 7.75)
     assert found.result.holds is False
     assert "too small" in found.result.statement
@@ -159,7 +178,10 @@ def test_interior_levels_check_the_corners(tmp_path):
 
 def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_path):
     folder = fly(tmp_path, one_fails, flights=30)
-    lost = sum(row["status"] != "ok" for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records"))
+    lost = sum(
+        row["status"] != "ok"
+        for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records")
+    )
     assert 0 < lost <= 3 * 10
     found = found_in(folder, "cross_track_median_m")
     if lost <= 3:
@@ -181,12 +203,16 @@ def test_only_some_coefficients_may_be_uncertain(tmp_path):
     def two(spec):
         result = fakes.steady(spec)
         result.metrics["cross_track_median_m"] = (
-            3.0 * spec.properties["uq/CX/level"] + spec.properties["uq/Cm/level"] + 1e-3 * (spec.seed_turbulence % 100)
+            3.0 * spec.properties["uq/CX/level"]
+            + spec.properties["uq/Cm/level"]
+            + 1e-3 * (spec.seed_turbulence % 100)
         )
         return result
 
     found = found_in(fly(tmp_path, two, text=text), "cross_track_median_m")
-    assert {name: index.maximum.value for name, index in found.result.indices.items()} == pytest.approx({"CX": 0.75, "Cm": 0.25})
+    assert {
+        name: index.maximum.value for name, index in found.result.indices.items()
+    } == pytest.approx({"CX": 0.75, "Cm": 0.25})
 
 
 def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
@@ -200,7 +226,12 @@ def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
 def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
     with pytest.raises(BadInputError, match="not a campaign folder"):
         read_corner_campaign(tmp_path)
-    none = fly(tmp_path, fakes.steady, "none", fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n')
+    none = fly(
+        tmp_path,
+        fakes.steady,
+        "none",
+        fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n',
+    )
     with pytest.raises(BadInputError, match=r'not a corner campaign \(method = "none"\)'):
         read_corner_campaign(none)
     middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
@@ -208,7 +239,9 @@ def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flo
         read_corner_campaign(fly(tmp_path, fakes.steady, "middle", middle_text))
     manifest = read_manifest(none)
     write_manifest(none, manifest | {"state": "interrupted", "command": "uqharness campaign run x"})
-    with pytest.raises(BadInputError, match="not complete; finish it first with: uqharness campaign run x"):
+    with pytest.raises(
+        BadInputError, match="not complete; finish it first with: uqharness campaign run x"
+    ):
         read_corner_campaign(none)
     write_manifest(none, manifest | {"cases": 5})
     with pytest.raises(BadInputError, match="the manifest lists 5"):
@@ -236,11 +269,16 @@ def test_the_command_writes_table_figure_and_words_the_same_each_time(flown, cap
     assert cell["first"] == "CX"
     assert cell["certain"] is True
     assert cell["indices"]["CX"]["value"] == pytest.approx([SHARES["CX"]] * 2)
-    assert found["sensitivity"]["3 m/s moderate"]["speed_median_mps"]["indices"]["CX"]["value"] == [None, None]
+    assert found["sensitivity"]["3 m/s moderate"]["speed_median_mps"]["indices"]["CX"]["value"] == [
+        None,
+        None,
+    ]
     with (flown / "sensitivity.csv").open() as handle:
         rows = list(csv.DictReader(handle))
     by_key = {(row["metric"], row["coefficient"]): row for row in rows}
-    assert float(by_key["cross_track_median_m", "CY"]["share_max"]) == pytest.approx(SHARES["CY"], rel=1e-5)
+    assert float(by_key["cross_track_median_m", "CY"]["share_max"]) == pytest.approx(
+        SHARES["CY"], rel=1e-5
+    )
     undefined = by_key["speed_median_mps", "CX"]
     assert undefined["share_min"] == ""
     assert "no width" in undefined["reason"]
@@ -273,26 +311,40 @@ def test_ranking_needs_a_lead_to_be_certain():
 
 def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
     text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 9')
-    beside = analyse_campaign(read_corner_campaign(fly(tmp_path / "i", known_effects, text=text)), metrics=["cross_track_median_m"])
+    beside = analyse_campaign(
+        read_corner_campaign(fly(tmp_path / "i", known_effects, text=text)),
+        metrics=["cross_track_median_m"],
+    )
     alone = analyse_campaign(read_corner_campaign(flown), metrics=["cross_track_median_m"])
     assert beside[0].result.indices == alone[0].result.indices
     assert beside[0].flights == alone[0].flights
     assert beside[0].result.details["interior_outside"] == 0.0
-    bumped = analyse_campaign(read_corner_campaign(fly(tmp_path / "b", large, text=text)), metrics=["cross_track_median_m"])
+    bumped = analyse_campaign(
+        read_corner_campaign(fly(tmp_path / "b", large, text=text)),
+        metrics=["cross_track_median_m"],
+    )
     assert bumped[0].result.details["interior_outside"] > 0.02
 
 
 def test_a_failed_interior_flight_leaves_no_air_out(tmp_path):
     text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 3')
-    (found,) = analyse_campaign(read_corner_campaign(fly(tmp_path, interior_fails, text=text)), metrics=["cross_track_median_m"])
+    (found,) = analyse_campaign(
+        read_corner_campaign(fly(tmp_path, interior_fails, text=text)),
+        metrics=["cross_track_median_m"],
+    )
     assert (found.flights, found.left_out) == (FLIGHTS, 0)
 
 
 def test_an_ellipsoid_has_no_corners_to_compare(tmp_path):
     made_up_form().write(tmp_path / "model-form.json")
-    text = fakes.CAMPAIGN.partition("bounds =")[0] + 'bounds = "model-form.json"\nset = "ellipsoid"\ncoefficients = ["CX", "CY"]\n'
+    text = (
+        fakes.CAMPAIGN.partition("bounds =")[0]
+        + 'bounds = "model-form.json"\nset = "ellipsoid"\ncoefficients = ["CX", "CY"]\n'
+    )
     spec = read_campaign(fakes.campaign_file(tmp_path, text))
     mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
-    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady, mission=mission)
+    run_campaign(
+        spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady, mission=mission
+    )
     with pytest.raises(BadInputError, match=r'points of an ellipsoid.*set = "box"'):
         read_corner_campaign(tmp_path / "out")

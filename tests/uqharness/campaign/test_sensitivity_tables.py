@@ -14,7 +14,13 @@ from sysid.digests import sha256_hex
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.sensitivity import MetricSensitivity
-from uqharness.campaign.sensitivity_tables import COLUMNS, SENSITIVITY, as_csv, as_json, read_sensitivity
+from uqharness.campaign.sensitivity_tables import (
+    COLUMNS,
+    SENSITIVITY,
+    as_csv,
+    as_json,
+    read_sensitivity,
+)
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined
 from uqharness.sensitivity.words import Ranking
@@ -23,13 +29,28 @@ RANGES = {"CX": (0.2, 0.3), "Cm": (0.7, 0.8)}
 
 
 def found() -> list[MetricSensitivity]:
-    indices = {n: PairRange(Index(a, a - 0.1, a), Index(b, b, math.nan)) for n, (a, b) in RANGES.items()}
+    indices = {
+        n: PairRange(Index(a, a - 0.1, a), Index(b, b, math.nan)) for n, (a, b) in RANGES.items()
+    }
     shrink = {f"shrink_{end}": np.array([0.1, 0.6]) for end in ("min", "max", "low", "high")}
     details = {"area": 12.0, "area_low": 11.0, "area_high": 13.0, **shrink}
     result = MethodResult("proposed", 8, indices, True, "s", details)
-    one = MetricSensitivity(Condition(3.0, "moderate"), "speed_max_mps", result, 20, 1, Ranking("Cm", ("CX",)), "reduce Cm first")
+    one = MetricSensitivity(
+        Condition(3.0, "moderate"),
+        "speed_max_mps",
+        result,
+        20,
+        1,
+        Ranking("Cm", ("CX",)),
+        "reduce Cm first",
+    )
     nothing = all_undefined("proposed", RANGES, "no width")
-    return [one, MetricSensitivity(Condition(5.0, "none"), "altitude_max_m", nothing, 20, 0, Ranking(""), "undefined")]
+    return [
+        one,
+        MetricSensitivity(
+            Condition(5.0, "none"), "altitude_max_m", nothing, 20, 0, Ranking(""), "undefined"
+        ),
+    ]
 
 
 def manifest(content: bytes) -> dict:
@@ -41,9 +62,17 @@ def test_a_row_a_coefficient_and_nothing_where_it_is_undefined(tmp_path):
     rows = list(csv.DictReader(io.StringIO(content.decode())))
     assert tuple(rows[0]) == COLUMNS
     assert [(r["condition"], r["coefficient"]) for r in rows] == [
-        ("3 m/s moderate", "CX"), ("3 m/s moderate", "Cm"), ("5 m/s none", "CX"), ("5 m/s none", "Cm"),
-    ]  # fmt: skip
-    assert (rows[1]["share_min"], rows[1]["share_high"], rows[1]["unit"], rows[1]["width"]) == ("0.7", "", "m/s", "12")
+        ("3 m/s moderate", "CX"),
+        ("3 m/s moderate", "Cm"),
+        ("5 m/s none", "CX"),
+        ("5 m/s none", "Cm"),
+    ]
+    assert (rows[1]["share_min"], rows[1]["share_high"], rows[1]["unit"], rows[1]["width"]) == (
+        "0.7",
+        "",
+        "m/s",
+        "12",
+    )
     assert (rows[2]["share_min"], rows[2]["reason"]) == ("", "no width")
     (tmp_path / SENSITIVITY).write_bytes(content)
     assert read_sensitivity(tmp_path, manifest(content)) == rows

@@ -19,8 +19,11 @@ def item(label, area, certain=True, **shares):
     first = max(shares, key=lambda name: sum(shares[name]))
     result = MethodResult("proposed", 1, indices, True, "s", {"area": area})
     return SimpleNamespace(
-        result=result, condition=SimpleNamespace(label=label, words=label), ranking=Ranking(first, certain=certain), words="text",
-    )  # fmt: skip
+        result=result,
+        condition=SimpleNamespace(label=label, words=label),
+        ranking=Ranking(first, certain=certain),
+        words="text",
+    )
 
 
 NARROW = item("calm", 1.0, CX=(0.8, 0.9), Cm=(0.1, 0.2))
@@ -32,7 +35,9 @@ def flown(monkeypatch):
     def of(*items, metrics=("cross_track_median_m", "speed_max_mps")):
         monkeypatch.setattr(sensitivity_winner, "read_corner_campaign", lambda folder: None)
         monkeypatch.setattr(sensitivity_winner, "metrics_of", lambda flown: metrics)
-        monkeypatch.setattr(sensitivity_winner, "analyse_campaign", lambda flown, **more: list(items))
+        monkeypatch.setattr(
+            sensitivity_winner, "analyse_campaign", lambda flown, **more: list(items)
+        )
 
     return of
 
@@ -40,7 +45,12 @@ def flown(monkeypatch):
 def test_the_widest_condition_weighs_most(flown):
     flown(NARROW, WIDE)
     found = find_winner(Path("c"))
-    assert (found.coefficient, found.metric, found.condition, found.share) == ("Cm", "cross_track_median_m", "rough", (0.6, 0.7))
+    assert (found.coefficient, found.metric, found.condition, found.share) == (
+        "Cm",
+        "cross_track_median_m",
+        "rough",
+        (0.6, 0.7),
+    )
     assert not found.certain
     assert found.words == ("calm: text", "rough: text")
     flown(NARROW)

@@ -17,9 +17,14 @@ HOURS = 0.5
 def campaign(acceptable=4.0, rule="flights") -> dict:
     air = {"duration_s": 3600.0 * HOURS, "flights": 400, "wind_mps": [3.0], "turbulence": ["none"]}
     return {
-        "stop": {"rule": rule}, "aleatory": air,
-        "metrics": {"excursion_radius_m": [15.0], "acceptable_per_h": acceptable, "dispersion": 1.0},
-    }  # fmt: skip
+        "stop": {"rule": rule},
+        "aleatory": air,
+        "metrics": {
+            "excursion_radius_m": [15.0],
+            "acceptable_per_h": acceptable,
+            "dispersion": 1.0,
+        },
+    }
 
 
 def flown(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
@@ -29,11 +34,18 @@ def flown(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
     for corner, mean in enumerate(means):
         for k in range(flights):
             bad = k < failed
-            rows.append({
-                "wind_mps": 3.0, "turbulence": "none", "epistemic_id": f"{corner:02d}", "status": "crashed" if bad else "ok",
-                "duration_s": 3600.0 * HOURS, "excursions_15m": float(rng.poisson(mean)), "excursions_15m_3d": np.nan,
-                "extrapolated_share": 0.25,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "wind_mps": 3.0,
+                    "turbulence": "none",
+                    "epistemic_id": f"{corner:02d}",
+                    "status": "crashed" if bad else "ok",
+                    "duration_s": 3600.0 * HOURS,
+                    "excursions_15m": float(rng.poisson(mean)),
+                    "excursions_15m_3d": np.nan,
+                    "extrapolated_share": 0.25,
+                }
+            )
     return pd.DataFrame(rows)
 
 
@@ -69,14 +81,18 @@ def test_more_flights_narrow_the_limits():
 
 
 def test_a_decision_that_was_taken_stands():
-    rows = [{"condition": "3 m/s none", "radius_m": "15", "epistemic_id": "all", "answer": "flying"}]
+    rows = [
+        {"condition": "3 m/s none", "radius_m": "15", "epistemic_id": "all", "answer": "flying"}
+    ]
     assert statements(flown(), campaign(), rows)[0].answer == "flying"
     other = [{**rows[0], "radius_m": "25"}]
     assert statements(flown(), campaign(), other)[0].answer == "yes"
 
 
 def test_the_table_has_a_row_a_statement_and_nothing_where_nothing_is_known():
-    (row,) = csv.DictReader(io.StringIO(statements_csv(statements(flown((0.001, 0.001), 30), campaign())).decode()))
+    (row,) = csv.DictReader(
+        io.StringIO(statements_csv(statements(flown((0.001, 0.001), 30), campaign())).decode())
+    )
     assert (row["condition"], row["radius_m"], row["flights"]) == ("3 m/s none", "15", "60")
     assert row["dispersion_observed"] == ""
     assert float(row["hours"]) == pytest.approx(60 * HOURS)
@@ -88,7 +104,10 @@ def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame
     """The same where that share of each corner's flights diverged after so much of their time."""
     for _, group in frame.groupby("epistemic_id"):
         rows = group.index[: round(share * len(group))]
-        frame.loc[rows, "status"], frame.loc[rows, "duration_s"] = "diverged", 3600.0 * HOURS * flown
+        frame.loc[rows, "status"], frame.loc[rows, "duration_s"] = (
+            "diverged",
+            3600.0 * HOURS * flown,
+        )
     return frame
 
 
@@ -130,7 +149,9 @@ def test_control_lost_counts_as_one_excursion_at_least():
 
 def test_a_silent_cell_says_how_many_flights_may_have_an_excursion():
     """Clopper and Pearson: nothing in 400 flights leaves 1 - 0.05^(1/400)."""
-    assert statements(flown((0.0, 0.0)), campaign())[0].flight_share_upper == pytest.approx(1.0 - 0.05 ** (1.0 / 400.0))
+    assert statements(flown((0.0, 0.0)), campaign())[0].flight_share_upper == pytest.approx(
+        1.0 - 0.05 ** (1.0 / 400.0)
+    )
 
 
 def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:

@@ -28,7 +28,11 @@ def offered(script: Path, folder: Path, *words: str) -> set[str]:
     line = " ".join(shlex.quote(word) for word in words)
     code = f"source {shlex.quote(str(script))}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _shtab_uqharness\n"
     done = subprocess.run(
-        ["bash", "--norc", "-c", code + 'printf "%s\\n" "${COMPREPLY[@]}"'], cwd=folder, capture_output=True, text=True, check=True
+        ["bash", "--norc", "-c", code + 'printf "%s\\n" "${COMPREPLY[@]}"'],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return set(done.stdout.split())
 

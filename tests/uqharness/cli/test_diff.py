@@ -53,12 +53,15 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["espaaro", "espaaro"], "give --speed-mps"), (["espaaro", "nowhere", "--speed-mps", "22"], "nowhere"),
-        pytest.param(["espaaro", "espaaro", "--speed-mps", "300"], "no steady flight", marks=pytest.mark.slow),
+        (["espaaro", "espaaro"], "give --speed-mps"),
+        (["espaaro", "nowhere", "--speed-mps", "22"], "nowhere"),
+        pytest.param(
+            ["espaaro", "espaaro", "--speed-mps", "300"], "no steady flight", marks=pytest.mark.slow
+        ),
         (["espaaro", "espaaro", "--speed-mps", "22", "--out", "x.txt"], "FILE.html"),
         (["HEAD:no/such", "espaaro", "--speed-mps", "22"], "HEAD:no/such"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_asked(words, said, capsys):
     assert main(["diff", *words]) == 2
     assert said in capsys.readouterr().err

@@ -19,7 +19,9 @@ def refined(tmp_path):
 def test_a_complete_folder(refined, capsys):
     assert main(["dossier", str(refined)]) == 0
     first = (refined / "dossier.html").read_bytes()
-    assert capsys.readouterr().out.startswith("This dossier lays out evidence. It claims no compliance")
+    assert capsys.readouterr().out.startswith(
+        "This dossier lays out evidence. It claims no compliance"
+    )
     # The dossier itself is no source of the next.
     assert main(["dossier", str(refined)]) == 0
     assert (refined / "dossier.html").read_bytes() == first

@@ -13,7 +13,16 @@ from uqharness.errors import BadInputError
 
 
 def test_the_summary_is_one_line_or_json(tmp_path, capsys):
-    words = ["fly", "espaaro", "--duration-s", "1", "--rate-hz", "10", "--out", str(tmp_path / "a" / "flight.csv")]
+    words = [
+        "fly",
+        "espaaro",
+        "--duration-s",
+        "1",
+        "--rate-hz",
+        "10",
+        "--out",
+        str(tmp_path / "a" / "flight.csv"),
+    ]
     assert main(words) == 0
     assert "11 rows, 1.0 s" in capsys.readouterr().out
     assert main([*words, "--json"]) == 0
@@ -29,7 +38,10 @@ def test_an_ending_without_a_format_is_refused_before_a_flight(tmp_path, capsys)
 
 
 def test_settings_are_properties_with_finite_numbers():
-    assert parse_settings(["aero/Cm_q=-10", "uq/active=1", "aero/Cm_q=-9"]) == {"aero/Cm_q": -9.0, "uq/active": 1.0}
+    assert parse_settings(["aero/Cm_q=-10", "uq/active=1", "aero/Cm_q=-9"]) == {
+        "aero/Cm_q": -9.0,
+        "uq/active": 1.0,
+    }
     for text in ("aero/Cm_q", "=1", "aero/Cm_q=", "aero/Cm_q=nan", "aero/Cm_q=ten"):
         with pytest.raises(BadInputError, match=f"--set {text}: PROP=VALUE"):
             parse_settings([text])
@@ -60,6 +72,11 @@ def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
 
 
 def test_a_page_of_another_ending_is_refused_before_a_flight(tmp_path, capsys):
-    assert main(["fly", "espaaro", "--out", str(tmp_path / "a.csv"), "--page", str(tmp_path / "a.htm")]) == 2
+    assert (
+        main(
+            ["fly", "espaaro", "--out", str(tmp_path / "a.csv"), "--page", str(tmp_path / "a.htm")]
+        )
+        == 2
+    )
     assert "a.htm: a page, FILE.html, is written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

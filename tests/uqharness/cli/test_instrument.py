@@ -8,7 +8,9 @@ from uqharness.cli.main import main
 
 def test_every_table_has_its_headings(tmp_path, capsys):
     out = tmp_path / "mine"
-    assert main(["instrument", "c172p", "--out", str(out), "--no-check", "--constant", "CX=0.01"]) == 0
+    assert (
+        main(["instrument", "c172p", "--out", str(out), "--no-check", "--constant", "CX=0.01"]) == 0
+    )
     told = capsys.readouterr()
     lines = told.out.splitlines()
     assert told.err == ""
@@ -36,6 +38,10 @@ def test_the_check_says_yes_no_or_why_not():
     works = _check_lines({"status": "works", "reason": "", "properties": 675, "worst": 9e-16})
     assert works[0].startswith("Check: beside the original, 675 properties are bit-identical")
     assert "relative errors of 9e-16 at most" in works[0]
-    assert _check_lines({"status": "wrong", "reason": "CX: the increment is off"}) == ["Check: WRONG: CX: the increment is off."]
-    assert "the original fails: no fuel" in _check_lines({"status": "fails", "reason": "no fuel"})[0]
+    assert _check_lines({"status": "wrong", "reason": "CX: the increment is off"}) == [
+        "Check: WRONG: CX: the increment is off."
+    ]
+    assert (
+        "the original fails: no fuel" in _check_lines({"status": "fails", "reason": "no fuel"})[0]
+    )
     assert _check_lines(None) == []

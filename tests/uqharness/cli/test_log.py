@@ -24,7 +24,9 @@ CARD = TESTS / "sysid" / "data" / "airframe.toml"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("logs") / "flight.bin"
-    write_dataflash(flight(duration_s=40.0, start_s=5.0), path, read_card(CARD), vehicle="ArduPlane V4.6.0")
+    write_dataflash(
+        flight(duration_s=40.0, start_s=5.0), path, read_card(CARD), vehicle="ArduPlane V4.6.0"
+    )
     return path
 
 
@@ -40,7 +42,10 @@ def test_info_as_text(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["flight.bin  (dataflash)", "vehicle      ArduPlane V4.6.0"]
     assert "  yes  identification: " in "\n".join(lines)
-    assert f"  {'q_radps':18}    50.0 Hz  {shipped_map('dataflash').entries['q_radps'][0].label}" in lines
+    assert (
+        f"  {'q_radps':18}    50.0 Hz  {shipped_map('dataflash').entries['q_radps'][0].label}"
+        in lines
+    )
 
 
 def test_a_log_that_serves_nothing_exits_1(tmp_path: Path) -> None:
@@ -48,26 +53,41 @@ def test_a_log_that_serves_nothing_exits_1(tmp_path: Path) -> None:
     assert main(["log", "info", str(tmp_path / "copter.tlog"), "--no-cache"]) == 1
 
 
-def test_import_writes_a_record_and_the_cache_gives_the_same(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_writes_a_record_and_the_cache_gives_the_same(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     common = ["--aircraft", str(CARD), "--cache", str(tmp_path / "cache")]
     assert main(["log", "import", str(log), "--out", str(tmp_path / "a.parquet"), *common]) == 0
     stored = list((tmp_path / "cache").iterdir())
     assert len(stored) == 1
     assert f"{tmp_path / 'a.parquet'}: 2000 rows at 50 Hz, " in capsys.readouterr().out
-    assert main(["log", "import", str(log), "--out", str(tmp_path / "b.csv"), "--json", *common]) == 0
+    assert (
+        main(["log", "import", str(log), "--out", str(tmp_path / "b.csv"), "--json", *common]) == 0
+    )
     assert json.loads(capsys.readouterr().out)["rows"] == 2000
     a, b = FlightRecord.read(tmp_path / "a.parquet"), FlightRecord.read(tmp_path / "b.csv")
     for name in a.columns:
         np.testing.assert_array_equal(a[name], b[name])
     stored[0].write_bytes(b"PAR1 broken")  # an interrupted run's leavings are made anew
     assert main(["log", "import", str(log), "--out", str(tmp_path / "c.parquet"), *common]) == 0
-    np.testing.assert_array_equal(FlightRecord.read(tmp_path / "c.parquet")["q_radps"], a["q_radps"])
+    np.testing.assert_array_equal(
+        FlightRecord.read(tmp_path / "c.parquet")["q_radps"], a["q_radps"]
+    )
 
 
 def test_import_labels_manoeuvres_from_a_table(log: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     table.write_text("manoeuvre,start_s,end_s\npull,10,12\n")
-    words = ["log", "import", str(log), "--out", str(tmp_path / "a.parquet"), "--manoeuvres", str(table), "--no-cache"]
+    words = [
+        "log",
+        "import",
+        str(log),
+        "--out",
+        str(tmp_path / "a.parquet"),
+        "--manoeuvres",
+        str(table),
+        "--no-cache",
+    ]
     assert main(words) == 0
     record = FlightRecord.read(tmp_path / "a.parquet")
     inside = record["time_s"][record["manoeuvre"] == "pull"]
@@ -83,25 +103,49 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     doublet = np.where((time >= 0.0) & (time < 0.5), 4.0, 0.0)
     inputs = {"elevator_deg": 20.0, "aileron_deg": 30.0, "rudder_deg": 99.0}
     columns = {
-        n: sum(s * np.interp(time - at - d, time, doublet, left=0.0) for s, d in ((1, 0.0), (-1, 0.5))) for n, at in inputs.items()
+        n: sum(
+            s * np.interp(time - at - d, time, doublet, left=0.0) for s, d in ((1, 0.0), (-1, 0.5))
+        )
+        for n, at in inputs.items()
     }
     path = tmp_path_factory.mktemp("flown") / "flown.bin"
-    write_dataflash(record.with_columns({**columns, "throttle_pct": np.full(time.size, 50.0)}), path, read_card(CARD))
+    write_dataflash(
+        record.with_columns({**columns, "throttle_pct": np.full(time.size, 50.0)}),
+        path,
+        read_card(CARD),
+    )
     return path
 
 
-def test_info_lists_the_manoeuvres_that_it_finds(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_lists_the_manoeuvres_that_it_finds(
+    flown: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["log", "info", str(flown), "--aircraft", str(CARD), "--no-cache"]
     main([*words, "--json"])
     found = json.loads(capsys.readouterr().out)["manoeuvres"]
-    assert [(m["axis"], m["kind"], m["unit"]) for m in found] == [("pitch", "doublet", "deg"), ("roll", "doublet", "deg")]
+    assert [(m["axis"], m["kind"], m["unit"]) for m in found] == [
+        ("pitch", "doublet", "deg"),
+        ("roll", "doublet", "deg"),
+    ]
     assert [m["start_s"] for m in found] == pytest.approx([20.0, 30.0], abs=0.03)
     main(words)
-    assert "  pitch doublet          20.00 to 21.00 s, +4 deg" in capsys.readouterr().out.splitlines()
+    assert (
+        "  pitch doublet          20.00 to 21.00 s, +4 deg" in capsys.readouterr().out.splitlines()
+    )
 
 
-def test_import_labels_what_is_found(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--aircraft", str(CARD), "--no-cache", "--manoeuvres", "found", "--out", str(tmp_path / "a.parquet")]
+def test_import_labels_what_is_found(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "--aircraft",
+        str(CARD),
+        "--no-cache",
+        "--manoeuvres",
+        "found",
+        "--out",
+        str(tmp_path / "a.parquet"),
+    ]
     assert main(["log", "import", str(flown), *words]) == 0
     record = FlightRecord.read(tmp_path / "a.parquet")
     assert set(record["manoeuvre"]) == {"", "pitch doublet", "roll doublet"}
@@ -111,7 +155,9 @@ def test_import_labels_what_is_found(flown: Path, tmp_path: Path, capsys: pytest
     assert "no manoeuvre was found in the commands" in capsys.readouterr().err
 
 
-def test_bad_arguments_exit_2(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_arguments_exit_2(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "text.bin").write_text("This is a text about flying.\n" * 50)
     for words, said in (
@@ -134,14 +180,40 @@ def test_an_aircraft_is_a_name_a_folder_or_a_card(log: Path, tmp_path: Path) -> 
     folder = ROOT / "aircraft" / "espaaro"
     for number, aircraft in enumerate(("espaaro", folder, folder / "airframe.toml")):
         out = tmp_path / f"{number}.csv"
-        assert main(["log", "import", str(log), "--out", str(out), "--aircraft", str(aircraft), "--no-cache"]) == 0
+        assert (
+            main(
+                [
+                    "log",
+                    "import",
+                    str(log),
+                    "--out",
+                    str(out),
+                    "--aircraft",
+                    str(aircraft),
+                    "--no-cache",
+                ]
+            )
+            == 0
+        )
         printed.append(out.read_bytes())
     assert printed[0] == printed[1] == printed[2]
     assert b"elevator_deg" in printed[0]
 
 
 def test_import_makes_the_folders_on_its_way(log: Path, tmp_path: Path) -> None:
-    assert main(["log", "import", str(log), "--out", str(tmp_path / "a" / "b" / "c.parquet"), "--no-cache"]) == 0
+    assert (
+        main(
+            [
+                "log",
+                "import",
+                str(log),
+                "--out",
+                str(tmp_path / "a" / "b" / "c.parquet"),
+                "--no-cache",
+            ]
+        )
+        == 0
+    )
     assert FlightRecord.read(tmp_path / "a" / "b" / "c.parquet")["time_s"].size
 
 
@@ -151,7 +223,9 @@ def test_the_logs_own_folder_gets_nothing_written(log: Path, tmp_path: Path) -> 
     assert sorted(p.name for p in log.parent.iterdir()) == before
 
 
-def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "x\x1b[31m.log"
     write_text_log(log, flight(duration_s=40.0, start_s=5.0), "ArduPlane \x1b]0;owned\x07")
     main(["log", "info", str(log), "--no-cache"])
@@ -162,7 +236,9 @@ def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(tmp_path: Pat
     assert "\x1b" not in seen.out + seen.err
 
 
-def test_info_writes_a_page_when_asked_and_says_the_same(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_writes_a_page_when_asked_and_says_the_same(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["log", "info", str(log), "--aircraft", str(CARD), "--json", "--no-cache"]
     assert main(words) == 0
     plain = capsys.readouterr().out
@@ -178,8 +254,13 @@ def test_info_writes_a_page_when_asked_and_says_the_same(log: Path, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["--out", "page.pdf"], "a page, FILE.html, is written"), (["--manoeuvres", "m.csv"], "--manoeuvres: belongs to the page")],
+    [
+        (["--out", "page.pdf"], "a page, FILE.html, is written"),
+        (["--manoeuvres", "m.csv"], "--manoeuvres: belongs to the page"),
+    ],
 )
-def test_info_refuses_what_is_no_page(log: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_refuses_what_is_no_page(
+    log: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["log", "info", str(log), *words]) == 2
     assert said in capsys.readouterr().err

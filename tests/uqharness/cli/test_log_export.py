@@ -21,8 +21,19 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_log_with_a_position_needs_no_more(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["log", "export", str(flown / "a.bin"), "--aircraft", "espaaro", "--out", str(tmp_path / "shown"), "--json"]
+def test_a_log_with_a_position_needs_no_more(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = [
+        "log",
+        "export",
+        str(flown / "a.bin"),
+        "--aircraft",
+        "espaaro",
+        "--out",
+        str(tmp_path / "shown"),
+        "--json",
+    ]
     assert cli.main(words) == 0
     found = json.loads(capsys.readouterr().out)
     rows = np.loadtxt(found["files"][0], delimiter=",")
@@ -32,7 +43,15 @@ def test_a_log_with_a_position_needs_no_more(flown: Path, tmp_path: Path, capsys
 
 
 def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["log", "export", str(flown / "a.csv"), "--aircraft", "espaaro", "--out", str(tmp_path / "shown")]
+    words = [
+        "log",
+        "export",
+        str(flown / "a.csv"),
+        "--aircraft",
+        "espaaro",
+        "--out",
+        str(tmp_path / "shown"),
+    ]
     assert cli.main(words) == 2
     assert "give --lat-deg and --lon-deg" in capsys.readouterr().err
     assert not (tmp_path / "shown").exists()

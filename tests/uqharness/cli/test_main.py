@@ -28,7 +28,9 @@ def loaded(*words: str) -> list[str]:
         "    pass\n"
         f"sys.stderr.write(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     return list(json.loads(done.stderr))
 
 
@@ -44,12 +46,16 @@ def test_a_command_loads_what_it_needs_and_no_more() -> None:
     assert "rich" not in found
 
 
-def test_an_error_of_a_log_is_bad_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_a_log_is_bad_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def handler(_: object) -> int:
         raise LogError("no log at all", Path("x.bin"))
 
     parser = cli.build_parser()
-    monkeypatch.setattr(parser, "parse_args", lambda _: type("Given", (), {"handler": staticmethod(handler)}))
+    monkeypatch.setattr(
+        parser, "parse_args", lambda _: type("Given", (), {"handler": staticmethod(handler)})
+    )
     monkeypatch.setattr(cli, "build_parser", lambda: parser)
     with pytest.raises(BadInputError, match="no log at all"):
         cli.run_words([])
@@ -63,10 +69,22 @@ def test_an_error_of_a_log_is_bad_input(monkeypatch: pytest.MonkeyPatch, capsys:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("modes", "espaaro", "--speed-mps", "0"), "--speed-mps 0: a true airspeed in m/s above 0 is needed"),
-        (("modes", "espaaro", "--speed-mps", "22", "--bank-deg", "85"), "--bank-deg 85: an angle in degrees"),
-        (("fly", "espaaro", "--seed", "-1", "--out", "x.csv"), "--seed -1: a whole number of at least 0"),
-        (("fly", "espaaro", "--rate-hz", "0", "--out", "x.csv"), "--rate-hz 0: a number above 0 and up to 100000"),
+        (
+            ("modes", "espaaro", "--speed-mps", "0"),
+            "--speed-mps 0: a true airspeed in m/s above 0 is needed",
+        ),
+        (
+            ("modes", "espaaro", "--speed-mps", "22", "--bank-deg", "85"),
+            "--bank-deg 85: an angle in degrees",
+        ),
+        (
+            ("fly", "espaaro", "--seed", "-1", "--out", "x.csv"),
+            "--seed -1: a whole number of at least 0",
+        ),
+        (
+            ("fly", "espaaro", "--rate-hz", "0", "--out", "x.csv"),
+            "--rate-hz 0: a number above 0 and up to 100000",
+        ),
     ],
 )
 def test_an_option_beyond_its_limits_is_one_line_and_exit_code_2(
@@ -80,9 +98,18 @@ def test_an_option_beyond_its_limits_is_one_line_and_exit_code_2(
 
 def test_complete_parser_has_the_verbs_and_loading_names_them() -> None:
     campaign = cli.commands_of(cli.complete_parser())["campaign"]
-    assert {"check", "run", "status", "report", "merge", "rerun", "verify", "salvage", "convergence", "area"} == set(
-        cli.commands_of(campaign)
-    )
+    assert {
+        "check",
+        "run",
+        "status",
+        "report",
+        "merge",
+        "rerun",
+        "verify",
+        "salvage",
+        "convergence",
+        "area",
+    } == set(cli.commands_of(campaign))
     cli.load_command(["campaign", "status", "folder"])
     assert "uqharness.cli.campaign.folder" in sys.modules
     cli.load_command(["no-such-command"])

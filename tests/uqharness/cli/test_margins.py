@@ -28,12 +28,20 @@ def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path,
     found = []
     for factor in (1.0, 2.0):
         path = tmp_path / f"{factor:g}.param"
-        path.write_text("".join(f"{name} {factor * value}\n" for name, value in own.items()) + "RLL_RATE_SMAX 150\n")
-        assert main(["margins", "espaaro", "--loop", "aileron", "--autopilot", str(path), "--json"]) == 0
+        path.write_text(
+            "".join(f"{name} {factor * value}\n" for name, value in own.items())
+            + "RLL_RATE_SMAX 150\n"
+        )
+        assert (
+            main(["margins", "espaaro", "--loop", "aileron", "--autopilot", str(path), "--json"])
+            == 0
+        )
         document = json.loads(capsys.readouterr().out)
         found.append(document["loops"]["aileron"])
         assert document["autopilot"]["taken"]["ap/RLL_RATE_P"] == factor * 0.22
-        assert document["autopilot"]["ignored"] == {"RLL_RATE_SMAX": "the autopilot has no such term"}
+        assert document["autopilot"]["ignored"] == {
+            "RLL_RATE_SMAX": "the autopilot has no such term"
+        }
     assert found[0]["gain_up_dB"] - found[1]["gain_up_dB"] == pytest.approx(6.0206, abs=0.01)
     assert found[1]["gain_down_dB"] - found[0]["gain_down_dB"] == pytest.approx(6.0206, abs=0.01)
 
@@ -56,7 +64,9 @@ def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[st
     assert f"gain margin up {told[1]} dB, down {told[2]} dB; phase margin {told[3]} deg" in words
 
 
-def test_a_page_that_cannot_be_written_is_refused_before_the_flight(tmp_path, capsys: pytest.CaptureFixture[str]):
+def test_a_page_that_cannot_be_written_is_refused_before_the_flight(
+    tmp_path, capsys: pytest.CaptureFixture[str]
+):
     folder = tmp_path / "page.html"
     folder.mkdir()
     assert main(["margins", "espaaro", "--out", str(folder)]) == 2

@@ -17,8 +17,16 @@ from uqharness.flight import Assessment
 def test_json_has_the_contracted_keys(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= set(found["trim"])
-    assert {m["name"] for m in found["modes"]} == {"short_period", "phugoid", "dutch_roll", "roll", "spiral"}
+    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= set(
+        found["trim"]
+    )
+    assert {m["name"] for m in found["modes"]} == {
+        "short_period",
+        "phugoid",
+        "dutch_roll",
+        "roll",
+        "spiral",
+    }
     assert all(set(m) == {"name", "real", "imag", "wn_radps", "zeta"} for m in found["modes"])
 
 
@@ -29,7 +37,9 @@ def test_wind_moves_the_path_and_not_the_modes(capsys):
         seen.append(json.loads(capsys.readouterr().out))
     calm, windy = seen
     assert windy["trim"]["v_north_mps"] - calm["trim"]["v_north_mps"] > 4.9
-    assert [round(m["real"], 4) for m in windy["modes"]] == [round(m["real"], 4) for m in calm["modes"]]
+    assert [round(m["real"], 4) for m in windy["modes"]] == [
+        round(m["real"], 4) for m in calm["modes"]
+    ]
 
 
 def test_the_table_names_every_mode(capsys):
@@ -41,10 +51,12 @@ def test_the_table_names_every_mode(capsys):
 @pytest.mark.parametrize(
     ("criterion", "value", "unit", "text"),
     [
-        ("time to double", math.inf, "s", "stable"), ("time to double", 12.34, "s", "time to double 12.3 s"),
-        ("time constant", math.nan, "s", "time constant undefined"), ("damping", 0.456, "1", "damping 0.456"),
+        ("time to double", math.inf, "s", "stable"),
+        ("time to double", 12.34, "s", "time to double 12.3 s"),
+        ("time constant", math.nan, "s", "time constant undefined"),
+        ("damping", 0.456, "1", "damping 0.456"),
     ],
-)  # fmt: skip
+)
 def test_a_criterion_is_told_in_words(criterion, value, unit, text):
     assert _measured(Assessment("spiral", criterion, value, unit, 1, "3.3.1.3")) == text
 
@@ -52,7 +64,11 @@ def test_a_criterion_is_told_in_words(criterion, value, unit, text):
 def test_no_trim_is_an_answer_and_not_an_error(capsys, monkeypatch):
     # The search for a trim that is none takes seconds: once for both ways of telling it.
     search, found = modes.find_trim, []
-    monkeypatch.setattr(modes, "find_trim", lambda *asked: found[0] if found else found.append(search(*asked)) or found[0])
+    monkeypatch.setattr(
+        modes,
+        "find_trim",
+        lambda *asked: found[0] if found else found.append(search(*asked)) or found[0],
+    )
     assert main(["modes", "espaaro", "--speed-mps", "5"]) == 1
     captured = capsys.readouterr()
     assert captured.out.startswith("no trim: ")
@@ -65,7 +81,22 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
     path = tmp_path / "new" / "modes.html"
     assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
     plain = capsys.readouterr().out
-    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json", "--out", str(path), "--speeds", "21:24"]) == 0
+    assert (
+        main(
+            [
+                "modes",
+                "espaaro",
+                "--speed-mps",
+                "22.2",
+                "--json",
+                "--out",
+                str(path),
+                "--speeds",
+                "21:24",
+            ]
+        )
+        == 0
+    )
     assert capsys.readouterr().out == plain
     page = path.read_text(encoding="utf-8")
     assert problems(page) == []
@@ -79,8 +110,14 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
         (["--out", "modes.txt"], "--out modes.txt: a page, FILE.html, is written"),
         (["--speeds", "20:30"], "--speeds: belongs to the page; give --out FILE.html too"),
         (["--out", "m.html", "--speeds", "30:20"], "--speeds 30:20: LO must be below HI"),
-        (["--out", "m.html", "--speeds", "30"], "--speeds 30: LO:HI, two true airspeeds in m/s, is needed"),
-        (["--out", "m.html", "--speeds", "0:30"], "--speeds 0: LO:HI, two true airspeeds in m/s, above 0 is needed"),
+        (
+            ["--out", "m.html", "--speeds", "30"],
+            "--speeds 30: LO:HI, two true airspeeds in m/s, is needed",
+        ),
+        (
+            ["--out", "m.html", "--speeds", "0:30"],
+            "--speeds 0: LO:HI, two true airspeeds in m/s, above 0 is needed",
+        ),
     ],
 )
 def test_a_page_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys, words, said):

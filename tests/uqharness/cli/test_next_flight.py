@@ -21,7 +21,10 @@ def test_speeds_are_a_list_of_positive_numbers():
             given("--speeds", text)
 
 
-@pytest.mark.parametrize(("option", "value"), [("--minutes", "0"), ("--minutes", "121"), ("--cases", "0"), ("--seed", "-1")])
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--minutes", "0"), ("--minutes", "121"), ("--cases", "0"), ("--seed", "-1")],
+)
 def test_numbers_have_limits(option, value):
     with pytest.raises(BadInputError, match=f"{option} {value}: "):
         given(option, value)

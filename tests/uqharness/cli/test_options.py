@@ -31,7 +31,9 @@ def test_a_whole_number_within_its_limits_is_read(text: str, value: int) -> None
 
 @pytest.mark.parametrize("text", ["0", "-3", "1001", "2.5", "many", ""])
 def test_a_whole_number_beyond_them_is_refused_by_name(text: str) -> None:
-    with pytest.raises(BadInputError, match=f"--n {text}: a whole number of at least 1 and up to 1000 is needed"):
+    with pytest.raises(
+        BadInputError, match=f"--n {text}: a whole number of at least 1 and up to 1000 is needed"
+    ):
         options.whole("--n", 1, 1000)(text)
 
 
@@ -54,12 +56,37 @@ def made(*words: str) -> argparse.Namespace:
 
 
 def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> None:
-    args = made("bounds", "espaaro", "--flight", "a/x.bin", "b/y.bin", "--out", "here", "--json", "--order", "2", "--no-check")
-    assert options.command_as_given(args) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
+    args = made(
+        "bounds",
+        "espaaro",
+        "--flight",
+        "a/x.bin",
+        "b/y.bin",
+        "--out",
+        "here",
+        "--json",
+        "--order",
+        "2",
+        "--no-check",
+    )
+    assert (
+        options.command_as_given(args) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
+    )
 
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
-    given = ("bounds", "espaaro", "--flight", "x.bin", "--states", "CX=V", "--states", "Cm=alpha,q", "--out", "o")
+    given = (
+        "bounds",
+        "espaaro",
+        "--flight",
+        "x.bin",
+        "--states",
+        "CX=V",
+        "--states",
+        "Cm=alpha,q",
+        "--out",
+        "o",
+    )
     words = options.command_words(made(*given))
     assert words.count("--states") == 2
     again = made(*words[1:], "--out", "o")
@@ -73,7 +100,9 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     assert options.results_folder(tmp_path / "a" / "b").is_dir()
 
 
-def test_every_command_has_examples_json_and_exit_codes(commands: list[argparse.ArgumentParser]) -> None:
+def test_every_command_has_examples_json_and_exit_codes(
+    commands: list[argparse.ArgumentParser],
+) -> None:
     assert len(commands) >= 25
     for parser in commands:
         text = str(parser.epilog)
@@ -110,7 +139,13 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
 
 
 @pytest.mark.parametrize(
-    "words", [("identify", "--flight", "f"), ("compare", "--flight", "f"), ("study",), ("refine", "--train", "a", "--test", "b")]
+    "words",
+    [
+        ("identify", "--flight", "f"),
+        ("compare", "--flight", "f"),
+        ("study",),
+        ("refine", "--train", "a", "--test", "b"),
+    ],
 )
 def test_no_workers_are_refused_wherever_they_are_asked_for(words: tuple[str, ...]) -> None:
     with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):

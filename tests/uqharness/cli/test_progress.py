@@ -10,11 +10,22 @@ import pytest
 from rich.console import Console
 
 from uqharness.campaign.run import Progress
-from uqharness.cli.progress import ProgressView, clock, counting, describe, say_line, say_warnings, time_left, working
+from uqharness.cli.progress import (
+    ProgressView,
+    clock,
+    counting,
+    describe,
+    say_line,
+    say_warnings,
+    time_left,
+    working,
+)
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
-    state = Progress(cases=100, done=60, done_before=0, failed=2, flown_s=36000.0, elapsed_s=30.0, workers=2)
+    state = Progress(
+        cases=100, done=60, done_before=0, failed=2, flown_s=36000.0, elapsed_s=30.0, workers=2
+    )
     assert describe(state) == "0:20 to go, 600 flight h per core h, 2 failed"
     assert clock(3725.4) == "1:02:05"
     for terminal in (True, False):
@@ -75,7 +86,9 @@ def test_finished_stages_stay_where_that_is_asked_for():
 
 def test_warnings_are_told_in_a_pipe_too(capsys):
     say_warnings(["too short", "too calm"])
-    assert capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
+    assert (
+        capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
+    )
 
 
 def test_a_long_command_writes_a_line_now_and_then_where_there_is_no_terminal(monkeypatch):
@@ -84,7 +97,9 @@ def test_a_long_command_writes_a_line_now_and_then_where_there_is_no_terminal(mo
 
     def written(lines_s):
         drawn = io.StringIO()
-        with working("identify", lines_s=lines_s, console=Console(file=drawn, force_terminal=False)) as stage:
+        with working(
+            "identify", lines_s=lines_s, console=Console(file=drawn, force_terminal=False)
+        ) as stage:
             for seconds, text in (
                 (4.0, "reading"),
                 (11.0, "iteration 3, about 20 s left"),

@@ -32,7 +32,12 @@ def _command(*arguments: str, module: bool) -> list[str]:
 def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, str]:
     """Exit code and standard error of a command that gets a signal at the moment it asks for a certain module."""
     process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=folder, env=_environment(HOLD="1")
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env=_environment(HOLD="1"),
     )
     deadline = time.monotonic() + 60.0
     while not (folder / "loading").exists():
@@ -42,12 +47,19 @@ def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, st
     return process.wait(), process.communicate()[1]
 
 
-@pytest.mark.parametrize(("number", "code", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")])
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
 @pytest.mark.parametrize("swallowed", [False, True])
-def test_a_signal_while_modules_load_is_one_line(tmp_path: Path, number: int, code: int, said: str, swallowed: bool) -> None:
+def test_a_signal_while_modules_load_is_one_line(
+    tmp_path: Path, number: int, code: int, said: str, swallowed: bool
+) -> None:
     # Stands for any module that takes long to load; some turn an interruption into an error of their own.
     hold = "import pathlib, time\npathlib.Path('loading').touch()\n"
-    swallowing = "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    raise ImportError('no')\n"
+    swallowing = (
+        "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    raise ImportError('no')\n"
+    )
     hold += swallowing if swallowed else "time.sleep(60)\n"
     code_run = f"import sys; sys.path.append({str(ROOT)!r})\nimport types\n"
     code_run += f"source = {hold!r}\n"
@@ -67,11 +79,22 @@ def test_a_signal_while_modules_load_is_one_line(tmp_path: Path, number: int, co
 @pytest.mark.parametrize("module", [True, False])
 def test_too_little_address_space_is_one_sentence(tmp_path: Path, module: bool) -> None:
     done = subprocess.run(
-        ["/bin/sh", "-c", 'ulimit -v 60000; exec "$@"', "sh", *_command("modes", "espaaro", "--speed-mps", "22", module=module)],
-        capture_output=True, text=True, cwd=tmp_path, env=_environment(),
-    )  # fmt: skip
+        [
+            "/bin/sh",
+            "-c",
+            'ulimit -v 60000; exec "$@"',
+            "sh",
+            *_command("modes", "espaaro", "--speed-mps", "22", module=module),
+        ],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=_environment(),
+    )
     assert done.returncode == 2
-    assert done.stderr.startswith("uqharness: error: not enough memory to start: 61 MB of address space are allowed")
+    assert done.stderr.startswith(
+        "uqharness: error: not enough memory to start: 61 MB of address space are allowed"
+    )
     assert done.stderr.count("\n") == 1
 
 
@@ -83,8 +106,11 @@ def test_a_bug_keeps_its_traceback_in_little_and_in_much_space(tmp_path: Path) -
     for limit in ("unlimited", "1500000"):
         done = subprocess.run(
             ["/bin/sh", "-c", f'ulimit -v {limit}; exec "$@"', "sh", sys.executable, "-c", code],
-            capture_output=True, text=True, cwd=tmp_path, env=_environment(OPENBLAS_NUM_THREADS="1"),
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=_environment(OPENBLAS_NUM_THREADS="1"),
+        )
         assert done.returncode == 1
         assert "KeyError: 'a bug'" in done.stderr
 
@@ -93,7 +119,13 @@ def test_python_files_of_the_working_folder_do_not_run(tmp_path: Path) -> None:
     # Python's own `-m` reads contextlib and a few others from there before any of this program's code runs.
     for name in ("signal", "threading", "socket", "json", "numpy", "jsbsim", "sysid"):
         (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
-    done = subprocess.run(_command("--version", module=True), cwd=tmp_path, capture_output=True, text=True, env=_environment())
+    done = subprocess.run(
+        _command("--version", module=True),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=_environment(),
+    )
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.glob("ran-*"))
 
@@ -111,21 +143,34 @@ def _descendants(parent: int) -> list[int]:
     return found
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are looked for in /proc")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="processes are looked for in /proc"
+)
 @pytest.mark.parametrize(
     ("number", "code", "said"),
-    [pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow), (signal.SIGTERM, 143, "terminated")],
+    [
+        pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow),
+        (signal.SIGTERM, 143, "terminated"),
+    ],
 )
-def test_workers_that_are_busy_for_minutes_end_with_the_command(tmp_path: Path, number: int, code: int, said: str) -> None:
-    source = f"import sys, time; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
+def test_workers_that_are_busy_for_minutes_end_with_the_command(
+    tmp_path: Path, number: int, code: int, said: str
+) -> None:
+    source = (
+        f"import sys, time; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
+    )
     source += "from uqharness.parallel import worker_map\n"
     source += "def work():\n    with worker_map(2) as processes:\n        list(processes(time.sleep, [600.0] * 4))\n"
     source += "commands.run_words = lambda argv: work()\n"
     source += "from uqharness.__main__ import main\nif __name__ == '__main__':\n    sys.exit(main(['fly', '--help']))"
     command = [sys.executable, "-c", source]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=_environment())
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=_environment()
+    )
     deadline = time.monotonic() + 60.0
-    while len(_descendants(process.pid)) < 3:  # the workers, and what keeps count of their semaphores
+    while (
+        len(_descendants(process.pid)) < 3
+    ):  # the workers, and what keeps count of their semaphores
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -139,18 +184,25 @@ def test_workers_that_are_busy_for_minutes_end_with_the_command(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("told", [(), ("-W", "error")])
-def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(tmp_path: Path, told: tuple[str, ...]) -> None:
+def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(
+    tmp_path: Path, told: tuple[str, ...]
+) -> None:
     source = f"import sys; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
     source += "from uqharness.child_process import run_module\nimport numpy as np\n"
     # In this process, and in a child of it.
     source += "def work():\n    np.log(np.zeros(1))\n    print(run_module('warns', timeout_s=60).errors)\n    return 0\n"
     source += "commands.run_words = lambda argv: work()\n"
     source += "from uqharness.__main__ import main\nsys.exit(main(['fly', '--help']))"
-    (tmp_path / "warns.py").write_text("import warnings\nwarnings.warn('divide by zero', RuntimeWarning)\n")
+    (tmp_path / "warns.py").write_text(
+        "import warnings\nwarnings.warn('divide by zero', RuntimeWarning)\n"
+    )
     done = subprocess.run(
-        [sys.executable, *told, "-c", source], capture_output=True, text=True, cwd=ROOT,
+        [sys.executable, *told, "-c", source],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
         env={**_environment(), "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
-    )  # fmt: skip
+    )
     if told:
         assert done.returncode == 1
         assert "RuntimeWarning: divide by zero" in done.stderr
@@ -160,7 +212,9 @@ def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_no_folder(tmp_path: Path, number: int) -> None:
+def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_no_folder(
+    tmp_path: Path, number: int
+) -> None:
     place = tmp_path / "place"
     place.mkdir()
     run = [
@@ -173,9 +227,13 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
         "2",
     ]
     process = subprocess.Popen(
-        _command(*run, module=True), cwd=ROOT, env=_environment(TMPDIR=str(place)),
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
+        _command(*run, module=True),
+        cwd=ROOT,
+        env=_environment(TMPDIR=str(place)),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
     deadline = time.monotonic() + 120.0
     while len(list(place.glob("uqharness-*"))) < 2:
         assert time.monotonic() < deadline
@@ -183,7 +241,16 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
     process.send_signal(number)
     process.communicate()  # ends when nobody holds its standard error any more
     assert process.returncode == (143 if number == signal.SIGTERM else -number)
-    fly = ["fly", "espaaro", "--script", "loiter", "--duration-s", "1", "--out", str(tmp_path / "a.csv")]
+    fly = [
+        "fly",
+        "espaaro",
+        "--script",
+        "loiter",
+        "--duration-s",
+        "1",
+        "--out",
+        str(tmp_path / "a.csv"),
+    ]
     subprocess.run(
         _command(*fly, module=True),
         cwd=ROOT,
@@ -194,14 +261,32 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
     assert list(place.glob("uqharness-*")) == []
 
 
-@pytest.mark.parametrize("name", ["../precious.xml", "/etc/passwd", "a/../../b", "C:\\x", "a\\..\\b", ".git/hooks/x", "", "a//b"])
-@pytest.mark.parametrize("row", ['{"before": "", "after": ""}', '{"before": "", "after": "", "content": "aGk="}'])
-def test_undo_neither_writes_nor_removes_outside_its_folder(tmp_path: Path, name: str, row: str) -> None:
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../precious.xml",
+        "/etc/passwd",
+        "a/../../b",
+        "C:\\x",
+        "a\\..\\b",
+        ".git/hooks/x",
+        "",
+        "a//b",
+    ],
+)
+@pytest.mark.parametrize(
+    "row", ['{"before": "", "after": ""}', '{"before": "", "after": "", "content": "aGk="}']
+)
+def test_undo_neither_writes_nor_removes_outside_its_folder(
+    tmp_path: Path, name: str, row: str
+) -> None:
     folder = tmp_path / "aircraft"
     folder.mkdir()
     (tmp_path / "precious.xml").write_text("mine")
     escaped = name.replace("\\", "\\\\")
-    (folder / "uq-instrument.json").write_text(f'{{"format": "instrument 1", "files": {{"{escaped}": {row}}}}}')
+    (folder / "uq-instrument.json").write_text(
+        f'{{"format": "instrument 1", "files": {{"{escaped}": {row}}}}}'
+    )
     with pytest.raises(BadInputError, match="no file that an instrumentation makes"):
         undo(folder, folder)
     assert (tmp_path / "precious.xml").read_text() == "mine"
@@ -233,5 +318,7 @@ def test_linear_algebra_takes_one_thread_unless_the_user_says_otherwise(
     code += "def main(argv): print(os.environ['OPENBLAS_NUM_THREADS'])\nuqharness.cli.main.main = main\n"
     code += "from uqharness.__main__ import main\nmain([])"
     environment = {k: v for k, v in _environment().items() if k != "OPENBLAS_NUM_THREADS"} | given
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
+    )
     assert done.stdout.strip() == threads, done.stderr

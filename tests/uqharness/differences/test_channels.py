@@ -13,9 +13,30 @@ from uqharness.simulator import find_aircraft, open_aircraft
 def test_every_aircraft_has_forces_moments_motion_and_surfaces(name):
     aircraft = find_aircraft(name)
     found = {c.name: c for c in channels_of(aircraft, open_aircraft(aircraft))}
-    assert {"mass", "Ixz", "CG x", "CX", "CY", "CZ", "Cl", "Cm", "Cn", "p_dot", "r", "V", "alpha", "height"} <= set(found)
+    assert {
+        "mass",
+        "Ixz",
+        "CG x",
+        "CX",
+        "CY",
+        "CZ",
+        "Cl",
+        "Cm",
+        "Cn",
+        "p_dot",
+        "r",
+        "V",
+        "alpha",
+        "height",
+    } <= set(found)
     assert {"elevator position", "rudder position"} <= set(found)
-    assert found["CZ"].rank < found["Cm"].rank < found["q_dot"].rank < found["alpha"].rank < len(GROUPS)
+    assert (
+        found["CZ"].rank
+        < found["Cm"].rank
+        < found["q_dot"].rank
+        < found["alpha"].rank
+        < len(GROUPS)
+    )
 
 
 def test_units_are_si():
@@ -31,6 +52,8 @@ def test_units_are_si():
 
 def test_a_property_of_ones_own_is_a_channel_and_one_that_is_not_there_is_not():
     aircraft = find_aircraft("c172p")
-    names = [c.name for c in channels_of(aircraft, open_aircraft(aircraft), ("aero/qbar-psf", "no/such"))]
+    names = [
+        c.name for c in channels_of(aircraft, open_aircraft(aircraft), ("aero/qbar-psf", "no/such"))
+    ]
     assert "aero/qbar-psf" in names
     assert "no/such" not in names

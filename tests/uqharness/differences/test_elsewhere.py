@@ -36,7 +36,11 @@ def test_another_model_there_is_seen():
 
 @pytest.mark.parametrize(
     ("code", "said"),
-    [("exit 3", "exit code 3"), ("echo no module named jsbsim >&2; exit 1", "no module named jsbsim"), ("kill -11 $$", "SIGSEGV")],
+    [
+        ("exit 3", "exit code 3"),
+        ("echo no module named jsbsim >&2; exit 1", "no module named jsbsim"),
+        ("kill -11 $$", "SIGSEGV"),
+    ],
 )
 def test_an_environment_that_cannot_fly(tmp_path, code, said):
     python = tmp_path / "python"

@@ -32,13 +32,17 @@ def changed(folder, old: str, new: str):
 
 def test_a_model_is_itself(given):
     told = []
-    channels, flights = fly_matched(given, given, ASKED, lambda done, total: told.append((done, total)))
+    channels, flights = fly_matched(
+        given, given, ASKED, lambda done, total: told.append((done, total))
+    )
     assert told == [(k + 1, len(flights)) for k in range(len(flights))]
     assert [f.name for f in flights] == ["doublets at 22 m/s"]
     assert {"CX", "Cm", "q_dot", "Ixz", "elevator position"} <= {c.name for c in channels}
     assert differences(channels, flights, ()) == []
     # The start one unit in the last place away is another flight, and hardly.
-    apart = max(float(np.max(np.abs(flights[0].nudged[c] - flights[0].a[c]))) for c in ("q", "alpha"))
+    apart = max(
+        float(np.max(np.abs(flights[0].nudged[c] - flights[0].a[c]))) for c in ("q", "alpha")
+    )
     assert 0.0 < apart < 1e-10
 
 
@@ -55,11 +59,19 @@ def test_a_wrong_sign_shows_in_its_coefficient_first(given, tmp_path):
 def _negated(folder):
     text = (ROOT / "aircraft" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
     (own,) = re.findall(r'<property value="(-?[\d.e-]+)">aero/Cn_p</property>', text)
-    return changed(folder, f'<property value="{own}">aero/Cn_p</property>', f'<property value="{-float(own)}">aero/Cn_p</property>')
+    return changed(
+        folder,
+        f'<property value="{own}">aero/Cn_p</property>',
+        f'<property value="{-float(own)}">aero/Cn_p</property>',
+    )
 
 
 def test_what_b_cannot_fly_is_said(given, tmp_path):
-    other = changed(tmp_path, "<input>fcs/elevator-selected-deg</input>", "<input>fcs/elevator-nowhere-deg</input>")
+    other = changed(
+        tmp_path,
+        "<input>fcs/elevator-selected-deg</input>",
+        "<input>fcs/elevator-nowhere-deg</input>",
+    )
     _, flights = fly_matched(given, other, ASKED)
     assert all(f.reason or differences_of(f) for f in flights)
 
@@ -70,7 +82,9 @@ def differences_of(flight) -> bool:
 
 def test_scripts_are_flown_too(given):
     script = ROOT / "scripts" / "doublet-elevator.xml"
-    _, (flight,) = fly_matched(given, given, Asked(scripts=(script,), properties=("aero/qbar-psf",)))
+    _, (flight,) = fly_matched(
+        given, given, Asked(scripts=(script,), properties=("aero/qbar-psf",))
+    )
     assert flight.name == "doublet-elevator"
     assert "aero/qbar-psf" in flight.a
 

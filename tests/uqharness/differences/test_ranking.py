@@ -15,13 +15,23 @@ def channel(name: str, group: str) -> Channel:
     return Channel(name, "-", group, Source(name), 1e-4)
 
 
-CHANNELS = (channel("q", "rates"), channel("Cm", "moment coefficients"), channel("CZ", "force coefficients"))
+CHANNELS = (
+    channel("q", "rates"),
+    channel("Cm", "moment coefficients"),
+    channel("CZ", "force coefficients"),
+)
 
 
 def flight(**changed: np.ndarray) -> Matched:
     a = {c.name: np.sin(TIME * (k + 1)) for k, c in enumerate(CHANNELS)}
     nudged = {name: values * (1.0 + 1e-15) for name, values in a.items()}
-    return Matched("doublets", TIME, a, {name: values + changed.get(name, 0.0) for name, values in a.items()}, nudged)
+    return Matched(
+        "doublets",
+        TIME,
+        a,
+        {name: values + changed.get(name, 0.0) for name, values in a.items()},
+        nudged,
+    )
 
 
 def test_rounding_is_no_difference():
@@ -35,7 +45,12 @@ def test_what_a_nudged_start_does_is_benign():
     exact = flight(q=100.0 * grown)
     assert len(differences(CHANNELS, [exact], ())) == 1
     a = exact.a["q"]
-    assert differences(CHANNELS, [Matched("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})], ()) == []
+    assert (
+        differences(
+            CHANNELS, [Matched("d", TIME, exact.a, exact.b, {**exact.nudged, "q": a + grown})], ()
+        )
+        == []
+    )
 
 
 def test_the_earliest_comes_first_and_cause_before_effect():
@@ -44,7 +59,10 @@ def test_the_earliest_comes_first_and_cause_before_effect():
     assert [d.channel for d in found] == ["Cm", "q", "CZ"]
     assert [d.from_s for d in found] == pytest.approx([0.5, 0.5, 1.0])
     # A force off the centre of gravity makes a moment as well.
-    assert [d.channel for d in differences(CHANNELS, [flight(Cm=early, CZ=early)], ())] == ["CZ", "Cm"]
+    assert [d.channel for d in differences(CHANNELS, [flight(Cm=early, CZ=early)], ())] == [
+        "CZ",
+        "Cm",
+    ]
 
 
 def test_a_difference_has_its_size_and_share():
@@ -71,8 +89,16 @@ def test_the_likeliest_element_is_that_of_its_own_axis():
         return Term(path, "1", "2", "a.xml:1", "b.xml:1", group, name)
 
     mass = term("mass_balance / emptywt", "mass and CG")
-    lift = term("aerodynamics / axis LIFT / function aero/coefficient/CLalpha / value", "force coefficients", "CZ")
-    pitch = term("aerodynamics / axis PITCH / function aero/coefficient/Cmq / value", "force coefficients", "Cm")
+    lift = term(
+        "aerodynamics / axis LIFT / function aero/coefficient/CLalpha / value",
+        "force coefficients",
+        "CZ",
+    )
+    pitch = term(
+        "aerodynamics / axis PITCH / function aero/coefficient/Cmq / value",
+        "force coefficients",
+        "Cm",
+    )
     changed = flight(Cm=np.where(TIME >= 1.0, 0.2, 0.0))
     (d,) = differences(CHANNELS, [changed], (mass, lift, pitch))
     assert d.terms[0] == pitch

@@ -27,7 +27,9 @@ def repository(tmp_path, monkeypatch):
 
     git("init", "-q")
     for number in (1, 2, 3):
-        card.write_text(f"# revision {number}\n" + card.read_text(encoding="utf-8"), encoding="utf-8")
+        card.write_text(
+            f"# revision {number}\n" + card.read_text(encoding="utf-8"), encoding="utf-8"
+        )
         if number < 3:
             git("add", "-A")
             git("commit", "-q", "-m", str(number))
@@ -53,6 +55,9 @@ def test_what_is_not_there_is_told(repository, tmp_path, text):
         aircraft_at(text, tmp_path / "x")
 
 
-@pytest.mark.parametrize(("text", "found"), [("HEAD~1:a/b", ("HEAD~1", "a/b")), ("c172p", None), ("C:/x", None), ("HEAD:", None)])
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("HEAD~1:a/b", ("HEAD~1", "a/b")), ("c172p", None), ("C:/x", None), ("HEAD:", None)],
+)
 def test_which_words_name_a_revision(text, found):
     assert named_revision(text) == found

@@ -41,10 +41,12 @@ def given(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("<value>-12.4</value>", "<value>  -1.24e1 </value>"), ("<mass_balance>", "<mass_balance><!-- a word -->"),
-        ('version="2.0" release="BETA"', 'release="BETA" version="2.0"'), ("<author>A<", "<author>B<"),
+        ("<value>-12.4</value>", "<value>  -1.24e1 </value>"),
+        ("<mass_balance>", "<mass_balance><!-- a word -->"),
+        ('version="2.0" release="BETA"', 'release="BETA" version="2.0"'),
+        ("<author>A<", "<author>B<"),
     ],
-)  # fmt: skip
+)
 def test_how_it_is_written_does_not_count(given, tmp_path, old, new):
     assert old in XML
     assert differing_terms(given, made(tmp_path / "b", XML.replace(old, new))) == []
@@ -54,14 +56,33 @@ def test_how_it_is_written_does_not_count(given, tmp_path, old, new):
     ("old", "new", "path", "said", "group", "channel"),
     [
         ("-12.4", "12.4", "value", ("-12.4", "12.4"), "force coefficients", "Cm"),
-        ("> 900 <", "> 950 <", "ixx", ('900.0 unit="SLUG*FT2"', '950.0 unit="SLUG*FT2"'), "mass and CG", ""),
-        ('value="-0.5"', 'value="-0.6"', "property aero/Cm_alpha", ('value="-0.5"', 'value="-0.6"'), "force coefficients", ""),
+        (
+            "> 900 <",
+            "> 950 <",
+            "ixx",
+            ('900.0 unit="SLUG*FT2"', '950.0 unit="SLUG*FT2"'),
+            "mass and CG",
+            "",
+        ),
+        (
+            'value="-0.5"',
+            'value="-0.6"',
+            "property aero/Cm_alpha",
+            ('value="-0.5"', 'value="-0.6"'),
+            "force coefficients",
+            "",
+        ),
     ],
-)  # fmt: skip
-def test_a_number_that_differs_is_told_with_its_lines(given, tmp_path, old, new, path, said, group, channel):
+)
+def test_a_number_that_differs_is_told_with_its_lines(
+    given, tmp_path, old, new, path, said, group, channel
+):
     (term,) = differing_terms(given, made(tmp_path / "b", XML.replace(old, new)))
     assert term.path.endswith(path)
-    assert all(word in text for word, text in zip(said, (term.a, term.b), strict=True)) or (term.a, term.b) == said
+    assert (
+        all(word in text for word, text in zip(said, (term.a, term.b), strict=True))
+        or (term.a, term.b) == said
+    )
     line = 1 + XML[: XML.index(old)].count("\n")
     assert (term.a_where, term.b_where) == (f"a.xml:{line}", f"b.xml:{line}")
     assert (term.group, term.channel) == (group, channel)
@@ -77,7 +98,9 @@ def test_what_is_added_or_gone_stands_alone(given, tmp_path):
 
 def test_a_function_that_is_added_is_one_line(given, tmp_path):
     more = '<function name="aero/Cmadot"><product><value>1</value><value>2</value></product></function>'
-    (added,) = differing_terms(given, made(tmp_path / "b", XML.replace("    </axis>", f"{more}</axis>")))
+    (added,) = differing_terms(
+        given, made(tmp_path / "b", XML.replace("    </axis>", f"{more}</axis>"))
+    )
     assert added.path.endswith("function aero/Cmadot")
 
 

@@ -12,7 +12,9 @@ from uqharness.simulator import find_aircraft
 
 def found(**asked):
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
-    channels, flights = fly_matched(one, two, Asked(speeds_mps=(22.0,), missions=("doublets",), **asked))
+    channels, flights = fly_matched(
+        one, two, Asked(speeds_mps=(22.0,), missions=("doublets",), **asked)
+    )
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
 
 
@@ -43,6 +45,11 @@ def test_bounds():
 
 def test_nothing_to_vary():
     aircraft = find_aircraft("c172p")
-    for asked, said in (({"repeats": 2}, "still air has no other seed"), ({"bounds": True}, "has none")):
+    for asked, said in (
+        ({"repeats": 2}, "still air has no other seed"),
+        ({"bounds": True}, "has none"),
+    ):
         with pytest.raises(BadInputError, match=said):
-            fly_matched(aircraft, aircraft, Asked(speeds_mps=(50.0,), missions=("steady",), **asked))
+            fly_matched(
+                aircraft, aircraft, Asked(speeds_mps=(50.0,), missions=("steady",), **asked)
+            )

@@ -10,11 +10,19 @@ from uqharness.dossier.bands import TESTS, Band
 # Entry, channel: absolute tolerance in the unit of the regulation, what a unit of it is in SI, share of the measured value.
 DEG, KT, FT, G = math.pi / 180.0, 1852.0 / 3600.0, 0.3048, 9.80665
 PRINTED = {
-    ("2.b.4", "q_radps"): (0.15, DEG, 0.20), ("2.b.5", "p_radps"): (0.15, DEG, 0.20), ("2.b.6", "r_radps"): (0.15, DEG, 0.20),
-    ("2.c.1", "V_mps"): (3.0, KT, 0.0), ("2.c.1", "h_m"): (100.0, FT, 0.0), ("2.c.1", "theta_rad"): (1.5, DEG, 0.20),
-    ("2.c.10", "theta_rad"): (1.5, DEG, 0.0), ("2.c.10", "q_radps"): (2.0, DEG, 0.0), ("2.c.10", "az_mps2"): (0.10, G, 0.0),
-    ("2.d.2", "p_radps"): (2.0, DEG, 0.10), ("2.d.4", "phi_rad"): (2.0, DEG, 0.10), ("2.d.6", "r_radps"): (2.0, DEG, 0.10),
-}  # fmt: skip
+    ("2.b.4", "q_radps"): (0.15, DEG, 0.20),
+    ("2.b.5", "p_radps"): (0.15, DEG, 0.20),
+    ("2.b.6", "r_radps"): (0.15, DEG, 0.20),
+    ("2.c.1", "V_mps"): (3.0, KT, 0.0),
+    ("2.c.1", "h_m"): (100.0, FT, 0.0),
+    ("2.c.1", "theta_rad"): (1.5, DEG, 0.20),
+    ("2.c.10", "theta_rad"): (1.5, DEG, 0.0),
+    ("2.c.10", "q_radps"): (2.0, DEG, 0.0),
+    ("2.c.10", "az_mps2"): (0.10, G, 0.0),
+    ("2.d.2", "p_radps"): (2.0, DEG, 0.10),
+    ("2.d.4", "phi_rad"): (2.0, DEG, 0.10),
+    ("2.d.6", "r_radps"): (2.0, DEG, 0.10),
+}
 
 
 def as_printed(entry: str, band: Band) -> bool:
@@ -38,7 +46,12 @@ def test_oscillations():
     assert set(found) == {"2.c.9", "2.d.7"}
     for entry, period_s, cycles in (("2.c.9", 0.0, 3.0), ("2.d.7", 0.5, 6.0)):
         asked = found[entry]
-        assert (asked.period_s, asked.period_share, asked.half_share, asked.damping) == (period_s, 0.10, 0.10, 0.02)
+        assert (asked.period_s, asked.period_share, asked.half_share, asked.damping) == (
+            period_s,
+            0.10,
+            0.10,
+            0.02,
+        )
         assert asked.cycles == cycles
 
 
@@ -47,9 +60,17 @@ def test_entries_are_in_order_and_said_in_words():
     assert keys == sorted(keys)
     for test in TESTS:
         for band in test.bands:
-            assert f"{PRINTED[test.entry, band.channel][0]:g}" in test.tolerance.replace("0.10 g", "0.1 g")
+            assert f"{PRINTED[test.entry, band.channel][0]:g}" in test.tolerance.replace(
+                "0.10 g", "0.1 g"
+            )
 
 
 def test_what_a_record_needs():
     times = {t.entry: (t.before_s, t.after_s) for t in TESTS if t.before_s or t.after_s}
-    assert times == {"2.b.4": (5, 5), "2.b.5": (5, 5), "2.b.6": (5, 5), "2.c.1": (5, 15), "2.d.4": (0, 20)}
+    assert times == {
+        "2.b.4": (5, 5),
+        "2.b.5": (5, 5),
+        "2.b.6": (5, 5),
+        "2.c.1": (5, 15),
+        "2.d.4": (0, 20),
+    }

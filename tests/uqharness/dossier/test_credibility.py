@@ -8,9 +8,15 @@ from uqharness.dossier.evidence import read_evidence
 from uqharness.dossier.match import Match, prove
 
 NAMES = [
-    "Data pedigree", "Verification", "Validation", "Input pedigree", "Uncertainty characterisation", "Results robustness",
-    "Use history", "People",
-]  # fmt: skip
+    "Data pedigree",
+    "Verification",
+    "Validation",
+    "Input pedigree",
+    "Uncertainty characterisation",
+    "Results robustness",
+    "Use history",
+    "People",
+]
 
 
 def evidence_of(folder, match=None):
@@ -22,7 +28,9 @@ def test_all_eight_and_none_made_up(tmp_path):
     found = evidence_of(folders.refined(tmp_path / "r"))
     assert list(found) == NAMES
     assert found["Use history"] == found["People"] == found["Input pedigree"] == ()
-    assert found["Validation"] == ("refine: on the hold-out flights rms over noise is at most 0.97 (q_radps)",)
+    assert found["Validation"] == (
+        "refine: on the hold-out flights rms over noise is at most 0.97 (q_radps)",
+    )
     assert "level" not in str(found).lower()
 
 
@@ -31,7 +39,9 @@ def test_an_identification(tmp_path):
     assert "identified from a<b>.parquet, recorded with SHA-256" in found["Data pedigree"][0]
     assert "estimated for 1 of 2 channels" in found["Data pedigree"][1]
     assert found["Verification"] == ("identify: the estimation converged",)
-    assert found["Uncertainty characterisation"] == ("identify: standard errors of 2 of 3 parameters; 1 are not identified",)
+    assert found["Uncertainty characterisation"] == (
+        "identify: standard errors of 2 of 3 parameters; 1 are not identified",
+    )
 
 
 def test_a_campaign(tmp_path):

@@ -26,16 +26,21 @@ def chain(tmp_path):
     (root / "flights" / "a.bin").write_bytes(b"a log")
     outputs = {"flights/a.bin": file_sha256(root / "flights" / "a.bin")}
     stages = [
-        folders.stage("import", "import", "flights", outputs=outputs), folders.stage("refine", "refine", "zz-refine"),
+        folders.stage("import", "import", "flights", outputs=outputs),
+        folders.stage("refine", "refine", "zz-refine"),
         folders.stage("identify", "identify", "identify"),
-    ]  # fmt: skip
+    ]
     (root / "study.json").write_text(json.dumps(folders.study(stages)))
     return root
 
 
 def test_steps_in_the_order_of_the_study(chain):
     found = read_evidence(chain)
-    assert [(s.kind, s.place) for s in found.steps] == [("refine", "zz-refine"), ("identify", "identify"), ("study", ".")]
+    assert [(s.kind, s.place) for s in found.steps] == [
+        ("refine", "zz-refine"),
+        ("identify", "identify"),
+        ("study", "."),
+    ]
     assert found.missing == []
     files = {s.file: s for s in found.sources}
     assert files["flights/a.bin"].sha256 == file_sha256(chain / "flights" / "a.bin")
@@ -48,7 +53,9 @@ def test_without_a_study_a_refinement_follows_what_it_began_from(tmp_path):
     folders.identified(tmp_path / "fit")
     for name, began in (("a-second", "b-first/aircraft/plane"), ("b-first", "fit/aircraft")):
         made = folders.refined(tmp_path / name)
-        document = folders.refinement(command=f"uqharness refine results/{began} --train a --test b")
+        document = folders.refinement(
+            command=f"uqharness refine results/{began} --train a --test b"
+        )
         (made / "refinement.json").write_text(json.dumps(document))
     assert [s.place for s in read_evidence(tmp_path).steps] == ["fit", "b-first", "a-second"]
 
@@ -81,8 +88,9 @@ def damage(root: Path, what: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "what", ["another log", "no log", "no folder", "no mark", "torn mark", "no histories", "failed stage"]
-)  # fmt: skip
+    "what",
+    ["another log", "no log", "no folder", "no mark", "torn mark", "no histories", "failed stage"],
+)
 def test_damage_is_said(chain, what):
     words = damage(chain, what)
     found = read_evidence(chain)
@@ -100,7 +108,9 @@ def test_torn_histories_are_said_when_they_are_read(chain):
 
 def test_a_folder_of_something_else(tmp_path):
     (tmp_path / "notes.txt").write_text("notes")
-    with pytest.raises(BadInputError, match=r"no results of this program; looked for study\.json, fit\.json"):
+    with pytest.raises(
+        BadInputError, match=r"no results of this program; looked for study\.json, fit\.json"
+    ):
         read_evidence(tmp_path)
     with pytest.raises(BadInputError, match="is no folder"):
         read_evidence(tmp_path / "notes.txt")

@@ -23,7 +23,10 @@ def segment(control="elevator", seconds=8.0, start=2.0, length=1.0, also=(), num
             )
     for name in CHANNELS:
         values[name], values[f"{name}_model"] = np.zeros(t.size), np.zeros(t.size)
-    values |= {name: np.broadcast_to(np.asarray(f(t) if callable(f) else f, dtype=float), t.shape) for name, f in columns.items()}
+    values |= {
+        name: np.broadcast_to(np.asarray(f(t) if callable(f) else f, dtype=float), t.shape)
+        for name, f in columns.items()
+    }
     return History(number, "flight", "doublet", t, values)
 
 
@@ -39,7 +42,17 @@ def pulse(size):
 def test_a_model_that_is_right_passes_its_own_test_alone():
     found, match = answers(segment(q_radps=pulse(0.3), q_radps_model=pulse(0.3)))
     assert found == {"2.c.10": PASS}
-    assert set(match.missing) == {"2.b.4", "2.b.5", "2.b.6", "2.c.1", "2.c.9", "2.d.2", "2.d.4", "2.d.6", "2.d.7"}
+    assert set(match.missing) == {
+        "2.b.4",
+        "2.b.5",
+        "2.b.6",
+        "2.c.1",
+        "2.c.9",
+        "2.d.2",
+        "2.d.4",
+        "2.d.6",
+        "2.d.7",
+    }
     assert match.missing["2.d.6"] == "no segment in which the rudder is moved"
 
 
@@ -68,7 +81,10 @@ def test_a_single_sample_outside_fails():
     assert row.ratio == pytest.approx(2.0 / 0.980665)
 
 
-@pytest.mark.parametrize(("control", "channel", "entry"), [("aileron", "p_radps", "2.d.2"), ("rudder", "r_radps", "2.d.6")])
+@pytest.mark.parametrize(
+    ("control", "channel", "entry"),
+    [("aileron", "p_radps", "2.d.2"), ("rudder", "r_radps", "2.d.6")],
+)
 def test_rates_by_the_less_restrictive_of_two(control, channel, entry):
     wide = segment(control, **{channel: pulse(60.0 * DEG), f"{channel}_model": pulse(55.0 * DEG)})
     narrow = segment(control, **{channel: pulse(60.0 * DEG), f"{channel}_model": pulse(53.0 * DEG)})
@@ -78,7 +94,9 @@ def test_rates_by_the_less_restrictive_of_two(control, channel, entry):
 
 def test_noise_that_is_as_large_as_the_tolerance_decides_nothing():
     noisy = segment(theta_rad=1.6 * DEG, q_radps=2.1 * DEG)
-    assert answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == UNSURE
+    assert (
+        answers(noisy, noise={"theta_rad": 0.5 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == UNSURE
+    )
     assert answers(noisy, noise={"theta_rad": 0.1 * DEG, "q_radps": 0.1 * DEG})[0]["2.c.10"] == FAIL
 
 
@@ -127,7 +145,8 @@ def oscillation(period_s, damping, from_s, size=1.0):
 
 
 @pytest.mark.parametrize(
-    ("period_s", "damping", "expected"), [(20.5, 0.05, PASS), (23.0, 0.05, FAIL), (20.0, 0.065, PASS), (20.0, 0.10, FAIL)]
+    ("period_s", "damping", "expected"),
+    [(20.5, 0.05, PASS), (23.0, 0.05, FAIL), (20.0, 0.065, PASS), (20.0, 0.10, FAIL)],
 )
 def test_phugoid(period_s, damping, expected):
     noise = 0.01 * np.random.default_rng(1).standard_normal(3500)
@@ -138,7 +157,12 @@ def test_phugoid(period_s, damping, expected):
 
 def test_dutch_roll():
     def flown(period_s, seconds):
-        return segment("rudder", seconds=seconds, r_radps=oscillation(1.5, 0.1, 3.0), r_radps_model=oscillation(period_s, 0.1, 3.0))
+        return segment(
+            "rudder",
+            seconds=seconds,
+            r_radps=oscillation(1.5, 0.1, 3.0),
+            r_radps_model=oscillation(period_s, 0.1, 3.0),
+        )
 
     assert answers(flown(1.6, 14.0))[0]["2.d.7"] == PASS
     assert answers(flown(2.1, 14.0))[0]["2.d.7"] == FAIL

@@ -37,16 +37,23 @@ def test_without_noise(period_s, damping):
     assert found.cycles == pytest.approx(T[-1] / period_s, rel=1e-6)
     if damping:
         omega = 2.0 * np.pi / period_s
-        assert found.half_s == pytest.approx(np.log(2.0) * np.sqrt(1.0 - damping**2) / (abs(damping) * omega), rel=1e-5)
+        assert found.half_s == pytest.approx(
+            np.log(2.0) * np.sqrt(1.0 - damping**2) / (abs(damping) * omega), rel=1e-5
+        )
 
 
 def test_standard_errors_are_the_scatter_over_seeds():
     clean = wave(2.0, 0.05)
-    found = [fit_mode(T, clean + 0.05 * np.random.default_rng(k).standard_normal(T.size), 0.3, 20.0) for k in range(60)]
+    found = [
+        fit_mode(T, clean + 0.05 * np.random.default_rng(k).standard_normal(T.size), 0.3, 20.0)
+        for k in range(60)
+    ]
     for value, std in (("period_s", "period_std_s"), ("damping", "damping_std")):
         scatter = np.std([getattr(f, value) for f in found])
         assert np.mean([getattr(f, std) for f in found]) == pytest.approx(scatter, rel=0.35)
-    assert abs(np.mean([f.period_s for f in found]) - 2.0) < 4.0 * found[0].period_std_s / np.sqrt(60.0)
+    assert abs(np.mean([f.period_s for f in found]) - 2.0) < 4.0 * found[0].period_std_s / np.sqrt(
+        60.0
+    )
 
 
 def test_gaps_are_left_out():
@@ -74,9 +81,15 @@ def test_dutch_roll_of_an_aircraft_is_that_of_its_eigenvalues():
     mode = next(m for m in modes(linearise(aircraft, trim)) if m.name == "dutch_roll")
     fdm = open_aircraft(aircraft)
     apply_controls(fdm, aircraft, trim.controls)
-    for name, value in zip("uvw", body_velocity(22.0, trim.alpha_rad, trim.beta_rad + 0.005), strict=True):
+    for name, value in zip(
+        "uvw", body_velocity(22.0, trim.alpha_rad, trim.beta_rad + 0.005), strict=True
+    ):
         fdm[f"ic/{name}-fps"] = value / FT_M
-    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-rad"] = 45.0, 100.0 / FT_M, trim.theta_rad
+    fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-rad"] = (
+        45.0,
+        100.0 / FT_M,
+        trim.theta_rad,
+    )
     for name, value in SECOND_ORDER.items():
         fdm[name] = value
     engine.run_ic(fdm)

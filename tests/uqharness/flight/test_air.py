@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from campaigns.air.pinned import AIR_XML, Condition, Seen, Source, measure, open_pinned, write_vehicle
+from campaigns.air.pinned import (
+    AIR_XML,
+    Condition,
+    Seen,
+    Source,
+    measure,
+    open_pinned,
+    write_vehicle,
+)
 from campaigns.air.reproduce import compare, main
 from sysid.units import FT_M
 from uqharness.flight.dryden import COMPONENTS, dryden_sigma
@@ -39,7 +47,10 @@ def steps(fdm: Any, n: int) -> None:
 
 
 def total_wind_mps(fdm: Any) -> np.ndarray:
-    return np.array([fdm[f"atmosphere/total-wind-{axis}-fps"] for axis in ("north", "east", "down")]) * FT_M
+    return (
+        np.array([fdm[f"atmosphere/total-wind-{axis}-fps"] for axis in ("north", "east", "down")])
+        * FT_M
+    )
 
 
 def rotation(fdm: Any) -> np.ndarray:
@@ -57,9 +68,14 @@ def isa(height_m: float) -> tuple[float, float, float]:
 # Both sources as specified. Tolerance: 3 % of amplitude (6 % of density) and, on top, 99.99 % of counting statistics.
 
 
-@pytest.mark.parametrize("heading_deg", [90.0, *(pytest.param(heading, marks=pytest.mark.slow) for heading in (0.0, 180.0, 270.0))])
+@pytest.mark.parametrize(
+    "heading_deg",
+    [90.0, *(pytest.param(heading, marks=pytest.mark.slow) for heading in (0.0, 180.0, 270.0))],
+)
 @pytest.mark.parametrize("source", ["jsbsim", "host"])
-def test_six_components_are_as_specified_at_every_heading(source: Source, heading_deg: float) -> None:
+def test_six_components_are_as_specified_at_every_heading(
+    source: Source, heading_deg: float
+) -> None:
     seen = measure(source, replace(SHORT, heading_deg=heading_deg, seed=100 + int(heading_deg)))
     assert [row for row in compare(seen) if not row.within(0.03)] == []
     assert seen.q_slope_correlation() < -0.12
@@ -74,15 +90,21 @@ def test_as_specified_in_a_climbing_turn_attitude(source: Source) -> None:
 
 
 @pytest.mark.parametrize(("h_m", "W20_kt", "dt_s"), [(30.0, 15.0, 0.01), (250.0, 45.0, 0.02)])
-def test_as_specified_at_other_heights_intensities_and_steps(h_m: float, W20_kt: float, dt_s: float) -> None:
-    seen = measure("jsbsim", replace(SHORT, h_m=h_m, W20_kt=W20_kt, dt_s=dt_s, duration_s=1200.0, seed=8))
+def test_as_specified_at_other_heights_intensities_and_steps(
+    h_m: float, W20_kt: float, dt_s: float
+) -> None:
+    seen = measure(
+        "jsbsim", replace(SHORT, h_m=h_m, W20_kt=W20_kt, dt_s=dt_s, duration_s=1200.0, seed=8)
+    )
     assert [row for row in compare(seen) if not row.within(0.05)] == []
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0])
 def test_plain_jsbsim_is_not(heading_deg: float) -> None:
     # Counter-case: wind from the south; the gust axes of plain JSBSim stay on the wind, x downwind.
-    seen = measure("plain-tustin", replace(SHORT, heading_deg=heading_deg, wind_from_deg=180.0, seed=100))
+    seen = measure(
+        "plain-tustin", replace(SHORT, heading_deg=heading_deg, wind_from_deg=180.0, seed=100)
+    )
     failed = {row.component: row.sd_ratio for row in compare(seen) if not row.within(0.03)}
     if heading_deg == 90.0:  # across: p and q have changed places
         assert failed["p"] < 0.75
@@ -102,7 +124,9 @@ def test_ten_percent_more_wind_is_noticed() -> None:
 
 
 def test_headings_differ_in_nothing_when_the_seed_is_the_same() -> None:
-    first, second = (measure("jsbsim", replace(SHORT, heading_deg=h, duration_s=20.0)) for h in (0.0, 137.0))
+    first, second = (
+        measure("jsbsim", replace(SHORT, heading_deg=h, duration_s=20.0)) for h in (0.0, 137.0)
+    )
     for name in COMPONENTS:
         sigma = dryden_sigma(name, SHORT.V_mps, SHORT.h_m, SHORT.W20_kt, SHORT.b_m)
         np.testing.assert_allclose(first.series[name], second.series[name], atol=1e-4 * sigma)
@@ -135,7 +159,9 @@ def test_west_wind_carries_the_aircraft_east() -> None:
         fdm["air/wind-mps"], fdm["air/wind-from-deg"] = wind, 270.0
         engine.run_ic(fdm)
         steps(fdm, 600)
-        drift[wind] = fdm["position/long-gc-deg"] * np.radians(1.0) * 6378137.0 * np.cos(np.radians(45.0))
+        drift[wind] = (
+            fdm["position/long-gc-deg"] * np.radians(1.0) * 6378137.0 * np.cos(np.radians(45.0))
+        )
     assert drift[5.0] - drift[0.0] > 2.0
 
 
@@ -182,12 +208,16 @@ def test_a_used_instance_starts_again_when_told_to_stop_first(pinned: Open) -> N
 
 
 @pytest.mark.parametrize("heading_deg", [20.0, 110.0, 200.0, 290.0])
-def test_headings_with_a_zero_cosine_or_sine_turn_the_axes(pinned: Open, heading_deg: float) -> None:
+def test_headings_with_a_zero_cosine_or_sine_turn_the_axes(
+    pinned: Open, heading_deg: float
+) -> None:
     # wind from 250: true headings 270, 0, 90, 180.
     condition = replace(SHORT, heading_deg=heading_deg)
     fdm = pinned({"air/turbulence-w20-kt": 30.0}, condition)
     steps(fdm, 50)
-    assert np.cos(fdm["atmosphere/psiw-rad"] + fdm["attitude/psi-rad"]) == pytest.approx(1.0, abs=1e-9)
+    assert np.cos(fdm["atmosphere/psiw-rad"] + fdm["attitude/psi-rad"]) == pytest.approx(
+        1.0, abs=1e-9
+    )
 
 
 def test_same_seed_same_bytes(pinned: Open) -> None:
@@ -228,8 +258,12 @@ def test_host_gusts_arrive_one_frame_later_in_the_right_axes(pinned: Open) -> No
     np.testing.assert_allclose(total_wind_mps(fdm), 0.0, atol=1e-12)
     fdm.run()
     psi, phi, theta = (fdm[f"attitude/{angle}-rad"] for angle in ("psi", "phi", "theta"))
-    heading_to_ned = np.array([[np.cos(psi), -np.sin(psi), 0], [np.sin(psi), np.cos(psi), 0], [0, 0, 1]])
-    pitch = np.array([[np.cos(theta), 0, -np.sin(theta)], [0, 1, 0], [np.sin(theta), 0, np.cos(theta)]])
+    heading_to_ned = np.array(
+        [[np.cos(psi), -np.sin(psi), 0], [np.sin(psi), np.cos(psi), 0], [0, 0, 1]]
+    )
+    pitch = np.array(
+        [[np.cos(theta), 0, -np.sin(theta)], [0, 1, 0], [np.sin(theta), 0, np.cos(theta)]]
+    )
     roll = np.array([[1, 0, 0], [0, np.cos(phi), np.sin(phi)], [0, -np.sin(phi), np.cos(phi)]])
     np.testing.assert_allclose(total_wind_mps(fdm), heading_to_ned @ gust, atol=1e-6)
     np.testing.assert_allclose(rotation(fdm), roll @ pitch @ turn, atol=1e-6)
@@ -240,7 +274,9 @@ def test_host_gusts_arrive_one_frame_later_in_the_right_axes(pinned: Open) -> No
 
 @pytest.mark.parametrize("elevation_m", [250.0, 1000.0, 2000.0, -300.0])
 @pytest.mark.parametrize("h_m", [0.0, 100.0, 500.0])
-def test_field_elevation_is_the_standard_atmosphere_higher_up(pinned: Open, elevation_m: float, h_m: float) -> None:
+def test_field_elevation_is_the_standard_atmosphere_higher_up(
+    pinned: Open, elevation_m: float, h_m: float
+) -> None:
     fdm = pinned({"air/field-elevation-m": elevation_m}, replace(SHORT, h_m=h_m))
     temperature, pressure, density = isa(elevation_m + h_m)
     for _ in range(2):  # as soon as it is initialised, and later
@@ -270,7 +306,9 @@ def test_field_at_sea_level_leaves_the_atmosphere_alone(pinned: Open, tmp_path: 
 
 
 def test_turbulence_at_a_high_field_is_that_of_the_height_above_it(pinned: Open) -> None:
-    high, low = (pinned({"air/turbulence-w20-kt": 30.0, "air/field-elevation-m": e}) for e in (1800.0, 0.0))
+    high, low = (
+        pinned({"air/turbulence-w20-kt": 30.0, "air/field-elevation-m": e}) for e in (1800.0, 0.0)
+    )
     for _ in range(500):
         high.run()
         low.run()
@@ -297,7 +335,9 @@ def test_wind_set_elsewhere_is_removed_and_reported(pinned: Open) -> None:
 # The command.
 
 
-def test_command_writes_tables_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_tables_and_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "air"
     assert main(["--out", str(out), "--hours", "0.05", "--headings-deg", "90"]) in (0, 1)
     assert (out / "air.csv").read_text().count("\n") == 1 + 4 * 6

@@ -13,7 +13,9 @@ from uqharness.flight.autopilot_file import read_gains
 PROPERTIES = {"ap/RLL_RATE_P", "ap/RLL2SRV_TCONST"}
 
 
-@pytest.mark.parametrize("text", ["RLL_RATE_P 0.3\n", "\ufeffRLL_RATE_P,0.3\r\n", "# plane\n1\t1\tRLL_RATE_P\t0.3\t9\n"])
+@pytest.mark.parametrize(
+    "text", ["RLL_RATE_P 0.3\n", "\ufeffRLL_RATE_P,0.3\r\n", "# plane\n1\t1\tRLL_RATE_P\t0.3\t9\n"]
+)
 def test_formats_of_ground_stations(tmp_path: Path, text: str):
     path = tmp_path / "plane.param"
     path.write_text(text, encoding="utf-8")
@@ -23,7 +25,10 @@ def test_formats_of_ground_stations(tmp_path: Path, text: str):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"RLL_RATE_P 0.3\nRLL2SRV_TCONST 0\n", "line 2: RLL2SRV_TCONST 0: allowed is a number above 0"),
+        (
+            b"RLL_RATE_P 0.3\nRLL2SRV_TCONST 0\n",
+            "line 2: RLL2SRV_TCONST 0: allowed is a number above 0",
+        ),
         (b"RLL2SRV_TCONST 1\nRLL_RATE_P 0.3\nRLL2SRV_TCONST,-1\n", "line 3: RLL2SRV_TCONST -1"),
         (b"RLL_RATE_P 0.3\nhello\n", "line 2: 'hello' is no parameter"),
         (b"\0\1\2", "is no parameter file"),
@@ -39,5 +44,7 @@ def test_errors_name_file_and_line(tmp_path: Path, content: bytes, words: str):
 
 
 def test_a_file_that_is_not_there(tmp_path: Path):
-    with pytest.raises(BadInputError, match=r"none\.param: No such file.*give an ArduPilot parameter file"):
+    with pytest.raises(
+        BadInputError, match=r"none\.param: No such file.*give an ArduPilot parameter file"
+    ):
         read_gains(tmp_path / "none.param", PROPERTIES)

@@ -10,12 +10,25 @@ from tests.helpers.places import ROOT
 from uqharness.flight.autopilot_gains import NO_LIMIT, autopilot_gains
 
 XML = (ROOT / "aircraft" / "espaaro" / "Systems" / "autopilot.xml").read_text(encoding="utf-8")
-DECLARED = {name: float(value) for value, name in re.findall(r'<property value="([^"]+)">(ap/[^<]+)</property>', XML)}
+DECLARED = {
+    name: float(value)
+    for value, name in re.findall(r'<property value="([^"]+)">(ap/[^<]+)</property>', XML)
+}
 # As the parameter file of an E-SPAARO-like airframe has them (docs/autopilot.md, column [E]).
 FLOWN = {
-    "RLL2SRV_TCONST": 0.45, "RLL2SRV_RMAX": 70, "RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40, "PTCH_RATE_P": 0.35,
-    "PTCH2SRV_RMAX_UP": 60, "KFF_RDDRMIX": 0.15, "YAW2SRV_DAMP": 0.1, "TECS_CLMB_MAX": 6, "TECS_PITCH_MIN": -12, "THR_MAX": 100,
-}  # fmt: skip
+    "RLL2SRV_TCONST": 0.45,
+    "RLL2SRV_RMAX": 70,
+    "RLL_RATE_P": 0.22,
+    "RLL_RATE_I": 0.20,
+    "RLL_RATE_FF": 0.40,
+    "PTCH_RATE_P": 0.35,
+    "PTCH2SRV_RMAX_UP": 60,
+    "KFF_RDDRMIX": 0.15,
+    "YAW2SRV_DAMP": 0.1,
+    "TECS_CLMB_MAX": 6,
+    "TECS_PITCH_MIN": -12,
+    "THR_MAX": 100,
+}
 
 
 def test_a_parameter_sets_the_property_of_its_name_in_its_unit():
@@ -29,20 +42,38 @@ def test_a_parameter_sets_the_property_of_its_name_in_its_unit():
 def test_older_names_have_other_units_and_give_way_to_newer_ones():
     old = {"LIM_ROLL_CD": 5000, "TRIM_PITCH_CD": 100, "ARSPD_FBW_MIN": 16, "ARSPD_FBW_MAX": 30}
     found = autopilot_gains(old, DECLARED).properties
-    assert found == pytest.approx({"ap/ROLL_LIMIT_DEG": 50, "ap/PTCH_TRIM_DEG": 1, "ap/AIRSPEED_MIN": 16, "ap/AIRSPEED_MAX": 30})
+    assert found == pytest.approx(
+        {
+            "ap/ROLL_LIMIT_DEG": 50,
+            "ap/PTCH_TRIM_DEG": 1,
+            "ap/AIRSPEED_MIN": 16,
+            "ap/AIRSPEED_MAX": 30,
+        }
+    )
     both = autopilot_gains({"LIM_ROLL_CD": 4500, "ROLL_LIMIT_DEG": 50}, DECLARED)
     assert both.properties == {"ap/ROLL_LIMIT_DEG": 50}
     assert both.ignored == {"LIM_ROLL_CD": "the file has the newer name too"}
 
 
 def test_limits_that_zero_switches_off():
-    found = autopilot_gains({"RLL2SRV_RMAX": 0, "RLL_RATE_FLTT": 0, "TECS_PITCH_MAX": 0, "PTCH_LIM_MAX_DEG": 22}, DECLARED)
-    assert found.properties == {"ap/RLL2SRV_RMAX": NO_LIMIT, "ap/RLL_RATE_FLTT": NO_LIMIT, "ap/TECS_PITCH_MAX": 22}
-    assert autopilot_gains({"TECS_PITCH_MIN": 0, "LIM_PITCH_MIN": -2500}, DECLARED).properties == {"ap/TECS_PITCH_MIN": -25}
+    found = autopilot_gains(
+        {"RLL2SRV_RMAX": 0, "RLL_RATE_FLTT": 0, "TECS_PITCH_MAX": 0, "PTCH_LIM_MAX_DEG": 22},
+        DECLARED,
+    )
+    assert found.properties == {
+        "ap/RLL2SRV_RMAX": NO_LIMIT,
+        "ap/RLL_RATE_FLTT": NO_LIMIT,
+        "ap/TECS_PITCH_MAX": 22,
+    }
+    assert autopilot_gains({"TECS_PITCH_MIN": 0, "LIM_PITCH_MIN": -2500}, DECLARED).properties == {
+        "ap/TECS_PITCH_MIN": -25
+    }
 
 
 def test_derivative_gains_switch_their_terms_on_and_share_a_filter():
-    found = autopilot_gains({"RLL_RATE_D": 0.02, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 10}, DECLARED).properties
+    found = autopilot_gains(
+        {"RLL_RATE_D": 0.02, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 10}, DECLARED
+    ).properties
     assert found == {"ap/RLL_RATE_D": 0.02, "ap/RATE_FLTD": 10, "ap/RATE_D_ON": 1.0}
     apart = autopilot_gains({"RLL_RATE_D": 0, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 12}, DECLARED)
     assert apart.properties == {"ap/RLL_RATE_D": 0}
@@ -51,7 +82,14 @@ def test_derivative_gains_switch_their_terms_on_and_share_a_filter():
 
 def test_what_is_ignored_is_named_with_the_reason():
     found = autopilot_gains(
-        {"RLL_RATE_P": 0.2, "RLL_RATE_SMAX": 150, "YAW2SRV_INT": 0, "WP_LOITER_RAD": 80, "BATT_CAPACITY": 5000, "SERVO1_MIN": 1000},
+        {
+            "RLL_RATE_P": 0.2,
+            "RLL_RATE_SMAX": 150,
+            "YAW2SRV_INT": 0,
+            "WP_LOITER_RAD": 80,
+            "BATT_CAPACITY": 5000,
+            "SERVO1_MIN": 1000,
+        },
         DECLARED,
     )
     assert found.ignored["RLL_RATE_SMAX"] == "the autopilot has no such term"
@@ -68,10 +106,18 @@ def test_what_is_ignored_is_named_with_the_reason():
     [
         ({"RLL2SRV_TCONST": 0}, DECLARED, "RLL2SRV_TCONST 0: allowed is a number above 0"),
         ({"RLL2SRV_RMAX": -1}, DECLARED, "RLL2SRV_RMAX -1: allowed is a number 0 (off) or above"),
-        ({"AIRSPEED_MIN": 20, "ARSPD_FBW_MAX": 15}, DECLARED, "AIRSPEED_MIN 20: allowed is a number below AIRSPEED_MAX 15"),
+        (
+            {"AIRSPEED_MIN": 20, "ARSPD_FBW_MAX": 15},
+            DECLARED,
+            "AIRSPEED_MIN 20: allowed is a number below AIRSPEED_MAX 15",
+        ),
         ({"FW_RR_P": 0.05, "FW_R_TC": 0.4}, DECLARED, "these are PX4's parameters"),
         ({"BATT_CAPACITY": 5000}, DECLARED, "none of the 1 parameters is a gain of this autopilot"),
-        (FLOWN, {"fcs/elevator-cmd-norm"}, "the aircraft has no autopilot of ArduPlane's structure"),
+        (
+            FLOWN,
+            {"fcs/elevator-cmd-norm"},
+            "the aircraft has no autopilot of ArduPlane's structure",
+        ),
     ],
 )
 def test_what_is_refused(parameters, properties, words):

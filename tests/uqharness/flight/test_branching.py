@@ -29,7 +29,9 @@ def test_numbers_change_at_the_step_however_they_are_cut(calls):
 
 def test_rows_of_a_page_change_at_one_step():
     found = Spliced(normals(1), normals(2), 4, per_step=3).take(30).reshape(3, 10)
-    before, behind = (normals(seed).take(3 * steps).reshape(3, steps) for seed, steps in ((1, 10), (2, 6)))
+    before, behind = (
+        normals(seed).take(3 * steps).reshape(3, steps) for seed, steps in ((1, 10), (2, 6))
+    )
     np.testing.assert_array_equal(found, np.hstack([before[:, :4], behind]))
 
 
@@ -53,14 +55,23 @@ def test_transient_levels_walk_on_and_epistemic_ones_are_not_touched():
     np.testing.assert_array_equal(own[:701], other[:701])
     moving = [COEFFICIENTS.index(c) for c in air.coefficients]
     assert (own[702:, moving] != other[702:, moving]).all()
-    assert np.abs(np.diff(other[:, moving], axis=0)).max() < 2.0 * np.abs(np.diff(own[:, moving], axis=0)).max()
+    assert (
+        np.abs(np.diff(other[:, moving], axis=0)).max()
+        < 2.0 * np.abs(np.diff(own[:, moving], axis=0)).max()
+    )
     sample = LevelDriver("walk", 11, "e3", ("CX",), (0.03,))
     one, two = (Levels(sample, 0.01, splits=splits).take(900) for splits in ((), (SPLIT,)))
     np.testing.assert_array_equal(one, two)
 
 
 def test_each_part_of_the_key_makes_another_stream():
-    keys = [(700, 3, 4, 1, 2), (700, 9, 4, 1, 2), (700, 3, 9, 1, 2), (700, 3, 4, 9, 2), (700, 3, 4, 1, 9)]
+    keys = [
+        (700, 3, 4, 1, 2),
+        (700, 9, 4, 1, 2),
+        (700, 3, 9, 1, 2),
+        (700, 3, 4, 9, 2),
+        (700, 3, 4, 1, 9),
+    ]
     streams = [
         Split(*key).stream(kind, number)
         for key in keys

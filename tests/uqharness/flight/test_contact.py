@@ -44,8 +44,13 @@ def watched(fdm, blocks):
 
 def first_contact(fdm):
     units = {f"gear/unit[{n}]": name for n, name in enumerate(("NOSE", "LEFT_MAIN", "RIGHT_MAIN"))}
-    units |= {f"contact/unit[{n + 3}]": name for n, name in enumerate(("NOSE_SKID", "TAIL_SKID", "LEFT_TIP", "RIGHT_TIP"))}
-    while not (touching := [name for unit, name in units.items() if fdm[f"{unit}/compression-ft"] > 0.0]):
+    units |= {
+        f"contact/unit[{n + 3}]": name
+        for n, name in enumerate(("NOSE_SKID", "TAIL_SKID", "LEFT_TIP", "RIGHT_TIP"))
+    }
+    while not (
+        touching := [name for unit, name in units.items() if fdm[f"{unit}/compression-ft"] > 0.0]
+    ):
         fdm.run()
     return f"contact point {touching[0]}", round(fdm.get_sim_time() / _DT_S)
 
@@ -54,7 +59,9 @@ def first_contact(fdm):
 def test_the_first_step_of_contact_is_found_whatever_the_block(staging, height_ft, speed_fps):
     expected = first_contact(opened(staging, height_ft, speed_fps))
     assert watched(opened(staging, height_ft, speed_fps), 200) == expected
-    assert expected[1] % _BLOCK, "a contact at the end of a block would be found without looking at each step"
+    assert expected[1] % _BLOCK, (
+        "a contact at the end of a block would be found without looking at each step"
+    )
 
 
 def test_who_starts_on_the_wheels_may_stay_there_until_the_first_hop(staging):

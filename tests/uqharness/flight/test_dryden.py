@@ -45,8 +45,15 @@ def test_horizontal_and_vertical_agree_at_1000_ft() -> None:
 
 @pytest.mark.parametrize("component", COMPONENTS)
 @pytest.mark.parametrize("air", [AIR, (60.0, 20.0, 15.0, 11.0), (15.0, 300.0, 45.0, 1.5)])
-def test_sigma_is_the_root_of_the_integrated_spectrum(component: Component, air: tuple[float, float, float, float]) -> None:
-    variance = quad(lambda log_w: float(dryden_psd(component, np.exp(log_w), *air)) * np.exp(log_w), -15, 20, limit=400)
+def test_sigma_is_the_root_of_the_integrated_spectrum(
+    component: Component, air: tuple[float, float, float, float]
+) -> None:
+    variance = quad(
+        lambda log_w: float(dryden_psd(component, np.exp(log_w), *air)) * np.exp(log_w),
+        -15,
+        20,
+        limit=400,
+    )
     assert dryden_sigma(component, *air) == pytest.approx(np.sqrt(variance[0]), rel=1e-5)
 
 
@@ -54,7 +61,13 @@ def test_roll_spectrum_is_the_printed_form() -> None:
     V, h, W20, b = AIR
     omega = np.array([0.01, 0.5, 3.0, 20.0])
     sigma_w = 0.1 * W20 * 1852 / 3600
-    printed = sigma_w**2 / (V * h) * 0.8 * (np.pi * h / (4 * b)) ** (1 / 3) / (1 + (4 * b * omega / (np.pi * V)) ** 2)
+    printed = (
+        sigma_w**2
+        / (V * h)
+        * 0.8
+        * (np.pi * h / (4 * b)) ** (1 / 3)
+        / (1 + (4 * b * omega / (np.pi * V)) ** 2)
+    )
     np.testing.assert_allclose(dryden_psd("p", omega, *AIR), printed, rtol=1e-12)
 
 
@@ -63,8 +76,12 @@ def test_gradient_spectra_are_filtered_velocity_spectra() -> None:
     omega = np.array([0.01, 0.5, 3.0, 20.0])
     q_over_w = dryden_psd("q", omega, *AIR) / dryden_psd("w", omega, *AIR)
     r_over_v = dryden_psd("r", omega, *AIR) / dryden_psd("v", omega, *AIR)
-    np.testing.assert_allclose(q_over_w, (omega / V) ** 2 / (1 + (4 * b * omega / (np.pi * V)) ** 2), rtol=1e-12)
-    np.testing.assert_allclose(r_over_v, (omega / V) ** 2 / (1 + (3 * b * omega / (np.pi * V)) ** 2), rtol=1e-12)
+    np.testing.assert_allclose(
+        q_over_w, (omega / V) ** 2 / (1 + (4 * b * omega / (np.pi * V)) ** 2), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        r_over_v, (omega / V) ** 2 / (1 + (3 * b * omega / (np.pi * V)) ** 2), rtol=1e-12
+    )
 
 
 def test_spectra_of_the_samples() -> None:
@@ -72,15 +89,23 @@ def test_spectra_of_the_samples() -> None:
     dt, n = 0.02, 1_800_000
     gusts = dryden_gusts(n, dt, *AIR, seed=11)
     for component in COMPONENTS:
-        frequency, density = welch(gusts.component(component), fs=1 / dt, nperseg=32768, detrend=False)
+        frequency, density = welch(
+            gusts.component(component), fs=1 / dt, nperseg=32768, detrend=False
+        )
         for low, high in ((0.01, 0.03), (0.03, 0.1), (0.1, 0.5), (0.5, 2.0), (2.0, 6.0)):
             band = (frequency >= low) & (frequency < high)
             # What lies above half the sampling rate folds down: the sampled process has the sum of the images.
             images = sum(
-                2 * np.pi * dryden_psd(component, 2 * np.pi * np.abs(frequency[band] + k / dt), *AIR) for k in range(-20, 21)
+                2
+                * np.pi
+                * dryden_psd(component, 2 * np.pi * np.abs(frequency[band] + k / dt), *AIR)
+                for k in range(-20, 21)
             )
             error = np.sqrt(1.0 / (0.95 * (high - low) * n * dt))
-            assert np.mean(density[band] / images) == pytest.approx(1.0, abs=5 * error), (component, low)
+            assert np.mean(density[band] / images) == pytest.approx(1.0, abs=5 * error), (
+                component,
+                low,
+            )
 
 
 def test_a_wrong_span_is_noticed() -> None:
@@ -90,7 +115,9 @@ def test_a_wrong_span_is_noticed() -> None:
     gusts = dryden_gusts(n, dt, V, h, W20, 1.1 * b, seed=11)
     frequency, density = welch(gusts.q_radps, fs=1 / dt, nperseg=32768, detrend=False)
     band = (frequency >= 2.0) & (frequency < 6.0)
-    ratio = np.mean(density[band] / (2 * np.pi * dryden_psd("q", 2 * np.pi * frequency[band], *AIR)))
+    ratio = np.mean(
+        density[band] / (2 * np.pi * dryden_psd("q", 2 * np.pi * frequency[band], *AIR))
+    )
     assert abs(ratio - 1.0) > 5 * np.sqrt(1.0 / (0.95 * 4.0 * n * dt))
 
 
@@ -108,7 +135,9 @@ def test_first_samples_are_stationary_and_so_are_all_others(seeds: int) -> None:
 
 
 @pytest.mark.parametrize(("slope_of", "rate", "sign"), [("w", "q", -1.0), ("v", "r", 1.0)])
-def test_rates_are_the_smoothed_gradients_of_the_velocities(slope_of: Component, rate: Component, sign: float) -> None:
+def test_rates_are_the_smoothed_gradients_of_the_velocities(
+    slope_of: Component, rate: Component, sign: float
+) -> None:
     # T dq/dt + q = sign (d/dt)(velocity)/V: integrate both sides over the record. The trapezoids miss a little of a rough q.
     dt, n = 0.001, 200_000
     gusts = dryden_gusts(n, dt, *AIR, seed=5)
@@ -124,13 +153,23 @@ def test_rates_are_the_smoothed_gradients_of_the_velocities(slope_of: Component,
 
 def test_independent_noises_are_independent() -> None:
     gusts = dryden_gusts(720_000, 0.05, *AIR, seed=9)
-    for one, other in (("u", "v"), ("u", "w"), ("v", "w"), ("p", "u"), ("p", "q"), ("p", "r"), ("q", "r")):
+    for one, other in (
+        ("u", "v"),
+        ("u", "w"),
+        ("v", "w"),
+        ("p", "u"),
+        ("p", "q"),
+        ("p", "r"),
+        ("q", "r"),
+    ):
         correlation = np.corrcoef(gusts.component(one), gusts.component(other))[0, 1]
         assert abs(correlation) < 0.06, (one, other)
 
 
 def test_seeds() -> None:
-    one, same, other, longer_key = (dryden_gusts(500, 0.01, *AIR, seed=seed) for seed in (0, 0, 1, (0, 1)))
+    one, same, other, longer_key = (
+        dryden_gusts(500, 0.01, *AIR, seed=seed) for seed in (0, 0, 1, (0, 1))
+    )
     for field in ("u_mps", "v_mps", "w_mps", "p_radps", "q_radps", "r_radps"):
         assert getattr(one, field).tobytes() == getattr(same, field).tobytes()
         assert not np.array_equal(getattr(one, field), getattr(other, field))
@@ -145,7 +184,10 @@ def test_blocks_are_the_same_samples_to_the_bit(block: int) -> None:
     parts = list(gust_blocks(1000, 0.01, *AIR, seed=(3, 4), block=block))
     assert len(parts) == -(-1000 // block)
     for name in COMPONENTS:
-        assert np.concatenate([part.component(name) for part in parts]).tobytes() == whole.component(name).tobytes()
+        assert (
+            np.concatenate([part.component(name) for part in parts]).tobytes()
+            == whole.component(name).tobytes()
+        )
 
 
 def test_pages_cross_their_seams_unchanged_and_copies_go_on() -> None:
@@ -155,7 +197,9 @@ def test_pages_cross_their_seams_unchanged_and_copies_go_on() -> None:
     copied = copy.deepcopy(gusts)
     pages += [gusts.page(), gusts.page()]
     for row, name in enumerate(COMPONENTS):
-        np.testing.assert_array_equal(np.concatenate([page[row] for page in pages])[:20_000], whole.component(name))
+        np.testing.assert_array_equal(
+            np.concatenate([page[row] for page in pages])[:20_000], whole.component(name)
+        )
     assert copied.page().tobytes() == pages[1].tobytes()
 
 
@@ -171,7 +215,9 @@ def test_a_day_of_gusts_takes_the_memory_of_a_block() -> None:
 
 
 def test_intensity_scales_one_history() -> None:
-    light, severe = (dryden_gusts(100, 0.01, 22.2, 100.0, W20, 3.66, seed=4) for W20 in (15.0, 45.0))
+    light, severe = (
+        dryden_gusts(100, 0.01, 22.2, 100.0, W20, 3.66, seed=4) for W20 in (15.0, 45.0)
+    )
     for name in COMPONENTS:
         np.testing.assert_allclose(severe.component(name), 3.0 * light.component(name), rtol=1e-12)
     assert not np.any(dryden_gusts(100, 0.01, 22.2, 100.0, 0.0, 3.66, seed=4).w_mps)

@@ -21,9 +21,21 @@ def worst(function, reference, arguments) -> float:
 def test_errors() -> None:
     rng = np.random.default_rng(3)
     wide = [(float(x),) for x in rng.uniform(-690.0, 690.0, 2000)]
-    near = [(float(x),) for x in rng.uniform(-1.0, 1.0, 2000) * 10.0 ** rng.uniform(-12.0, 0.0, 2000)]
-    sizes = [(float(x),) for x in np.concatenate([10.0 ** rng.uniform(-300.0, 300.0, 2000), rng.uniform(0.5, 2.0, 2000)])]
-    powers = [(float(x), float(y)) for x, y in zip(rng.uniform(0.05, 40.0, 2000), rng.choice([1.2, 0.4, 1 / 3], 2000), strict=True)]
+    near = [
+        (float(x),) for x in rng.uniform(-1.0, 1.0, 2000) * 10.0 ** rng.uniform(-12.0, 0.0, 2000)
+    ]
+    sizes = [
+        (float(x),)
+        for x in np.concatenate(
+            [10.0 ** rng.uniform(-300.0, 300.0, 2000), rng.uniform(0.5, 2.0, 2000)]
+        )
+    ]
+    powers = [
+        (float(x), float(y))
+        for x, y in zip(
+            rng.uniform(0.05, 40.0, 2000), rng.choice([1.2, 0.4, 1 / 3], 2000), strict=True
+        )
+    ]
     assert worst(exact.exp, mpmath.exp, wide + near) < 4e-16
     assert worst(exact.expm1, mpmath.expm1, wide + near) < 4e-16
     assert worst(exact.log, mpmath.log, sizes) < 5e-16

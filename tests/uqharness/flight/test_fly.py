@@ -27,13 +27,36 @@ from uqharness.simulator.mission import StagedMission, find_script
 from uqharness.simulator.signals import STANDARD, Source
 
 SPEC = FlightSpec(
-    Path("espaaro"), Path("loiter"), duration_s=20.0, burn_in_s=5.0, wind_mps=3.0, turbulence="moderate",
-    sensor_noise=True, seed_turbulence=5, seed_noise=6,
-)  # fmt: skip
+    Path("espaaro"),
+    Path("loiter"),
+    duration_s=20.0,
+    burn_in_s=5.0,
+    wind_mps=3.0,
+    turbulence="moderate",
+    sensor_noise=True,
+    seed_turbulence=5,
+    seed_noise=6,
+)
 RECORD = {
-    "time_s", "V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps",
-    "ax_mps2", "ay_mps2", "az_mps2", "h_m", "elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct",
-}  # fmt: skip
+    "time_s",
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "psi_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+    "h_m",
+    "elevator_deg",
+    "aileron_deg",
+    "rudder_deg",
+    "throttle_pct",
+}
 
 
 def command(out: Path, *extra: str) -> list[str]:
@@ -59,7 +82,12 @@ def test_the_same_seed_gives_the_same_bytes_in_a_fresh_process(tmp_path, ending,
     here, there, other = (tmp_path / f"{name}.{ending}" for name in ("here", "there", "other"))
     assert main(command(here, "--turbulence-source", source)) == 0
     subprocess.run(
-        [sys.executable, "-m", "uqharness.cli.main", *command(there, "--turbulence-source", source)],
+        [
+            sys.executable,
+            "-m",
+            "uqharness.cli.main",
+            *command(there, "--turbulence-source", source),
+        ],
         check=True,
         cwd=PROJECT_ROOT,
     )
@@ -101,7 +129,9 @@ def test_record_is_a_flight_record(tmp_path):
     # Steady before the doublet: one g, straight ahead, and rotation only after the command.
     calm = record[record["time_s"] < 0.5]
     assert calm["az_mps2"].to_numpy() == pytest.approx(-9.8, abs=0.05)
-    assert np.hypot(record["ve_mps"], record["vn_mps"]).iloc[0] == pytest.approx(record["V_mps"].iloc[0], abs=0.05)
+    assert np.hypot(record["ve_mps"], record["vn_mps"]).iloc[0] == pytest.approx(
+        record["V_mps"].iloc[0], abs=0.05
+    )
     moved = record["elevator_deg"].diff().abs() > 0.1
     first = int(np.argmax(moved.to_numpy()))
     assert record["elevator_pos_deg"].diff().abs().iloc[: first - 1].max() < 1e-6
@@ -127,7 +157,12 @@ def test_specific_force_follows_the_rates_of_change(tmp_path):
     u = r.V_mps * np.cos(r.alpha_rad) * np.cos(r.beta_rad)
     w = r.V_mps * np.sin(r.alpha_rad) * np.cos(r.beta_rad)
     v = r.V_mps * np.sin(r.beta_rad)
-    az = np.gradient(w, 0.01) + r.p_radps * v - r.q_radps * u - 9.806 * np.cos(r.theta_rad) * np.cos(r.phi_rad)
+    az = (
+        np.gradient(w, 0.01)
+        + r.p_radps * v
+        - r.q_radps * u
+        - 9.806 * np.cos(r.theta_rad) * np.cos(r.phi_rad)
+    )
     ax = np.gradient(u, 0.01) + r.q_radps * w - r.r_radps * v + 9.806 * np.sin(r.theta_rad)
     inner = slice(20, -20)
     assert np.std(az[inner] - r.az_mps2[inner]) < 0.05 * np.std(r.az_mps2[inner])
@@ -205,10 +240,16 @@ def test_what_cannot_start_is_refused(change, message):
 @pytest.mark.parametrize(
     "extra",
     [
-        ["--set", "aero/Cm_q"], ["--set", "aero/Cm_q=abc"], ["--set", "nosuch/thing=1"], ["--duration-s", "-1"],
-        ["--rate-hz", "7"], ["--seed", "-2"], ["--wind-mps", "-3"], ["--script", "nosuch"],
+        ["--set", "aero/Cm_q"],
+        ["--set", "aero/Cm_q=abc"],
+        ["--set", "nosuch/thing=1"],
+        ["--duration-s", "-1"],
+        ["--rate-hz", "7"],
+        ["--seed", "-2"],
+        ["--wind-mps", "-3"],
+        ["--script", "nosuch"],
     ],
-)  # fmt: skip
+)
 def test_bad_arguments_are_one_line(tmp_path, capsys, extra):
     assert main(command(tmp_path / "x.csv", *extra)) == 2
     error = capsys.readouterr().err
@@ -284,13 +325,22 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     folder = tmp_path / "aircraft" / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
     (folder / "Systems" / "air.xml").write_text(
-        '<system name="air">' + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr") + "</system>"
+        '<system name="air">'
+        + "".join(f'<property value="0">air/{axis}-gust-rad_sec</property>' for axis in "pqr")
+        + "</system>"
     )
     with pytest.raises(BadInputError, match='turbulence_source = "spec"'):
         fly(replace(SPEC, aircraft=folder, script=Path("trim"), turbulence_source="jsbsim"))
-    signals = {name: STANDARD[name] for name in ("V_mps", "vn_mps", "ve_mps", "alpha_rad", "psi_rad")}
-    signals |= {axis: Source(f"atmosphere/total-wind-{axis}-fps", FT_M) for axis in ("north", "east", "down")}
-    calm = replace(SPEC, aircraft=folder, duration_s=3.0, burn_in_s=0.0, turbulence="none", wind_from_deg=240.0)
+    signals = {
+        name: STANDARD[name] for name in ("V_mps", "vn_mps", "ve_mps", "alpha_rad", "psi_rad")
+    }
+    signals |= {
+        axis: Source(f"atmosphere/total-wind-{axis}-fps", FT_M)
+        for axis in ("north", "east", "down")
+    }
+    calm = replace(
+        SPEC, aircraft=folder, duration_s=3.0, burn_in_s=0.0, turbulence="none", wind_from_deg=240.0
+    )
     with StagedMission(find_aircraft(folder), find_script("trim")) as mission:
         steady = record_mission(mission, calm, signals).signals
         gusty = record_mission(mission, replace(calm, turbulence="severe"), signals).signals
@@ -300,7 +350,9 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     assert steady["V_mps"][1:] == pytest.approx(22.2, abs=0.15)
     assert steady["ve_mps"] == pytest.approx(3.0 * math.sqrt(0.75), abs=0.1)
     # The gusts in the heading axes of the frame before are those of the spec model, sample by sample.
-    gusts = dryden_gusts(300, 0.01, V_mps=22.2, h_m=100.0, W20_kt=45.0, b_m=3.66, seed=SPEC.seed_turbulence)
+    gusts = dryden_gusts(
+        300, 0.01, V_mps=22.2, h_m=100.0, W20_kt=45.0, b_m=3.66, seed=SPEC.seed_turbulence
+    )
     rows = np.arange(1, 31) * 10 - 1
     north, east = gusty["north"][1:] - 1.5, gusty["east"][1:] - 3.0 * math.sqrt(0.75)
     psi = gusty["psi_rad"][1:]

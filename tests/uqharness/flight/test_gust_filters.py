@@ -7,7 +7,15 @@ import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.signal import lfilter
 
-from uqharness.flight.gust_filters import PAGE_STEPS, GustFilters, UnitGusts, _Recursion, discretised, first_order, lateral
+from uqharness.flight.gust_filters import (
+    PAGE_STEPS,
+    GustFilters,
+    UnitGusts,
+    _Recursion,
+    discretised,
+    first_order,
+    lateral,
+)
 from uqharness.flight.normals import Normals
 
 A = ((-0.2, 0.0, 0.0), (0.2, -0.2, 0.0), (0.8, -0.3, -5.0))
@@ -20,7 +28,9 @@ def test_discretisation_has_the_exact_noise_covariance(dt: float) -> None:
     a, b = np.array(A), np.array(B)
     stationary = solve_continuous_lyapunov(a, -np.outer(b, b))
     np.testing.assert_allclose(step, expm(a * dt), rtol=1e-12)
-    np.testing.assert_allclose(factor.T @ factor, stationary - step @ stationary @ step.T, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(
+        factor.T @ factor, stationary - step @ stationary @ step.T, rtol=1e-6, atol=1e-15
+    )
     # Another step's covariance is another one.
     assert not np.allclose(factor.T @ factor, stationary, rtol=1e-3) or dt > 1.0
 
@@ -33,7 +43,9 @@ def test_the_start_has_the_stationary_covariance(T: float, T_span: float) -> Non
     a[2, 2] = -1.0 / T_span
     noise = np.diag([1.0 / T**2, 0.0, 0.0])
     start = np.array(made.start)
-    np.testing.assert_allclose(start @ start.T, solve_continuous_lyapunov(a, -noise), rtol=1e-11, atol=1e-14)
+    np.testing.assert_allclose(
+        start @ start.T, solve_continuous_lyapunov(a, -noise), rtol=1e-11, atol=1e-14
+    )
     assert to_w @ start @ start.T @ to_w == pytest.approx(1.0, rel=1e-12)
     np.testing.assert_allclose(made.step, expm(a * 0.01), rtol=1e-12, atol=1e-300)
 
@@ -61,7 +73,12 @@ def test_a_running_sum_is_the_recursion(x: float) -> None:
 
 
 def test_pages_are_the_states_of_the_plain_recursion() -> None:
-    filters = GustFilters(first_order(0.01, 4.5), lateral(0.01, 4.5, 0.21), lateral(0.01, 3.0, 0.16), first_order(0.01, 0.2))
+    filters = GustFilters(
+        first_order(0.01, 4.5),
+        lateral(0.01, 4.5, 0.21),
+        lateral(0.01, 3.0, 0.16),
+        first_order(0.01, 0.2),
+    )
     gusts = UnitGusts(filters, [Normals(np.random.PCG64(k)) for k in range(4)])
     pages = np.concatenate([gusts.page(), gusts.page()], axis=1)
     for row, slope, one, seed in ((1, 5, filters.v, 1), (2, 4, filters.w, 2)):

@@ -30,7 +30,9 @@ def test_levels_follow_the_specification():
         ("roll", "time constant"): 1,
         ("spiral", "time to double"): 1,
     }
-    unstable = [dataclasses.replace(m, real=0.05, zeta=-1.0) if m.name == "spiral" else m for m in found]
+    unstable = [
+        dataclasses.replace(m, real=0.05, zeta=-1.0) if m.name == "spiral" else m for m in found
+    ]
     # Doubles in 13.9 s: Level 1 in category C (12 s), Level 2 in category B (20 s).
     assert {a.level for a in assess(model, unstable, "C") if a.mode == "spiral"} == {1}
     assert {a.level for a in assess(model, unstable, "B") if a.mode == "spiral"} == {2}
@@ -45,7 +47,10 @@ def test_lightly_damped_dutch_roll_loses_levels():
 
     def level(zeta: float, wn: float) -> int:
         changed = [
-            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta) if m.name == "dutch_roll" else m for m in found
+            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta)
+            if m.name == "dutch_roll"
+            else m
+            for m in found
         ]
         return next(a.level for a in assess(model, changed, "B") if a.mode == "dutch_roll")
 
@@ -69,10 +74,16 @@ def real(name, value):
 
 def levels(category="B", aircraft_class="I", **changes):
     found = {
-        "short_period": [pair("short_period", 0.7, 2.0)], "phugoid": [pair("phugoid", 0.1, 0.5)],
-        "dutch_roll": [pair("dutch_roll", 0.2, 3.0)], "roll": [real("roll", -5.0)], "spiral": [real("spiral", -0.1)],
-    } | changes  # fmt: skip
-    return {(a.mode, a.criterion): a.level for a in assess(model(), list(chain(*found.values())), category, aircraft_class)}
+        "short_period": [pair("short_period", 0.7, 2.0)],
+        "phugoid": [pair("phugoid", 0.1, 0.5)],
+        "dutch_roll": [pair("dutch_roll", 0.2, 3.0)],
+        "roll": [real("roll", -5.0)],
+        "spiral": [real("spiral", -0.1)],
+    } | changes
+    return {
+        (a.mode, a.criterion): a.level
+        for a in assess(model(), list(chain(*found.values())), category, aircraft_class)
+    }
 
 
 def test_load_factor_per_alpha():
@@ -81,13 +92,26 @@ def test_load_factor_per_alpha():
 
 @pytest.mark.parametrize(
     ("category", "zeta", "level"),
-    [("A", 0.36, 1), ("A", 0.34, 2), ("B", 0.34, 1), ("B", 0.29, 2), ("B", 0.19, 3), ("B", 0.14, 4), ("C", 0.24, 3)],
+    [
+        ("A", 0.36, 1),
+        ("A", 0.34, 2),
+        ("B", 0.34, 1),
+        ("B", 0.29, 2),
+        ("B", 0.19, 3),
+        ("B", 0.14, 4),
+        ("C", 0.24, 3),
+    ],
 )
 def test_short_period_damping(category, zeta, level):
-    assert levels(category, short_period=[pair("short_period", zeta, 2.0)])["short_period", "damping"] == level
+    assert (
+        levels(category, short_period=[pair("short_period", zeta, 2.0)])["short_period", "damping"]
+        == level
+    )
 
 
-@pytest.mark.parametrize(("cap", "level"), [(0.09, 1), (0.08, 2), (0.037, 4), (3.5, 1), (3.7, 2), (10.1, 3)])
+@pytest.mark.parametrize(
+    ("cap", "level"), [(0.09, 1), (0.08, 2), (0.037, 4), (3.5, 1), (3.7, 2), (10.1, 3)]
+)
 def test_control_anticipation(cap, level):
     found = levels(short_period=[pair("short_period", 0.7, math.sqrt(10.0 * cap))])
     assert found["short_period", "CAP"] == level
@@ -95,13 +119,20 @@ def test_control_anticipation(cap, level):
 
 def test_two_real_roots_are_an_overdamped_pair_and_one_unstable_is_worst():
     wn = 2.0
-    roots = [real("short_period", -wn * (1.5 - math.sqrt(1.25))), real("short_period", -wn * (1.5 + math.sqrt(1.25)))]
+    roots = [
+        real("short_period", -wn * (1.5 - math.sqrt(1.25))),
+        real("short_period", -wn * (1.5 + math.sqrt(1.25))),
+    ]
     assert levels("B", short_period=roots)["short_period", "damping"] == 1
     assert levels("A", short_period=roots)["short_period", "damping"] == 2
-    assert levels(short_period=[real("short_period", 0.1), roots[0]])["short_period", "damping"] == 4
+    assert (
+        levels(short_period=[real("short_period", 0.1), roots[0]])["short_period", "damping"] == 4
+    )
 
 
-@pytest.mark.parametrize(("zeta", "wn", "level"), [(0.041, 0.5, 1), (0.01, 0.5, 2), (-0.02, 0.5, 3), (-0.03, 0.5, 4)])
+@pytest.mark.parametrize(
+    ("zeta", "wn", "level"), [(0.041, 0.5, 1), (0.01, 0.5, 2), (-0.02, 0.5, 3), (-0.03, 0.5, 4)]
+)
 def test_phugoid(zeta, wn, level):
     """Doubling takes ln 2/(-zeta wn): 69 s, then 46 s, of which 55 s are asked for."""
     assert levels(phugoid=[pair("phugoid", zeta, wn)])["phugoid", "damping"] == level
@@ -109,16 +140,28 @@ def test_phugoid(zeta, wn, level):
 
 @pytest.mark.parametrize(
     ("category", "kind", "constant", "level"),
-    [("B", "I", 1.3, 1), ("A", "I", 1.3, 2), ("A", "III", 1.3, 1), ("A", "III", 2.9, 2), ("B", "I", 9.9, 3), ("B", "I", 10.1, 4)],
+    [
+        ("B", "I", 1.3, 1),
+        ("A", "I", 1.3, 2),
+        ("A", "III", 1.3, 1),
+        ("A", "III", 2.9, 2),
+        ("B", "I", 9.9, 3),
+        ("B", "I", 10.1, 4),
+    ],
 )
 def test_roll(category, kind, constant, level):
-    assert levels(category, kind, roll=[real("roll", -1.0 / constant)])["roll", "time constant"] == level
+    assert (
+        levels(category, kind, roll=[real("roll", -1.0 / constant)])["roll", "time constant"]
+        == level
+    )
     assert levels(roll=[real("roll", 0.1)])["roll", "time constant"] == 4
 
 
 @pytest.mark.parametrize(("double", "level"), [(21.0, 1), (19.0, 2), (7.9, 3), (3.9, 4)])
 def test_spiral(double, level):
-    assert levels(spiral=[real("spiral", math.log(2.0) / double)])["spiral", "time to double"] == level
+    assert (
+        levels(spiral=[real("spiral", math.log(2.0) / double)])["spiral", "time to double"] == level
+    )
 
 
 def test_the_class_counts():

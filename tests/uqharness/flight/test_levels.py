@@ -30,20 +30,26 @@ def levels(driver, steps, dt_s, **keys):
 
 def walks(number, steps, dt_s, rate):
     """(number * 6, steps): one row a walk."""
-    drivers = [LevelDriver("walk", 11, f"walk-{k:06d}", COEFFICIENTS, (rate,) * 6) for k in range(number)]
+    drivers = [
+        LevelDriver("walk", 11, f"walk-{k:06d}", COEFFICIENTS, (rate,) * 6) for k in range(number)
+    ]
     return np.concatenate([levels(driver, steps, dt_s).T for driver in drivers])
 
 
 @pytest.mark.parametrize("rate_hz", [50, 100, 200])
 def test_increments_are_gaussian_with_the_variance_of_the_rate(rate_hz):
     path = levels(WALK, 200 * rate_hz, 1.0 / rate_hz)
-    inner = (path[:-1] > 0.05) & (path[:-1] < 0.95)  # at 4 standard deviations from a mirror none is met
+    inner = (path[:-1] > 0.05) & (
+        path[:-1] < 0.95
+    )  # at 4 standard deviations from a mirror none is met
     steps = np.diff(path, axis=0)[inner]
     sigma = RATE / np.sqrt(rate_hz)
     # Standard error of a standard deviation is sigma/sqrt(2 n).
     assert steps.std() == pytest.approx(sigma, rel=4.0 / np.sqrt(2.0 * steps.size))
     assert abs(steps.mean()) < 4.0 * sigma / np.sqrt(steps.size)
-    assert stats.kstest(steps[:: max(1, steps.size // 20000)], "norm", args=(0.0, sigma)).pvalue > 1e-3
+    assert (
+        stats.kstest(steps[:: max(1, steps.size // 20000)], "norm", args=(0.0, sigma)).pvalue > 1e-3
+    )
     # A rate 5 % off is seen.
     assert stats.kstest(steps, "norm", args=(0.0, 1.05 * sigma)).pvalue < 1e-3
 
@@ -79,12 +85,16 @@ def test_memory_is_that_of_brownian_motion_between_mirrors(rate_hz):
     path = walks(250, time_s * rate_hz + 1, 1.0 / rate_hz, rate)
     product = 2.0 * np.cos(np.pi * path[:, 0]) * np.cos(np.pi * path[:, -1])
     error = product.std() / np.sqrt(product.size)
-    assert product.mean() == pytest.approx(np.exp(-0.5 * np.pi**2 * rate**2 * time_s), abs=4.0 * error)
+    assert product.mean() == pytest.approx(
+        np.exp(-0.5 * np.pi**2 * rate**2 * time_s), abs=4.0 * error
+    )
     # Clipped at the ends, as a careless walk is, it remembers otherwise.
     rng = np.random.default_rng(1)
     clipped = np.array(path[:, 0])
     for _ in range(time_s * rate_hz):
-        clipped = np.clip(clipped + rate / np.sqrt(rate_hz) * rng.standard_normal(clipped.size), 0.0, 1.0)
+        clipped = np.clip(
+            clipped + rate / np.sqrt(rate_hz) * rng.standard_normal(clipped.size), 0.0, 1.0
+        )
     assert np.mean((clipped == 0.0) | (clipped == 1.0)) > 0.02
 
 
@@ -140,9 +150,19 @@ def recorded(request, tmp_path_factory):
     card.write_text(card.read_text().replace("dt_s = 0.01", f"dt_s = {1 / rate_hz}"))
     driver = LevelDriver("walk", 7, "walk-000003", ("CX", "CZ", "Cm"), (0.2, 0.2, 0.2))
     spec = FlightSpec(
-        folder, Path("loiter"), duration_s=4.0, turbulence="light", levels=driver, record_rate_hz=float(rate_hz),
-        properties={"uq/active": 1.0, "uq/CY/active": 0.0, "uq/Cl/active": 0.0, "uq/Cn/active": 0.0},
-    )  # fmt: skip
+        folder,
+        Path("loiter"),
+        duration_s=4.0,
+        turbulence="light",
+        levels=driver,
+        record_rate_hz=float(rate_hz),
+        properties={
+            "uq/active": 1.0,
+            "uq/CY/active": 0.0,
+            "uq/Cl/active": 0.0,
+            "uq/Cn/active": 0.0,
+        },
+    )
     signals = {name: Source(f"uq/{name}/level") for name in COEFFICIENTS}
     signals |= {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
     with StagedMission(find_aircraft(folder), find_script("loiter")) as mission:
@@ -161,14 +181,21 @@ def test_a_flight_flies_the_walk_at_its_own_step(recorded):
         assert signals[name][0] == wanted[0, column]
         assert np.array_equal(signals[name][1:], wanted[:, column])
         # What the aerodynamics add follows in the same step.
-        assert signals[f"{name}_delta"] == pytest.approx((signals[name] - 0.5) * width[name], abs=1e-15)
+        assert signals[f"{name}_delta"] == pytest.approx(
+            (signals[name] - 0.5) * width[name], abs=1e-15
+        )
 
 
 def test_a_walk_moves_the_flight_and_air_stays_common():
     spec = FlightSpec(
-        Path("espaaro"), Path("loiter"), duration_s=5.0, turbulence="light", seed_turbulence=3,
-        properties={"uq/active": 1.0}, levels=replace(WALK, rates_per_sqrt_s=(0.3,) * 6),
-    )  # fmt: skip
+        Path("espaaro"),
+        Path("loiter"),
+        duration_s=5.0,
+        turbulence="light",
+        seed_turbulence=3,
+        properties={"uq/active": 1.0},
+        levels=replace(WALK, rates_per_sqrt_s=(0.3,) * 6),
+    )
     from uqharness.flight.fly import fly
 
     one, again = fly(spec), fly(spec)
@@ -186,7 +213,9 @@ PARTS = Parts(0.003, 0.001, float("nan"), 0.5, 0.01, 1.0, 40.0, 2.02, 0.02, True
 def transient(number, rate, seconds, rate_hz=100):
     """(number * 6, steps): one row a walk of the transient part."""
     drivers = [TransientDriver(11, k, COEFFICIENTS, (rate,) * 6) for k in range(number)]
-    return np.concatenate([levels(driver, seconds * rate_hz, 1.0 / rate_hz).T for driver in drivers])
+    return np.concatenate(
+        [levels(driver, seconds * rate_hz, 1.0 / rate_hz).T for driver in drivers]
+    )
 
 
 def test_a_transient_part_is_uniform_with_its_own_standard_deviation_and_correlation_time():
@@ -228,19 +257,36 @@ def test_a_transient_walk_belongs_to_air_and_coefficient_and_to_no_other_stream(
 
 TRANSIENT = TransientDriver(7, 3, ("CX", "Cm"), (0.9, 0.9))
 TRANSIENT_SIGNALS = {
-    f"{name}_{what}": Source(f"uq/{name}/{what}") for name in COEFFICIENTS for what in ("level", "transient-level", "delta")
+    f"{name}_{what}": Source(f"uq/{name}/{what}")
+    for name in COEFFICIENTS
+    for what in ("level", "transient-level", "delta")
 }
 
 
 @pytest.mark.parametrize(
     ("turbulence", "source", "moved"),
-    [("none", "spec", None), ("light", "spec", None), ("light", "spec", WALK), ("none", "spec", WALK), ("light", "jsbsim", WALK)],
+    [
+        ("none", "spec", None),
+        ("light", "spec", None),
+        ("light", "spec", WALK),
+        ("none", "spec", WALK),
+        ("light", "jsbsim", WALK),
+    ],
 )
-def test_a_flight_flies_the_transient_part_beside_everything_else(transient_aircraft, turbulence, source, moved):
+def test_a_flight_flies_the_transient_part_beside_everything_else(
+    transient_aircraft, turbulence, source, moved
+):
     spec = FlightSpec(
-        transient_aircraft, Path("loiter"), duration_s=2.0, turbulence=turbulence, turbulence_source=source, levels=moved,
-        transient=TRANSIENT, record_rate_hz=100.0, properties={"uq/active": 1.0, "uq/CX/transient": 0.003},
-    )  # fmt: skip
+        transient_aircraft,
+        Path("loiter"),
+        duration_s=2.0,
+        turbulence=turbulence,
+        turbulence_source=source,
+        levels=moved,
+        transient=TRANSIENT,
+        record_rate_hz=100.0,
+        properties={"uq/active": 1.0, "uq/CX/transient": 0.003},
+    )
     with StagedMission(find_aircraft(transient_aircraft), find_script("loiter")) as mission:
         signals = record_mission(mission, spec, TRANSIENT_SIGNALS).signals
     wanted = levels(TRANSIENT, 200, 0.01)
@@ -249,7 +295,9 @@ def test_a_flight_flies_the_transient_part_beside_everything_else(transient_airc
         assert np.array_equal(signals[f"{name}_transient-level"][1:], wanted[:, column])
         assert signals[f"{name}_transient-level"][0] == wanted[0, column]
         assert np.array_equal(signals[f"{name}_level"][1:], still[:, column])
-    assert signals["CX_delta"][1:] == pytest.approx((still[:, 0] - 0.5) * 0.016 + 0.003 * wanted[:, 0], abs=1e-15)
+    assert signals["CX_delta"][1:] == pytest.approx(
+        (still[:, 0] - 0.5) * 0.016 + 0.003 * wanted[:, 0], abs=1e-15
+    )
     assert signals["Cm_delta"][1:] == pytest.approx((still[:, 4] - 0.5) * 0.024, abs=1e-15)
 
 
@@ -271,7 +319,9 @@ def test_a_plugin_without_a_transient_part_is_refused(tmp_path, transient_aircra
     shutil.copytree(transient_aircraft, folder)
     system = folder / "Systems" / "model-form.xml"
     system.write_text(system.read_text().replace("transient-level", "wave"))
-    spec = FlightSpec(folder, Path("loiter"), duration_s=1.0, transient=TRANSIENT, properties={"uq/active": 1.0})
+    spec = FlightSpec(
+        folder, Path("loiter"), duration_s=1.0, transient=TRANSIENT, properties={"uq/active": 1.0}
+    )
     with (
         StagedMission(find_aircraft(folder), find_script("loiter")) as mission,
         pytest.raises(BadInputError, match=r"no property uq/CX/transient-level.*transient = false"),

@@ -12,16 +12,35 @@ import pytest
 from uqharness.flight.margins import Loop, Mixed, choose_lines, margins_of, measure_loop, multisine
 
 DT = 0.01
-POLE, GAIN, DELAY = 0.98, 0.02, 3  # y[k+1] = POLE y[k] + GAIN u[k], controller output DELAY steps old
+POLE, GAIN, DELAY = (
+    0.98,
+    0.02,
+    3,
+)  # y[k+1] = POLE y[k] + GAIN u[k], controller output DELAY steps old
 
-LOOP = Loop("toy", "inject", "output", "applied", rms=1.0, lowest_radps=0.5, highest_radps=250.0, period_s=40.0)
+LOOP = Loop(
+    "toy",
+    "inject",
+    "output",
+    "applied",
+    rms=1.0,
+    lowest_radps=0.5,
+    highest_radps=250.0,
+    period_s=40.0,
+)
 
 
 class ToyLoop:
     """First-order plant under u = -k y with a delay, stepped as JSBSim is; L(z) = k GAIN z^-DELAY / (z - POLE)."""
 
     def __init__(self, controller_gain: float, offset: float = 0.3) -> None:
-        self.values = {"simulation/dt": DT, "inject": 0.0, "output": 0.0, "applied": 0.0, "ap/engaged": 0.0}
+        self.values = {
+            "simulation/dt": DT,
+            "inject": 0.0,
+            "output": 0.0,
+            "applied": 0.0,
+            "ap/engaged": 0.0,
+        }
         self.k, self.offset = controller_gain, offset
         self.plant, self.history = 0.0, [0.0] * DELAY
 
@@ -50,7 +69,9 @@ def exact_loop(w: float, k: float) -> complex:
 def root_of(function, low: float, high: float) -> float:
     for _ in range(80):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if (function(middle) > 0) == (function(low) > 0) else (low, middle)
+        low, high = (
+            (middle, high) if (function(middle) > 0) == (function(low) > 0) else (low, middle)
+        )
     return low
 
 
@@ -58,7 +79,9 @@ def exact_margins(k: float) -> tuple[float, float, float]:
     """Gain margin in dB, phase margin in degrees and delay margin in seconds, by bisection of the formula."""
     crossover = root_of(lambda w: abs(exact_loop(w, k)) - 1, 0.01, 300.0)
     lag = cmath.phase(exact_loop(crossover, k)) + math.pi
-    phase_crossing = root_of(lambda w: (exact_loop(w, k) * cmath.exp(0.5j * math.pi)).real, 5.0, 100.0)
+    phase_crossing = root_of(
+        lambda w: (exact_loop(w, k) * cmath.exp(0.5j * math.pi)).real, 5.0, 100.0
+    )
     return -20 * math.log10(abs(exact_loop(phase_crossing, k))), math.degrees(lag), lag / crossover
 
 
@@ -118,7 +141,10 @@ def test_no_crossover_means_no_phase_limit():
     infinite = math.inf
     assert got.gain_up_dB == got.gain_down_dB == got.phase_deg == got.delay_s == infinite
     assert got.gain_crossovers_radps == got.phase_crossovers_radps == ()
-    assert all(math.isnan(w) for w in (got.gain_up_radps, got.gain_down_radps, got.phase_radps, got.delay_radps))
+    assert all(
+        math.isnan(w)
+        for w in (got.gain_up_radps, got.gain_down_radps, got.phase_radps, got.delay_radps)
+    )
 
 
 def test_multisine_has_its_rms_only_at_its_lines_and_a_low_peak():
@@ -143,7 +169,11 @@ class MixedToy(ToyLoop):
         self.values["output"] = self.history.pop(0)
         self.values["applied"] = self.values["output"] + self.values["inject"]
         second = self.values["mix"] * self.values["output"] + self.values["inject-second"]
-        self.plant = POLE * self.plant + GAIN * (self.values["applied"] + second) + self.bend * self.values["inject"] ** 2
+        self.plant = (
+            POLE * self.plant
+            + GAIN * (self.values["applied"] + second)
+            + self.bend * self.values["inject"] ** 2
+        )
         return True
 
 
@@ -152,16 +182,31 @@ MIXED = replace(LOOP, mixed=(Mixed("inject-second", "mix", 1.0),))
 
 def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
     """L(z) = k (1 + mix) GAIN z^-DELAY / (z - POLE): the gain margin is that of a plain loop with k (1 + mix)."""
-    found = [measure_loop(lambda k=k: MixedToy(k, 0.5), MIXED, condition={}, settle_s=5.0).margins.gain_up_dB for k in (4.0, 8.0)]
+    found = [
+        measure_loop(
+            lambda k=k: MixedToy(k, 0.5), MIXED, condition={}, settle_s=5.0
+        ).margins.gain_up_dB
+        for k in (4.0, 8.0)
+    ]
     assert found[0] - found[1] == pytest.approx(20 * math.log10(2), abs=1e-3)
     assert found[1] == pytest.approx(exact_margins(12.0)[0], abs=0.1)
     # Open on one path alone, the second keeps its own feedback, which grows with k too: the difference is another.
-    one = [measure_loop(lambda k=k: MixedToy(k, 0.5), LOOP, condition={}, settle_s=5.0).margins.gain_up_dB for k in (4.0, 8.0)]
+    one = [
+        measure_loop(
+            lambda k=k: MixedToy(k, 0.5), LOOP, condition={}, settle_s=5.0
+        ).margins.gain_up_dB
+        for k in (4.0, 8.0)
+    ]
     assert abs(one[0] - one[1] - 20 * math.log10(2)) > 0.5
 
 
 def test_what_does_not_change_sign_with_the_injection_cancels():
-    exact = np.array([exact_loop(w, 8.0) for w in measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}).frequency_radps])
+    exact = np.array(
+        [
+            exact_loop(w, 8.0)
+            for w in measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}).frequency_radps
+        ]
+    )
     bent = measure_loop(lambda: MixedToy(8.0, 0.0, bend=1e-3), LOOP, condition={}, settle_s=5.0)
     error = np.abs(bent.response / exact - 1)
     # The response of one sign is off by about half of the scatter between the two.

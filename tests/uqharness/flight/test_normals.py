@@ -16,16 +16,22 @@ def stream(seed: int = 1) -> Normals:
 
 def test_the_logarithm_is_right_to_a_unit_in_the_last_place() -> None:
     rng = np.random.default_rng(2)
-    x = np.concatenate([
-        rng.random(4000),
-        1.0 - 2.0 ** -rng.uniform(1.0, 52.0, 2000),
-        2.0 ** rng.uniform(-1000.0, 1000.0, 2000),
-        1.0 + rng.random(1000),
-    ])  # fmt: skip
+    x = np.concatenate(
+        [
+            rng.random(4000),
+            1.0 - 2.0 ** -rng.uniform(1.0, 52.0, 2000),
+            2.0 ** rng.uniform(-1000.0, 1000.0, 2000),
+            1.0 + rng.random(1000),
+        ]
+    )
     found = logarithm(x, NUMPY)
     with mpmath.workprec(120):
         true = [mpmath.log(mpmath.mpf(float(value))) for value in x]
-        ulp = [abs(mpmath.mpf(float(a)) - b) / np.spacing(abs(float(b))) for a, b in zip(found, true, strict=True) if b]
+        ulp = [
+            abs(mpmath.mpf(float(a)) - b) / np.spacing(abs(float(b)))
+            for a, b in zip(found, true, strict=True)
+            if b
+        ]
     assert max(ulp) < 1.0
     assert logarithm(np.ones(1), NUMPY)[0] == 0.0
 
@@ -61,7 +67,10 @@ def test_neighbours_and_partners_are_independent() -> None:
 def test_extreme_bits_give_finite_numbers() -> None:
     ends = [0, -1, 1 << 63, (1 << 63) - 1, 1, 2, 3, 0xFFF, -4096]
     rows = np.array([[a, b] for a in ends for b in ends], dtype=object)
-    raw = np.array([[int(a) - (1 << 64) if int(a) >= 1 << 63 else int(a) for a in row] for row in rows], dtype=np.int64)
+    raw = np.array(
+        [[int(a) - (1 << 64) if int(a) >= 1 << 63 else int(a) for a in row] for row in rows],
+        dtype=np.int64,
+    )
     shaped = np.repeat(raw[:, :, None], GROUP // 2, axis=2)
     made = numpy_pairs(shaped)
     assert np.all(np.isfinite(made))

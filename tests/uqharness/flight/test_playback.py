@@ -16,9 +16,15 @@ START = {"lat_deg": 37.2, "lon_deg": -80.4, "alt_m": 630.0}
 def record(**changed: np.ndarray) -> FlightRecord:
     time_s = np.arange(0.0, 10.01, 0.02)
     columns = {
-        "time_s": time_s, "north_m": 30.0 * time_s, "east_m": -20.0 * time_s, "h_m": 2.0 * time_s, "phi_rad": 0.1 * np.sin(time_s),
-        "theta_rad": np.full_like(time_s, 0.05), "psi_rad": np.full_like(time_s, -0.5), "V_mps": np.full_like(time_s, 22.0),
-    }  # fmt: skip
+        "time_s": time_s,
+        "north_m": 30.0 * time_s,
+        "east_m": -20.0 * time_s,
+        "h_m": 2.0 * time_s,
+        "phi_rad": 0.1 * np.sin(time_s),
+        "theta_rad": np.full_like(time_s, 0.05),
+        "psi_rad": np.full_like(time_s, -0.5),
+        "V_mps": np.full_like(time_s, 22.0),
+    }
     return FlightRecord(columns | changed)
 
 
@@ -41,7 +47,10 @@ def test_positions_are_those_that_a_reader_of_logs_finds():
     assert np.abs(north - given["north_m"]).max() < 1e-3
     assert np.abs(east - given["east_m"]).max() < 1e-3
     # The check is not blind: a tenth of a metre is seen.
-    assert np.abs(channels.local(rows[:, 0] + 1e-6, rows[:, 1])[0] - given["north_m"] - 0.1)[1:].max() > 0.05
+    assert (
+        np.abs(channels.local(rows[:, 0] + 1e-6, rows[:, 1])[0] - given["north_m"] - 0.1)[1:].max()
+        > 0.05
+    )
 
 
 def test_dropouts_hold_the_last_value_and_the_first_known_one_before_it():

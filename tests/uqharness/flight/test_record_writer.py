@@ -13,21 +13,49 @@ from uqharness.flight.record_writer import write_record
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script, read_script
 
-CONDITIONS = ["--script", "flight-ident", "--duration-s", "14", "--noise", "--turbulence", "light", "--seed", "5"]
+CONDITIONS = [
+    "--script",
+    "flight-ident",
+    "--duration-s",
+    "14",
+    "--noise",
+    "--turbulence",
+    "light",
+    "--seed",
+    "5",
+]
 # What a column may lose: whole servo microseconds (0.05 deg, 0.1 %), 32-bit floats, positions of 1e-7 degrees, GPS's centimetres.
 EXACT = {
-    "V_mps": 1e-4, "alpha_rad": 1e-6, "beta_rad": 1e-6, "phi_rad": 1e-6, "theta_rad": 1e-6, "psi_rad": 1e-5,
-    "p_radps": 1e-6, "q_radps": 1e-6, "r_radps": 1e-6, "ax_mps2": 1e-5, "ay_mps2": 1e-5, "az_mps2": 1e-5, "h_m": 1e-4,
-    "elevator_deg": 0.026, "aileron_deg": 0.026, "rudder_deg": 0.026, "throttle_pct": 0.051, "rho_kgpm3": 1e-5,
-    "north_m": 0.02, "east_m": 0.02,
-}  # fmt: skip
+    "V_mps": 1e-4,
+    "alpha_rad": 1e-6,
+    "beta_rad": 1e-6,
+    "phi_rad": 1e-6,
+    "theta_rad": 1e-6,
+    "psi_rad": 1e-5,
+    "p_radps": 1e-6,
+    "q_radps": 1e-6,
+    "r_radps": 1e-6,
+    "ax_mps2": 1e-5,
+    "ay_mps2": 1e-5,
+    "az_mps2": 1e-5,
+    "h_m": 1e-4,
+    "elevator_deg": 0.026,
+    "aileron_deg": 0.026,
+    "rudder_deg": 0.026,
+    "throttle_pct": 0.051,
+    "rho_kgpm3": 1e-5,
+    "north_m": 0.02,
+    "east_m": 0.02,
+}
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
     for suffix in ("parquet", "bin"):
-        assert main(["fly", "synthetic_stall", *CONDITIONS, "--out", str(folder / f"a.{suffix}")]) == 0
+        assert (
+            main(["fly", "synthetic_stall", *CONDITIONS, "--out", str(folder / f"a.{suffix}")]) == 0
+        )
     return folder
 
 
@@ -68,7 +96,21 @@ def test_pymavlink_reads_it(flown):
 
 
 def test_what_dataflash_cannot_hold_is_said(tmp_path, capsys):
-    assert main(["fly", "espaaro", "--script", "trim", "--duration-s", "1", "--out", str(tmp_path / "b.bin")]) == 0
+    assert (
+        main(
+            [
+                "fly",
+                "espaaro",
+                "--script",
+                "trim",
+                "--duration-s",
+                "1",
+                "--out",
+                str(tmp_path / "b.bin"),
+            ]
+        )
+        == 0
+    )
     assert "no message for" in capsys.readouterr().out
 
 

@@ -21,7 +21,16 @@ NAMES = ["time_s", "h_m", "psi_rad", "q_radps", "V_mps"]
 
 def recorded(*more):
     t = 0.02 * np.arange(N)
-    rows = np.column_stack([t, 300.0 + t, 0.1 * t - 1.0, np.zeros(N), np.full(N, 22.0), *(values for _, values in more)])
+    rows = np.column_stack(
+        [
+            t,
+            300.0 + t,
+            0.1 * t - 1.0,
+            np.zeros(N),
+            np.full(N, 22.0),
+            *(values for _, values in more),
+        ]
+    )
     return Recorded([*NAMES, *(name for name, _ in more)], rows, "ok", "", 80.0)
 
 
@@ -32,11 +41,14 @@ def aircraft(**noise_std):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"duration_s": 0.0}, "duration_s = 0: a number above 0"), ({"duration_s": float("nan")}, "duration_s"),
-        ({"wind_mps": -1.0}, "wind_mps = -1: a number of at least 0 and up to 100"), ({"wind_mps": 101.0}, "up to 100"),
-        ({"record_rate_hz": 0.0}, "rate_hz = 0"), ({"wind_from_deg": float("inf")}, "an angle in degrees"),
+        ({"duration_s": 0.0}, "duration_s = 0: a number above 0"),
+        ({"duration_s": float("nan")}, "duration_s"),
+        ({"wind_mps": -1.0}, "wind_mps = -1: a number of at least 0 and up to 100"),
+        ({"wind_mps": 101.0}, "up to 100"),
+        ({"record_rate_hz": 0.0}, "rate_hz = 0"),
+        ({"wind_from_deg": float("inf")}, "an angle in degrees"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_flown_is_refused(change, said):
     assert as_asked(SPEC, 0).duration_s == 60.0
     with pytest.raises(BadInputError, match=said):

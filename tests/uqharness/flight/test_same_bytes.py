@@ -33,8 +33,12 @@ def in_a_child(environment: dict[str, str]) -> tuple[str, str]:
     """Digests of the streams and of the libraries' own functions in a new process."""
     child = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "tests.helpers.stream_digest"],
-        env={**os.environ, **environment}, cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env={**os.environ, **environment},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     streams, library = child.stdout.split()
     return streams, library
 

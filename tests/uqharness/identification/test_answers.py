@@ -17,7 +17,9 @@ T = np.arange(1000) * DT_S
 def doublet(late_s: float = 0.0) -> np.ndarray:
     """Answer of a roll mode to a doublet of 4 s, [rad/s]."""
     t = T - late_s
-    return 0.1 * (np.tanh(2.0 * (t - 5.0)) - 2.0 * np.tanh(2.0 * (t - 7.0)) + np.tanh(2.0 * (t - 9.0)))
+    return 0.1 * (
+        np.tanh(2.0 * (t - 5.0)) - 2.0 * np.tanh(2.0 * (t - 7.0)) + np.tanh(2.0 * (t - 9.0))
+    )
 
 
 def noise(seed: int) -> np.ndarray:

@@ -22,7 +22,19 @@ def record():
 def run(record, folder, *more):
     record.write(folder / "flight.parquet")
     out = folder / "gap"
-    code = main(["compare", "espaaro", "--flight", str(folder / "flight.parquet"), "--out", str(out), "--workers", "1", *more])
+    code = main(
+        [
+            "compare",
+            "espaaro",
+            "--flight",
+            str(folder / "flight.parquet"),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            *more,
+        ]
+    )
     assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     return code, json.loads((out / "compare.json").read_text()), out
 
@@ -38,7 +50,9 @@ def test_the_true_model_is_at_the_noise_floor_in_everything(record, tmp_path):
                 assert row["delay_undefined"].startswith("the model moves"), name
             else:
                 assert abs(row["delay_s"]) < 4 * row["delay_std_s"] + 1e-3, name
-    assert [c for c, row in found["channels"].items() if row["judged"] and row["delay_s"] is None] == ["V_mps", "ax_mps2"]
+    assert [
+        c for c, row in found["channels"].items() if row["judged"] and row["delay_s"] is None
+    ] == ["V_mps", "ax_mps2"]
     for name, row in found["coefficients"].items():
         assert row["rms"] < 1.3 * row["noise"], name
     assert set(found["manoeuvres"]) == {"pitch-3211", "roll-yaw"}
@@ -67,19 +81,27 @@ def test_a_late_channel_is_found_late(record, tmp_path):
 def test_a_record_that_the_log_s_findings_call_late_is_compared_as_refine_reads_it(tmp_path):
     """Moved by the finding, alpha would be at the noise here and late in what refine tells of the same flight."""
     record = fly((("pitch-3211", 22.0),), seed=5, seconds=30.0)
-    late = record.with_columns({"alpha_rad": np.interp(record["time_s"] - 0.1, record["time_s"], record["alpha_rad"])})
+    late = record.with_columns(
+        {"alpha_rad": np.interp(record["time_s"] - 0.1, record["time_s"], record["alpha_rad"])}
+    )
     code, found, _ = run(late, tmp_path, "--no-figures")
     assert code == 1
     assert found["above"] == ["alpha_rad"]
     assert found["channels"]["alpha_rad"]["delay_s"] == pytest.approx(0.1, abs=0.015)
-    assert [note for note in found["notes"] if "alpha_rad comes" in note and note.endswith("it stands as recorded")]
+    assert [
+        note
+        for note in found["notes"]
+        if "alpha_rad comes" in note and note.endswith("it stands as recorded")
+    ]
     assert not [note for note in found["notes"] if "was moved" in note]
 
 
 def test_an_elevator_doublet_says_nothing_of_roll_and_yaw(tmp_path):
     """Where roll is not excited p is noise: neither a scale of hundreds nor a delay, whatever its sign."""
     flight = fly((("pitch-doublet", 22.0),), seed=7, seconds=8.0)
-    reversed_ = flight.with_columns({"p_radps": -625.0 * flight["p_radps"], "q_radps": -flight["q_radps"]})
+    reversed_ = flight.with_columns(
+        {"p_radps": -625.0 * flight["p_radps"], "q_radps": -flight["q_radps"]}
+    )
     found = {}
     for record, name in ((flight, "right"), (reversed_, "wrong")):
         (tmp_path / name).mkdir()
@@ -106,11 +128,25 @@ def test_a_missing_term_shows_in_its_coefficient_and_manoeuvre(tmp_path):
     assert found["moments"][0]["manoeuvre"] == "roll-yaw"
     row = found["channels"]["p_radps"]
     assert row["theil_u"] > 3 * found["channels"]["q_radps"]["theil_u"] * 0.3
-    assert row["theil_bias"] + row["theil_variance"] + row["theil_covariance"] == pytest.approx(1.0, abs=1e-6)
+    assert row["theil_bias"] + row["theil_variance"] + row["theil_covariance"] == pytest.approx(
+        1.0, abs=1e-6
+    )
 
 
 def test_bad_input_is_one_line(tmp_path, capsys):
-    assert main(["compare", "espaaro", "--flight", str(tmp_path / "no.csv"), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main(
+            [
+                "compare",
+                "espaaro",
+                "--flight",
+                str(tmp_path / "no.csv"),
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
+        == 2
+    )
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
@@ -122,6 +158,19 @@ def test_logs_are_read_under_the_same_errors(tmp_path, capsys):
     assert error.startswith("uqharness: error: ")
     assert error.count("\n") == 1
     fly((("pitch-doublet", 22.0),), seconds=3.0).write(tmp_path / "r.csv")
-    assert main(["log", "import", str(tmp_path / "r.csv"), "--aircraft", "espaaro", "--out", str(tmp_path / "r.parquet"),
-                 "--no-cache"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "log",
+                "import",
+                str(tmp_path / "r.csv"),
+                "--aircraft",
+                "espaaro",
+                "--out",
+                str(tmp_path / "r.parquet"),
+                "--no-cache",
+            ]
+        )
+        == 0
+    )
     assert (tmp_path / "r.parquet").is_file()

@@ -22,7 +22,9 @@ def slopes(**rows: tuple[float, float]) -> np.ndarray:
     return np.stack([np.array(sizes) * RNG.normal(size=(N, 2)) for sizes in rows.values()])
 
 
-def judged(motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs: Sequence[str]) -> Excited:
+def judged(
+    motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs: Sequence[str]
+) -> Excited:
     """Of one array, in two segments."""
     return of_blocks(Blocks.of(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs)
 
@@ -30,9 +32,14 @@ def judged(motion: np.ndarray, labels: Sequence[str], size: np.ndarray, outputs:
 def test_a_parameter_with_little_information_is_held_and_its_neighbour_is_not() -> None:
     labels = ("strong", "weak", "bias/f/q")
     # Standard errors 1 / (rms sqrt(N)): 0.005 and 0.5 of a size of 1.
-    found = judged(slopes(strong=(10.0, 0.0), weak=(0.1, 0.0), bias=(1.0, 0.0)), labels, np.ones(2), CHANNELS)
+    found = judged(
+        slopes(strong=(10.0, 0.0), weak=(0.1, 0.0), bias=(1.0, 0.0)), labels, np.ones(2), CHANNELS
+    )
     assert list(found.held) == ["weak"]
-    said = re.fullmatch(r"not excited: its standard error would be (\S+) at least, 0\.25 at most is needed", found.held["weak"])
+    said = re.fullmatch(
+        r"not excited: its standard error would be (\S+) at least, 0\.25 at most is needed",
+        found.held["weak"],
+    )
     assert said is not None
     assert float(said[1]) == pytest.approx(0.5, rel=0.1)
 

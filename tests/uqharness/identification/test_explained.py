@@ -23,7 +23,9 @@ def column(values):
     return [np.asarray(values)[:, None]]
 
 
-@pytest.mark.parametrize("left", [0.003 * RNG.standard_normal(401), 0.2 * Q, 0.02 * np.cos(9.0 * TIME)])
+@pytest.mark.parametrize(
+    "left", [0.003 * RNG.standard_normal(401), 0.2 * Q, 0.02 * np.cos(9.0 * TIME)]
+)
 def test_noise_and_small_terms_leave_a_channel_explained(left):
     assert unexplained(column(left), column(Q), ["q_radps"], {"q_radps": 0.003}) == {}
 
@@ -44,17 +46,29 @@ def test_dropouts_and_channels_without_samples_are_left_out():
     gaps = np.where(TIME < 4.0, np.nan, 0.5 * Q)
     assert set(unexplained(column(gaps), column(Q), ["q_radps"], {"q_radps": 0.003})) == {"q_radps"}
     nothing = np.full(401, np.nan)
-    assert unexplained(column(nothing), column(nothing), ["q_radps"], {"q_radps": float("nan")}) == {}
+    assert (
+        unexplained(column(nothing), column(nothing), ["q_radps"], {"q_radps": float("nan")}) == {}
+    )
 
 
 def found(residual):
     values = {f.name: None for f in dataclasses.fields(Identification)}
     given = SimpleNamespace(
-        names=("aero/Cm_q", "aero/Cm_de"), initial=np.array([-9.7, -0.02]), theta=np.array([3.0, 1.0]), std=np.array([0.1, 0.1]),
-        std_crb=np.array([0.1, 0.1]), status={"aero/Cm_q": "identified", "aero/Cm_de": "not-identified"},
-        reason={"aero/Cm_q": "", "aero/Cm_de": "no effect"}, cov=np.eye(1), residual=column(residual), measured=column(Q),
-        outputs=("q_radps",), noise={"q_radps": 0.003}, warnings=("another",), converged=True,
-    )  # fmt: skip
+        names=("aero/Cm_q", "aero/Cm_de"),
+        initial=np.array([-9.7, -0.02]),
+        theta=np.array([3.0, 1.0]),
+        std=np.array([0.1, 0.1]),
+        std_crb=np.array([0.1, 0.1]),
+        status={"aero/Cm_q": "identified", "aero/Cm_de": "not-identified"},
+        reason={"aero/Cm_q": "", "aero/Cm_de": "no effect"},
+        cov=np.eye(1),
+        residual=column(residual),
+        measured=column(Q),
+        outputs=("q_radps",),
+        noise={"q_radps": 0.003},
+        warnings=("another",),
+        converged=True,
+    )
     return Identification(**(values | vars(given)))
 
 
@@ -85,9 +99,18 @@ def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
 
 def test_a_flight_with_reversed_elevator_identifies_nothing(tmp_path, capsys):
     flight = fly((("pitch-doublet", 22.0),), seed=4, seconds=6.5)
-    wrong = flight.with_columns({c: -flight[c] for c in ("elevator_deg", "elevator_pos_deg") if c in flight})
+    wrong = flight.with_columns(
+        {c: -flight[c] for c in ("elevator_deg", "elevator_pos_deg") if c in flight}
+    )
     wrong.write(tmp_path / "flight.parquet")
-    words = ["identify", "espaaro", "--flight", str(tmp_path / "flight.parquet"), "--params", "aero/CZ_0,aero/CX_0"]
+    words = [
+        "identify",
+        "espaaro",
+        "--flight",
+        str(tmp_path / "flight.parquet"),
+        "--params",
+        "aero/CZ_0,aero/CX_0",
+    ]
     assert main([*words, "--out", str(tmp_path / "out"), "--workers", "1", "--no-figures"]) == 1
     fit = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert fit["names"] == []

@@ -17,8 +17,13 @@ from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
 
 KINDS = (
-    ("pitch-3211", 20.0), ("roll-yaw", 20.0), ("pitch-doublet", 24.0), ("yaw-roll", 24.0), ("throttle", 22.0), ("roll-yaw", 23.0),
-)  # fmt: skip
+    ("pitch-3211", 20.0),
+    ("roll-yaw", 20.0),
+    ("pitch-doublet", 24.0),
+    ("yaw-roll", 24.0),
+    ("throttle", 22.0),
+    ("roll-yaw", 23.0),
+)
 LONGITUDINAL = ["CZ_0", "CZ_alpha", "CZ_de", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
 
 
@@ -55,7 +60,9 @@ def test_truth_lies_within_the_stated_errors(identified):
     _, fit = identified
     assert fit["converged"]
     assert fit["method"] == "output error"
-    misses = np.array([(p["value"] - TABLE_2_6[n[5:]]) / p["std"] for n, p in fit["parameters"].items()])
+    misses = np.array(
+        [(p["value"] - TABLE_2_6[n[5:]]) / p["std"] for n, p in fit["parameters"].items()]
+    )
     assert len(misses) == 27
     assert 0.5 < np.sqrt(np.mean(misses**2)) < 1.5
     assert np.abs(misses).max() < 4.0
@@ -72,7 +79,9 @@ def test_fit_json_keeps_its_contract(identified):
     assert fit["names"] == [n for n, p in fit["parameters"].items() if p["status"] == "identified"]
     cov = np.array(fit["cov"])
     assert cov.shape == (len(fit["names"]),) * 2
-    np.testing.assert_allclose(np.sqrt(np.diag(cov)), [fit["parameters"][n]["std"] for n in fit["names"]])
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(cov)), [fit["parameters"][n]["std"] for n in fit["names"]]
+    )
     assert all({"rms", "noise"} <= set(row) for row in fit["fit"].values())
     assert all(0.9 < row["rms"] / row["noise"] < 1.1 for row in fit["fit"].values())
 
@@ -102,8 +111,19 @@ def test_the_aircraft_with_the_estimates_differs_in_numbers_and_our_remarks_alon
 
 def test_the_round_trip_closes_on_a_flight_not_used(identified, flights, tmp_path, capsys):
     out, _ = identified
-    code = main(["compare", str(out / "aircraft"), "--flight", str(flights / "test.parquet"), "--out", str(tmp_path / "gap"),
-                 "--workers", "1", "--no-figures"])  # fmt: skip
+    code = main(
+        [
+            "compare",
+            str(out / "aircraft"),
+            "--flight",
+            str(flights / "test.parquet"),
+            "--out",
+            str(tmp_path / "gap"),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
     assert code == 0
     assert "reaches the noise floor" in capsys.readouterr().out
     document = json.loads((tmp_path / "gap" / "compare.json").read_text())
@@ -112,19 +132,51 @@ def test_the_round_trip_closes_on_a_flight_not_used(identified, flights, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_says_so(flights, tmp_path, capsys):
+def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_says_so(
+    flights, tmp_path, capsys
+):
     folder = tmp_path / "aircraft" / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft/espaaro", folder)
     xml = folder / "espaaro.xml"
-    xml.write_text(xml.read_text().replace('<property value="-13.8">aero/Cm_q', '<property value="0">aero/Cm_q'))
+    xml.write_text(
+        xml.read_text().replace(
+            '<property value="-13.8">aero/Cm_q', '<property value="0">aero/Cm_q'
+        )
+    )
     asked = ",".join(n for n in LONGITUDINAL if n != "Cm_q")
-    main(["identify", str(folder), "--flight", str(flights / "pitch.parquet"), "--params", asked, "--out", str(tmp_path / "id"),
-          "--workers", "1", "--no-figures", "--method", "output-error"])  # fmt: skip
+    main(
+        [
+            "identify",
+            str(folder),
+            "--flight",
+            str(flights / "pitch.parquet"),
+            "--params",
+            asked,
+            "--out",
+            str(tmp_path / "id"),
+            "--workers",
+            "1",
+            "--no-figures",
+            "--method",
+            "output-error",
+        ]
+    )
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     assert any("coloured residuals" in w and "model's form" in w for w in fit["warnings"])
     capsys.readouterr()
-    code = main(["compare", str(tmp_path / "id" / "aircraft"), "--flight", str(flights / "test.parquet"),
-                 "--out", str(tmp_path / "gap"), "--workers", "1", "--no-figures"])  # fmt: skip
+    code = main(
+        [
+            "compare",
+            str(tmp_path / "id" / "aircraft"),
+            "--flight",
+            str(flights / "test.parquet"),
+            "--out",
+            str(tmp_path / "gap"),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
     assert code == 1
     said = capsys.readouterr().out
     assert "does not reach the noise floor" in said.splitlines()[0]
@@ -134,8 +186,21 @@ def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_s
 
 def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
     asked = "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da"
-    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", asked,
-                 "--out", str(tmp_path / "id"), "--workers", "1", "--no-figures"])  # fmt: skip
+    code = main(
+        [
+            "identify",
+            "espaaro",
+            "--flight",
+            str(flights / "pitch.parquet"),
+            "--params",
+            asked,
+            "--out",
+            str(tmp_path / "id"),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
     assert code == 0
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     lost = fit["parameters"]["aero/Cn_da"]
@@ -146,13 +211,27 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
     assert fit["parameters"]["aero/Cm_q"]["status"] == "identified"
     assert "aero/Cn_da" not in fit["names"]
     assert any("aero/Cn_da" in w for w in fit["warnings"])
-    assert '<property value="-0.000007">aero/Cn_da</property>' in (tmp_path / "id/aircraft/espaaro.xml").read_text()
+    assert (
+        '<property value="-0.000007">aero/Cn_da</property>'
+        in (tmp_path / "id/aircraft/espaaro.xml").read_text()
+    )
 
 
 def test_parameters_follow_from_what_the_manoeuvres_excite(flights, tmp_path):
     """Pitch manoeuvres alone: what acts in roll and yaw is held with the reason, but for the constants, which act at all times."""
-    code = main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--out", str(tmp_path / "id"),
-                 "--workers", "1", "--no-figures"])  # fmt: skip
+    code = main(
+        [
+            "identify",
+            "espaaro",
+            "--flight",
+            str(flights / "pitch.parquet"),
+            "--out",
+            str(tmp_path / "id"),
+            "--workers",
+            "1",
+            "--no-figures",
+        ]
+    )
     assert code == 0
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     assert {f"aero/{n}" for n in LONGITUDINAL} <= set(fit["names"])
@@ -170,8 +249,29 @@ def test_where_all_is_excited_nothing_is_held(identified):
 
 
 def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
-    arguments = ["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q,Cm_de", "--workers", "1"]
-    assert main([*arguments, "--outputs", "V,alpha,theta,q,az", "--no-figures", "--out", str(tmp_path / "id")]) == 0
+    arguments = [
+        "identify",
+        "espaaro",
+        "--flight",
+        str(flights / "pitch.parquet"),
+        "--params",
+        "Cm_q,Cm_de",
+        "--workers",
+        "1",
+    ]
+    assert (
+        main(
+            [
+                *arguments,
+                "--outputs",
+                "V,alpha,theta,q,az",
+                "--no-figures",
+                "--out",
+                str(tmp_path / "id"),
+            ]
+        )
+        == 0
+    )
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     assert set(fit["fit"]) == {"V_mps", "alpha_rad", "theta_rad", "q_radps", "az_mps2"}
     assert fit["names"] == ["aero/Cm_q", "aero/Cm_de"]
@@ -183,18 +283,51 @@ def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
 
 def test_figures_and_tables_are_there(flights, tmp_path):
     out = tmp_path / "id"
-    assert main(["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out", str(out),
-                 "--workers", "2"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "identify",
+                "espaaro",
+                "--flight",
+                str(flights / "pitch.parquet"),
+                "--params",
+                "Cm_q",
+                "--out",
+                str(out),
+                "--workers",
+                "2",
+            ]
+        )
+        == 0
+    )
     assert sorted(p.name for p in (out / "figures").iterdir()) == [
         "pitch-00-pitch-3211.svg",
         "pitch-01-pitch-doublet.svg",
     ]
     assert (out / "figures" / "pitch-00-pitch-3211.svg").read_text().startswith("<svg")
-    assert (out / "parameters.csv").read_text().splitlines()[0] == "parameter,initial,estimate,std,crb,status,reason"
+    assert (out / "parameters.csv").read_text().splitlines()[
+        0
+    ] == "parameter,initial,estimate,std,crb,status,reason"
     assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     # Again over the same folder: replaced, and an earlier remark does not pile up.
-    assert main(["identify", str(out / "aircraft"), "--flight", str(flights / "pitch.parquet"), "--params", "Cm_q", "--out",
-                 str(tmp_path / "second"), "--workers", "1", "--no-figures"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "identify",
+                str(out / "aircraft"),
+                "--flight",
+                str(flights / "pitch.parquet"),
+                "--params",
+                "Cm_q",
+                "--out",
+                str(tmp_path / "second"),
+                "--workers",
+                "1",
+                "--no-figures",
+            ]
+        )
+        == 0
+    )
     text = (tmp_path / "second/aircraft/espaaro.xml").read_text()
     assert text.count("<!-- identified") == 1
 
@@ -204,7 +337,9 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "text.csv").write_text("hello\nworld\n")
     whole = fly((("pitch-doublet", 22.0),), seconds=3.0)
-    type(whole)({k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}).write(tmp_path / "bare.csv")
+    type(whole)(
+        {k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}
+    ).write(tmp_path / "bare.csv")
     from dataclasses import replace
 
     foreign = whole.with_columns({}, replace(whole.metadata, aircraft="c172"))

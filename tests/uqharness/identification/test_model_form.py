@@ -29,7 +29,12 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = {}
     for name, aircraft, script, more in (
         ("bounds", TRUTH, "flight-bounds", ["--noise", "--turbulence", "light", "--seed", "31"]),
-        ("validation", TRUTH, "flight-validation", ["--noise", "--turbulence", "light", "--seed", "32"]),
+        (
+            "validation",
+            TRUTH,
+            "flight-validation",
+            ["--noise", "--turbulence", "light", "--seed", "32"],
+        ),
         ("clean", MODEL, "doublet-elevator", []),
     ):
         out[name] = folder / f"{name}.parquet"
@@ -41,7 +46,10 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def made(flights: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the bounds from the second flight."""
     out = tmp_path_factory.mktemp("made") / "bounds"
-    assert main(["bounds", MODEL, "--flight", str(flights["bounds"]), "--out", str(out), "--no-check"]) == 0
+    assert (
+        main(["bounds", MODEL, "--flight", str(flights["bounds"]), "--out", str(out), "--no-check"])
+        == 0
+    )
     return out
 
 
@@ -50,8 +58,13 @@ def test_bounds_leaves_a_form_a_system_a_report_and_figures(made):
     assert set(form.coefficients) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
     assert form.coefficients["CX"].states == ("V_mps", "alpha_rad", "q_radps", "theta_rad")
     assert form.coefficients["Cl"].states == ("V_mps", "beta_rad", "p_radps", "r_radps")
-    assert all(len(b.terms) == 15 and b.n > 2000 and 15 < b.n_effective < b.n for b in form.coefficients.values())
-    assert all(b.walk_rate == b.parts.transient_rate_per_sqrt_s > 0.0 for b in form.coefficients.values())
+    assert all(
+        len(b.terms) == 15 and b.n > 2000 and 15 < b.n_effective < b.n
+        for b in form.coefficients.values()
+    )
+    assert all(
+        b.walk_rate == b.parts.transient_rate_per_sqrt_s > 0.0 for b in form.coefficients.values()
+    )
     assert form.flights[0].name == "bounds"
     assert len(form.flights[0].sha256) == 64
     assert b"<system" in (made / "model-form.xml").read_bytes()
@@ -73,7 +86,15 @@ def test_the_missing_pitch_rate_term_of_the_truth_is_seen(made):
 
 
 def test_the_same_flight_gives_the_same_bytes(made, flights, tmp_path):
-    arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--out", str(tmp_path / "again"), "--no-check"]
+    arguments = [
+        "bounds",
+        MODEL,
+        "--flight",
+        str(flights["bounds"]),
+        "--out",
+        str(tmp_path / "again"),
+        "--no-check",
+    ]
     assert main([*arguments, "--no-figures"]) == 0
     for name in ("model-form.json", "model-form.xml"):
         assert (tmp_path / "again" / name).read_bytes() == (made / name).read_bytes()
@@ -93,17 +114,24 @@ def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
     document = json.loads(capsys.readouterr().out)
     assert code == (0 if set(document["verdicts"].values()) == {"holds"} else 1)
     assert document["failed"] == [c for c, said in document["verdicts"].items() if said == "fails"]
-    assert document["flight_variance"] == dict.fromkeys(document["coverage"])  # one flight behind the bounds
+    assert document["flight_variance"] == dict.fromkeys(
+        document["coverage"]
+    )  # one flight behind the bounds
     assert [row["state"] for row in document["by_speed"]] == ["V_mps"] * 3
     assert [row["state"] for row in document["by_incidence"]] == ["alpha_rad"] * 3
-    assert all(row["level"] == pytest.approx(0.9) and row["manoeuvres"] == 9 for row in document["conformal"].values())
+    assert all(
+        row["level"] == pytest.approx(0.9) and row["manoeuvres"] == 9
+        for row in document["conformal"].values()
+    )
     assert set(document["coverage"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
     for row in document["coverage"].values():
         assert set(row) == {"0.95", "0.68", "n_effective", "mean_width"}
         assert 0.85 < row["0.95"] <= 1.0
         assert row["0.68"] < row["0.95"]
         assert 10 < row["n_effective"] < 2600
-    assert np.mean([row["0.95"] for row in document["coverage"].values()]) == pytest.approx(0.95, abs=0.03)
+    assert np.mean([row["0.95"] for row in document["coverage"].values()]) == pytest.approx(
+        0.95, abs=0.03
+    )
     assert len(document["manoeuvres"]) == 9
     assert document["warnings"] == []
     assert (out / "figures" / "coverage.svg").exists()
@@ -121,12 +149,22 @@ def test_bounds_that_do_not_hold_are_an_answer(made, flights, tmp_path, capsys):
             row["parts"][part] = 0.0
     narrow = tmp_path / "narrow.json"
     narrow.write_text(json.dumps(document))
-    assert main(["validate-bounds", MODEL, str(narrow), "--flight", str(flights["validation"])]) == 1
+    assert (
+        main(["validate-bounds", MODEL, str(narrow), "--flight", str(flights["validation"])]) == 1
+    )
     assert "do not hold" in capsys.readouterr().out
 
 
 def test_validating_with_the_flight_behind_the_bounds_is_warned_of(made, flights, capsys):
-    main(["validate-bounds", MODEL, str(made / "model-form.json"), "--flight", str(flights["bounds"])])
+    main(
+        [
+            "validate-bounds",
+            MODEL,
+            str(made / "model-form.json"),
+            "--flight",
+            str(flights["bounds"]),
+        ]
+    )
     assert "made from this flight" in capsys.readouterr().err
 
 
@@ -134,10 +172,30 @@ def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights
     """JSBSim on both sides: what is left is the filter's own error. States that stood still are left out and said."""
     out = tmp_path / "clean"
     assert (
-        main(["bounds", MODEL, "--flight", str(flights["clean"]), "--out", str(out), "--json", "--no-figures", "--no-check"]) == 0
+        main(
+            [
+                "bounds",
+                MODEL,
+                "--flight",
+                str(flights["clean"]),
+                "--out",
+                str(out),
+                "--json",
+                "--no-figures",
+                "--no-check",
+            ]
+        )
+        == 0
     )
     document = json.loads(capsys.readouterr().out)
-    for c, limit in {"CX": 2e-4, "CY": 1e-6, "CZ": 1e-3, "Cl": 1e-6, "Cm": 2e-3, "Cn": 1e-6}.items():
+    for c, limit in {
+        "CX": 2e-4,
+        "CY": 1e-6,
+        "CZ": 1e-3,
+        "Cl": 1e-6,
+        "Cm": 2e-3,
+        "Cn": 1e-6,
+    }.items():
         assert document["coefficients"][c]["mean_width"] < limit
     assert any("beta_rad" in n and "hardly varied" in n for n in document["notes"])
 
@@ -145,7 +203,16 @@ def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights
 @pytest.mark.slow
 def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
     out = tmp_path / "checked"
-    arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--out", str(out), "--json", "--no-figures"]
+    arguments = [
+        "bounds",
+        MODEL,
+        "--flight",
+        str(flights["bounds"]),
+        "--out",
+        str(out),
+        "--json",
+        "--no-figures",
+    ]
     assert main([*arguments, "--roll-terms", "--outside", "clamp", "--confidence", "0.9"]) == 0
     document = json.loads(capsys.readouterr().out)
     rows = document["coefficients"]
@@ -155,7 +222,9 @@ def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
     assert rows["Cl"]["transient"] > 3.0 * rows["Cl"]["noise_std"]  # turbulence rolls the aircraft
     assert "p_radps^2" in rows["Cm"]["terms"]
     assert len(document["left_out"]) == 9
-    widths = {(r["cutoff_hz"], r["airspeed_cutoff_hz"]): r["mean_width"] for r in document["cutoffs"]}
+    widths = {
+        (r["cutoff_hz"], r["airspeed_cutoff_hz"]): r["mean_width"] for r in document["cutoffs"]
+    }
     assert set(widths) == {(3.0, 2.0), (12.0, 2.0), (6.0, 1.0), (6.0, None)}
     # Noise is in no bounds: a filter that lets twice as much of it through hardly moves them.
     assert all(0.5 < w["CY"] / rows["CY"]["mean_width"] < 2.0 for w in widths.values())
@@ -165,11 +234,15 @@ def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
 def without(path: Path, channel: str, folder: Path) -> Path:
     record = FlightRecord.read(path)
     out = folder / f"no-{channel}.parquet"
-    FlightRecord({k: v for k, v in record.columns.items() if k != channel}, record.metadata).write(out)
+    FlightRecord({k: v for k, v in record.columns.items() if k != channel}, record.metadata).write(
+        out
+    )
     return out
 
 
-@pytest.mark.parametrize("channel", ["beta_rad", "alpha_rad", "V_mps", "q_radps", "az_mps2", "elevator_deg"])
+@pytest.mark.parametrize(
+    "channel", ["beta_rad", "alpha_rad", "V_mps", "q_radps", "az_mps2", "elevator_deg"]
+)
 def test_a_flight_without_a_needed_channel_is_refused_by_name(flights, tmp_path, capsys, channel):
     flight = without(flights["clean"], channel, tmp_path)
     if channel == "elevator_deg":  # the measured position stands in for it
@@ -191,9 +264,18 @@ def test_another_aircrafts_bounds_and_bad_files_are_refused(made, flights, tmp_p
 
 
 def test_an_identified_model_is_not_bounded_by_its_own_flight(flights, tmp_path, capsys):
-    (tmp_path / "fit.json").write_text(json.dumps({"flights": ["x.bin"], "flights_sha256": [file_sha256(flights["clean"])]}))
+    (tmp_path / "fit.json").write_text(
+        json.dumps({"flights": ["x.bin"], "flights_sha256": [file_sha256(flights["clean"])]})
+    )
     shutil.copytree(PROJECT_ROOT / "aircraft" / MODEL, tmp_path / "aircraft")
-    arguments = ["bounds", str(tmp_path / "aircraft"), "--flight", str(flights["clean"]), "--out", str(tmp_path / "b")]
+    arguments = [
+        "bounds",
+        str(tmp_path / "aircraft"),
+        "--flight",
+        str(flights["clean"]),
+        "--out",
+        str(tmp_path / "b"),
+    ]
     assert main([*arguments, "--no-check", "--no-figures"]) == 0
     assert "was identified from this flight" in capsys.readouterr().err
 
@@ -217,9 +299,24 @@ def test_designs_by_option():
             parse_designs(states, terms, 2, False)
 
 
-@pytest.mark.parametrize("option", [["--confidence", "95"], ["--cutoff-hz", "0"], ["--walk-cutoff-hz", "nan"]])
+@pytest.mark.parametrize(
+    "option", [["--confidence", "95"], ["--cutoff-hz", "0"], ["--walk-cutoff-hz", "nan"]]
+)
 def test_numbers_out_of_range_are_refused(flights, tmp_path, capsys, option):
-    assert main(["bounds", MODEL, "--flight", str(flights["clean"]), "--out", str(tmp_path / "x"), *option]) == 2
+    assert (
+        main(
+            [
+                "bounds",
+                MODEL,
+                "--flight",
+                str(flights["clean"]),
+                "--out",
+                str(tmp_path / "x"),
+                *option,
+            ]
+        )
+        == 2
+    )
     assert option[0] in capsys.readouterr().err
 
 
@@ -228,10 +325,27 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
     """The second flight bounds Table 2.6's model, the third lies within: no vanes, servo commands at 25 Hz, airspeed at 10."""
     folder = Path(os.environ.get("UQ_FLIGHT_DATA", "nowhere")) / "espaaro-ardupilot"
     if not folder.is_dir():
-        pytest.skip("set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ to run on genuine logs")
+        pytest.skip(
+            "set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ to run on genuine logs"
+        )
     more = ["--manoeuvres", str(folder / "manoeuvres.csv"), "--servos", "ideal"]
     flight = str(folder / "flight2_uncertainty.BIN")
-    assert main(["bounds", MODEL, "--flight", flight, *more, "--out", str(tmp_path / "b"), "--no-check", "--no-figures"]) == 0
+    assert (
+        main(
+            [
+                "bounds",
+                MODEL,
+                "--flight",
+                flight,
+                *more,
+                "--out",
+                str(tmp_path / "b"),
+                "--no-check",
+                "--no-figures",
+            ]
+        )
+        == 0
+    )
     assert "come from an estimator" in capsys.readouterr().err
     form = str(tmp_path / "b" / "model-form.json")
     flight = str(folder / "flight3_validation.BIN")
@@ -243,7 +357,15 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
 @pytest.mark.slow
 def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
     """Noise and all, every sample counted: wider than the model's error by far where the model is right."""
-    arguments = ["bounds", MODEL, "--flight", str(flights["bounds"]), "--no-check", "--no-figures", "--json"]
+    arguments = [
+        "bounds",
+        MODEL,
+        "--flight",
+        str(flights["bounds"]),
+        "--no-check",
+        "--no-figures",
+        "--json",
+    ]
     found = {}
     for name, more in (
         ("published", ["--as-published"]),
@@ -252,9 +374,18 @@ def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
     ):
         assert main([*arguments, *more, "--out", str(tmp_path / name)]) == 0
         found[name] = json.loads(capsys.readouterr().out)["coefficients"]
-    assert json.loads((tmp_path / "published" / "model-form.json").read_text())["format"] == "model-form 1"
-    assert json.loads((tmp_path / "apart" / "model-form.json").read_text())["format"] == "model-form 2"
-    assert found["published"]["CY"]["n_effective"] == found["published"]["CY"]["n"] > 3.0 * found["counted"]["CY"]["n_effective"]
+    assert (
+        json.loads((tmp_path / "published" / "model-form.json").read_text())["format"]
+        == "model-form 1"
+    )
+    assert (
+        json.loads((tmp_path / "apart" / "model-form.json").read_text())["format"] == "model-form 2"
+    )
+    assert (
+        found["published"]["CY"]["n_effective"]
+        == found["published"]["CY"]["n"]
+        > 3.0 * found["counted"]["CY"]["n_effective"]
+    )
     assert found["published"]["CY"]["mean_width"] > 3.0 * found["apart"]["CY"]["mean_width"]
     assert main([*arguments, "--sample-size", "all", "--out", str(tmp_path / "x")]) == 2
     assert "--sample-size all belongs to --as-published" in capsys.readouterr().err

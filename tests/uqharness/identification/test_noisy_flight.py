@@ -19,7 +19,17 @@ from uqharness.simulator import find_aircraft
 def looked_at(request, tmp_path_factory):
     """Air; a flight of the model with sensor noise in that air; the residuals before and after; what was found."""
     path = Path(tmp_path_factory.mktemp("air")) / "f.parquet"
-    said = ["fly", "espaaro", "--script", "flight-bounds", "--noise", "--seed", "5", "--turbulence", request.param]
+    said = [
+        "fly",
+        "espaaro",
+        "--script",
+        "flight-bounds",
+        "--noise",
+        "--seed",
+        "5",
+        "--turbulence",
+        request.param,
+    ]
     assert main([*said, "--out", str(path)]) == 0
     aircraft = find_aircraft("espaaro")
     (flight,), measured = read_bounds_flights([path], aircraft)
@@ -27,7 +37,12 @@ def looked_at(request, tmp_path_factory):
         residuals = flight_residuals(pair, flight, aircraft.accelerometer_m, Cutoffs())
         noisy = NoisyFlight.of(pair, flight, residuals, aircraft)
         estimates = replace(flight.record.metadata, estimates=("alpha_rad",))
-        guessed = NoisyFlight.of(pair, replace(flight, record=replace(flight.record, metadata=estimates)), residuals, aircraft)
+        guessed = NoisyFlight.of(
+            pair,
+            replace(flight, record=replace(flight.record, metadata=estimates)),
+            residuals,
+            aircraft,
+        )
     return request.param, flight, noisy, noisy.in_still_air(noisy.residuals), guessed
 
 

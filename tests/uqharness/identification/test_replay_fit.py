@@ -58,7 +58,9 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
     assert np.abs(late) < 4.0 * std < 0.002
     # Commands 3 ms later are seen by both: by their lateness, not in the parameters.
     moved = {
-        c: command_later(flight.record[c], flight.record["time_s"], 0.003) for c in flight.record.columns if c.endswith("_deg")
+        c: command_later(flight.record[c], flight.record["time_s"], 0.003)
+        for c in flight.record.columns
+        if c.endswith("_deg")
     }
     other = prepare("f", flight.record.with_columns(moved), ())
     shifted = refined(aircraft, other).nuisance[f"lateness/f/{CONTROL_DELAY}"]
@@ -72,7 +74,9 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
-    scaled = prepare("f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ())
+    scaled = prepare(
+        "f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ()
+    )
     setup = make_setup(aircraft, [scaled], ())
     side, scale = Side(setup), {"effect/sensor.alpha_rad/scale": 0.1}
     blind, told = (show(aircraft, side, ALONE, Point({}, {}, (), s)).cost for s in ({}, scale))
@@ -85,20 +89,38 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
     names, values = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.8, 1.86])
     with ReplayFolder(aircraft) as model:
         fit = fit_replays(
-            model, observed, names, (values + np.array([0.5, 0.02]), values), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map)
+            model,
+            observed,
+            names,
+            (values + np.array([0.5, 0.02]), values),
+            [(-60.0, 0.0), (1.8, 1.9)],
+            spread_over(map),
         )
         assert fit.lost == ("aero/CX_alpha2",)
         assert fit.values()["aero/CX_alpha2"] == 1.86
         assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
         with pytest.raises(BadInputError, match="cannot fly these segments"):
-            fit_replays(model, observed, names, (np.array([1e9, 1e9]),), [(None, None)] * 2, spread_over(map))
+            fit_replays(
+                model,
+                observed,
+                names,
+                (np.array([1e9, 1e9]),),
+                [(None, None)] * 2,
+                spread_over(map),
+            )
 
 
 @pytest.mark.parametrize("far", [False, True])
-def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(aircraft, flight, monkeypatch, far):
+def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
+    aircraft, flight, monkeypatch, far
+):
     setup = make_setup(aircraft, [flight], ())
     observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
-    names, near, card = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.0, 1.84]), np.array([-11.0, 1.86])
+    names, near, card = (
+        ("aero/Cm_q", "aero/CX_alpha2"),
+        np.array([-13.0, 1.84]),
+        np.array([-11.0, 1.86]),
+    )
     begun, real = [], replay_fit.output_error
 
     def estimated(replay, theta, *arguments, **more):
@@ -111,7 +133,9 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(air
 
     monkeypatch.setattr(replay_fit, "output_error", estimated)
     with ReplayFolder(aircraft) as model:
-        fit = fit_replays(model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map))
+        fit = fit_replays(
+            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], spread_over(map)
+        )
     assert fit.lost == ("aero/CX_alpha2",)
     assert [theta[1] for theta in begun] == [1.84, 1.86]
     first = begun[1][0]
@@ -123,7 +147,9 @@ def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, 
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
     with Bench(aircraft, setup) as bench:
-        fit, names_estimated, excited, notes, _ = base_fit_and_noise(aircraft, bench, setup, names, limits, ALONE)
+        fit, names_estimated, excited, notes, _ = base_fit_and_noise(
+            aircraft, bench, setup, names, limits, ALONE
+        )
     assert names_estimated == excited == names
     assert fit.flown.point.values["aero/CX_alpha2"] == 1.86
     assert set(names) <= set(fit.columns[0].names)
@@ -148,21 +174,40 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
     setup = make_setup(aircraft, [jumping], (), CONTROLS)
     bounds = [aircraft.card.parameters[n].bounds for n in names]
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
-        fit = fit_replays(model, observed(setup), names, (np.array(true),), bounds, spread_over(map))
+        fit = fit_replays(
+            model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+        )
         blind = fit_replays(
-            replace(model, lagging=("throttle_pct",)), observed(setup), names, (np.array(true),), bounds, spread_over(map)
+            replace(model, lagging=("throttle_pct",)),
+            observed(setup),
+            names,
+            (np.array(true),),
+            bounds,
+            spread_over(map),
         )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(replay_fit, "jumping_in", lambda *_: [])
-            without = fit_replays(model, observed(setup), names, (np.array(true),), bounds, spread_over(map))
-    share, std = (fit.values()["unseen/f"], float(fit.found.std[fit.layout.names.index("unseen/f")]))
+            without = fit_replays(
+                model, observed(setup), names, (np.array(true),), bounds, spread_over(map)
+            )
+    share, std = (
+        fit.values()["unseen/f"],
+        float(fit.found.std[fit.layout.names.index("unseen/f")]),
+    )
     assert share == pytest.approx(1.0, abs=4.0 * std)
     assert std < 0.05
-    assert (np.array([fit.values()[n] for n in names]) - true) / fit.found.std[:4] == pytest.approx(0.0, abs=4.0)
+    assert (np.array([fit.values()[n] for n in names]) - true) / fit.found.std[:4] == pytest.approx(
+        0.0, abs=4.0
+    )
     assert blind.values()["unseen/f"] == pytest.approx(share, abs=3.0 * std)
     # Taken to have seen their jumps, the same flights put the force of a surface elsewhere.
     assert "unseen/f" not in without.layout.names
-    assert np.abs((np.array([without.values()[n] for n in names]) - true) / without.found.std[:4]).max() > 4.0
+    assert (
+        np.abs(
+            (np.array([without.values()[n] for n in names]) - true) / without.found.std[:4]
+        ).max()
+        > 4.0
+    )
 
 
 def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):

@@ -39,7 +39,9 @@ def truth_of(found: uq.Identification) -> np.ndarray:
 
 def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     """A filter that took gusts otherwise than they act, and controls to act at their rows, was twenty standard errors off."""
-    found = uq.identify(folder / "espaaro", [folder / "flight-0.parquet", folder / "flight-1.parquet"], workers=1)
+    found = uq.identify(
+        folder / "espaaro", [folder / "flight-0.parquet", folder / "flight-1.parquet"], workers=1
+    )
     assert (found.method, found.converged) == ("filter error", True)
     known = np.array([found.status[n] == "identified" for n in found.names])
     z = ((found.theta - truth_of(found)) / found.std)[known]
@@ -51,7 +53,9 @@ def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     assert found.cov.shape == (known.sum(), known.sum())
     np.testing.assert_allclose(np.sqrt(np.diagonal(found.cov)), found.std[known])
     # The sensors' noise, and the gusts of one sample.
-    left = np.sqrt(np.nanmean(np.concatenate(found.residual) ** 2, axis=0)) / [found.noise[c] for c in found.outputs]
+    left = np.sqrt(np.nanmean(np.concatenate(found.residual) ** 2, axis=0)) / [
+        found.noise[c] for c in found.outputs
+    ]
     assert (left > 0.9).all()
     assert (left < 4.0).all()
     late = [v for n, v in found.nuisance.items() if n.startswith("delay/")]
@@ -61,7 +65,17 @@ def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
 
 def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     asked = ["Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
-    outputs = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "az_mps2")
+    outputs = (
+        "V_mps",
+        "alpha_rad",
+        "beta_rad",
+        "phi_rad",
+        "theta_rad",
+        "p_radps",
+        "q_radps",
+        "r_radps",
+        "az_mps2",
+    )
     found = uq.identify(
         folder / "espaaro",
         folder / "flight-0.parquet",
@@ -75,7 +89,9 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     assert found.names == tuple(f"aero/{n}" for n in asked)
     assert found.outputs == outputs
     assert [n.split("/")[0] for n in found.nuisance] == ["bias"]
-    assert all(m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual))
+    assert all(
+        m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual)
+    )
 
 
 def test_moments_that_the_model_lacks_are_told(folder: Path):
@@ -85,7 +101,9 @@ def test_moments_that_the_model_lacks_are_told(folder: Path):
     record.write(folder / "hidden.parquet")
     found = uq.identify(folder / "espaaro", folder / "hidden.parquet", workers=1)
     assert found.method == "filter error"
-    assert [w.split(" axis")[0] for w in found.warnings if "moments act" in w] == ["moments act about the pitch"]
+    assert [w.split(" axis")[0] for w in found.warnings if "moments act" in w] == [
+        "moments act about the pitch"
+    ]
 
 
 def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
@@ -94,7 +112,10 @@ def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
     card_ = write_aircraft("espaaro", Airframe(), folder / "bounded") / "airframe.toml"
     rows = card_.read_text(encoding="utf-8").splitlines()
     bounded = f'"aero/Cm_q" = {{ initial = {own}, bounds = [{1.02 * own}, 0.0] }}'
-    card_.write_text("\n".join(bounded if row.startswith('"aero/Cm_q"') else row for row in rows), encoding="utf-8")
+    card_.write_text(
+        "\n".join(bounded if row.startswith('"aero/Cm_q"') else row for row in rows),
+        encoding="utf-8",
+    )
     found = uq.identify(folder / "bounded" / "espaaro", folder / "flight-0.parquet", workers=1)
     assert found.method == "filter error"
     assert found.status["aero/Cm_q"] == "not-identified"
@@ -113,16 +134,21 @@ def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
 
 
 def test_without_moving_air_filter_error_is_output_error(folder: Path):
-    found = uq.identify(folder / "espaaro", folder / "flight-2.parquet", method="filter-error", workers=1)
+    found = uq.identify(
+        folder / "espaaro", folder / "flight-2.parquet", method="filter-error", workers=1
+    )
     assert found.method == "output error"
     assert any("filter error finds no air" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(
-    ("turbulence", "method"), [pytest.param("light", "filter error", marks=pytest.mark.slow), ("none", "output error")]
+    ("turbulence", "method"),
+    [pytest.param("light", "filter error", marks=pytest.mark.slow), ("none", "output error")],
 )
 def test_the_method_follows_the_air(tmp_path: Path, turbulence: str, method: str):
-    flight = uq.fly("espaaro", "flight-ident", duration_s=24, turbulence=turbulence, noise=True, seed=3)
+    flight = uq.fly(
+        "espaaro", "flight-ident", duration_s=24, turbulence=turbulence, noise=True, seed=3
+    )
     flight.write(tmp_path / "flight.parquet")
     found = uq.identify("espaaro", tmp_path / "flight.parquet", parameters=["aero/Cm_q"], workers=1)
     assert found.method == method

@@ -13,7 +13,10 @@ from uqharness.identification.validation import failed, load_form, validate, ver
 
 
 def covered(error=0.01, **shares):
-    rows = {c: SimpleNamespace(share={0.95: v, 0.5: 0.0}, error={0.95: error}) for c, v in shares.items()}
+    rows = {
+        c: SimpleNamespace(share={0.95: v, 0.5: 0.0}, error={0.95: error})
+        for c, v in shares.items()
+    }
     return SimpleNamespace(coverage=rows)
 
 
@@ -21,7 +24,10 @@ def test_coefficients_that_contain_too_little_are_named():
     assert failed(covered(CX=0.95, CZ=0.94, Cm=0.93)) == ("Cm",)
     assert verdicts(covered(CX=0.95, Cm=0.93)) == {"CX": "holds", "Cm": "fails"}
     # A short flight says neither, but where next to nothing lies inside.
-    assert verdicts(covered(0.05, CX=0.93, Cm=HOLDS_FROM - 1e-9)) == {"CX": "inconclusive", "Cm": "fails"}
+    assert verdicts(covered(0.05, CX=0.93, Cm=HOLDS_FROM - 1e-9)) == {
+        "CX": "inconclusive",
+        "Cm": "fails",
+    }
     # A share that is not known does not hold.
     assert failed(covered(CX=float("nan"))) == ("CX",)
     assert failed(covered()) == ()

@@ -65,7 +65,9 @@ def known_effects(spec):
     """Cross track: CY above all. Altitude: CX alone."""
     level = {name: spec.properties.get(f"uq/{name}/level", 0.0) for name in SLOPES}
     metrics = dict.fromkeys(fakes.ERROR_METRICS, 1.0) | dict.fromkeys(fakes.EXCURSIONS, 0.0)
-    metrics["cross_track_median_m"] = 5.0 + sum(SLOPES[n] * level[n] for n in SLOPES) + spec.seed_turbulence % 7
+    metrics["cross_track_median_m"] = (
+        5.0 + sum(SLOPES[n] * level[n] for n in SLOPES) + spec.seed_turbulence % 7
+    )
     metrics["altitude_median_m"] = 1.0 + 2.0 * level["CX"]
     metrics |= {"loss_of_control": 0.0, "extrapolated_share": 0.0}
     return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
@@ -77,7 +79,9 @@ def flown_campaign(folder: Path, text: str) -> Path:
     path.write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.run.validate_model", lambda *_: None)
-        run_campaign(read_campaign(path), folder / "out", executor=SerialExecutor(), fly=known_effects)
+        run_campaign(
+            read_campaign(path), folder / "out", executor=SerialExecutor(), fly=known_effects
+        )
     return folder / "out"
 
 
@@ -108,7 +112,16 @@ def first(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def bounds(first, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("bounds") / "bounds"
-    arguments = ["bounds", "espaaro", "--flight", str(first), "--out", str(out), "--no-check", "--no-figures"]
+    arguments = [
+        "bounds",
+        "espaaro",
+        "--flight",
+        str(first),
+        "--out",
+        str(out),
+        "--no-check",
+        "--no-figures",
+    ]
     assert main(arguments) == 0
     return out / "model-form.json"
 
@@ -158,11 +171,21 @@ def test_the_winner_and_its_prospects_are_told(planned):
 
 
 @pytest.mark.slow
-def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campaign, first, bounds, tmp_path, capsys):
+def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
+    planned, campaign, first, bounds, tmp_path, capsys
+):
     """One seed scatters; the mean over seeds is the study's (campaigns/next-flight)."""
     _, out = planned
     record = tmp_path / "new.parquet"
-    arguments = ["fly", "espaaro_truth", "--script", str(out / "next-flight.xml"), "--noise", "--turbulence", "light"]
+    arguments = [
+        "fly",
+        "espaaro_truth",
+        "--script",
+        str(out / "next-flight.xml"),
+        "--noise",
+        "--turbulence",
+        "light",
+    ]
     assert main([*arguments, "--seed", "77", "--out", str(record)]) == 0
     document = json.loads((out / "next-flight.json").read_text())
     labels = [n for n in pd.read_parquet(record)["manoeuvre"].unique() if n]
@@ -181,7 +204,17 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
     ]
     assert main(arguments) == 0
     capsys.readouterr()
-    arguments = ["next-flight", str(campaign), "--bounds", str(bounds), "--cases", "2", "--out", str(out), "--json"]
+    arguments = [
+        "next-flight",
+        str(campaign),
+        "--bounds",
+        str(bounds),
+        "--cases",
+        "2",
+        "--out",
+        str(out),
+        "--json",
+    ]
     main([*arguments, "--redone", str(both / "model-form.json")])
     achieved = json.loads(capsys.readouterr().out)["achieved"]
     for c in ("CY", "Cn"):
@@ -195,8 +228,37 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(planned, campai
 def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
     """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
     flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
-    assert main(["fly", "espaaro_truth", "--script", "flight-bounds", "--noise", "--seed", "3", "--out", str(flight)]) == 0
-    assert main(["bounds", "espaaro", "--flight", str(flight), "--out", str(made), "--no-check", "--no-figures"]) == 0
+    assert (
+        main(
+            [
+                "fly",
+                "espaaro_truth",
+                "--script",
+                "flight-bounds",
+                "--noise",
+                "--seed",
+                "3",
+                "--out",
+                str(flight),
+            ]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "bounds",
+                "espaaro",
+                "--flight",
+                str(flight),
+                "--out",
+                str(made),
+                "--no-check",
+                "--no-figures",
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
     arguments = [
         "next-flight",
@@ -208,7 +270,16 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
         "--cases",
         "2",
     ]
-    arguments += ["--speeds", "22", "--minutes", "1", "--no-figures", "--json", "--flight", str(flight)]
+    arguments += [
+        "--speeds",
+        "22",
+        "--minutes",
+        "1",
+        "--no-figures",
+        "--json",
+        "--flight",
+        str(flight),
+    ]
     main([*arguments, "--out", str(tmp_path / "next")])
     document = json.loads(capsys.readouterr().out)
     assert document["missing"][0]["term"] == "elevator_pos_deg"
@@ -220,7 +291,10 @@ def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys
 def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
     _, out = planned
     text = (out / "next-flight.xml").read_text()
-    assert '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle' in text
+    assert (
+        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle'
+        in text
+    )
     assert '<property value="0">air/wind-mps</property>' in text
     assert '<property value="0">air/turbulence-w20-kt</property>' in text
     # What stands above the root of loiter.xml tells of another flight.
@@ -234,7 +308,9 @@ def test_the_table_holds_every_step(planned):
     with (out / "test-points.csv").open() as handle:
         rows = list(csv.DictReader(handle))
     steps = [(p["number"], s["control"], s["size"]) for p in document["points"] for s in p["steps"]]
-    assert [(int(r["number"]), r["control"], float(r["size"])) for r in rows if r["control"]] == steps
+    assert [
+        (int(r["number"]), r["control"], float(r["size"])) for r in rows if r["control"]
+    ] == steps
     assert {int(r["number"]) for r in rows} == {p["number"] for p in document["points"]}
     limits = find_aircraft("espaaro").card.inputs
     assert all(limits[c].limits[0] < size < limits[c].limits[1] for _, c, size in steps)
@@ -278,7 +354,11 @@ def test_points_are_flown_as_they_are_written(held, tmp_path):
     points = [
         TestPoint("dive", (Steps("elevator", 15.0, 1.5, ((1, 1.0),)),), Condition(22.0), 6.0),
         TestPoint("doublet", (Steps("elevator", 2.0, 0.5),), Condition(22.0)),
-        TestPoint("left turn", (Steps("aileron", 3.0, 0.5), Steps("rudder", -2.0, 0.4, start_s=0.3)), Condition(24.0, -20.0)),
+        TestPoint(
+            "left turn",
+            (Steps("aileron", 3.0, 0.5), Steps("rudder", -2.0, 0.4, start_s=0.3)),
+            Condition(24.0, -20.0),
+        ),
     ]
     path = tmp_path / "flight.parquet"
     ok, _, _ = fly_points(held, points, 1, path)
@@ -318,7 +398,13 @@ def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried
 
 def test_an_aircraft_without_the_autopilot_gets_steps_on_top_of_its_mission(tmp_path):
     """JSBSim's own c172x holds height and heading; a step of its elevator command is added to what its pilot commands."""
-    flight = TestFlight(find_aircraft("c172x"), PROJECT_ROOT / "campaigns" / "c172" / "hold.xml", False, 10.0, noise=False)
+    flight = TestFlight(
+        find_aircraft("c172x"),
+        PROJECT_ROOT / "campaigns" / "c172" / "hold.xml",
+        False,
+        10.0,
+        noise=False,
+    )
     point = TestPoint("elevator", (Steps("elevator", 0.1, 0.5),), Condition())
     path = tmp_path / "c172.parquet"
     ok, _, reason = fly_points(flight, [point], 1, path)
@@ -339,7 +425,12 @@ def test_the_library_follows_the_cards_stops_and_the_models_modes():
     assert times["rudder"] == pytest.approx(0.8)
     points = library(aircraft, [Condition(20.0), Condition(24.0, 25.0)], times)
     assert len(points) == len({p.name for p in points})
-    sizes = {s.size for p in points for s in p.steps if s.control == "rudder" and "rudder doublet" in p.kind}
+    sizes = {
+        s.size
+        for p in points
+        for s in p.steps
+        if s.control == "rudder" and "rudder doublet" in p.kind
+    }
     assert sizes == {5.0, -5.0}
     assert all(p.seconds > 4.0 for p in points)
     assert RECOVERY_S > 5.0
@@ -375,12 +466,18 @@ def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tm
     assert "--metric nonsense" in refused(capsys, *good, "--metric", "nonsense")
     assert "--minutes 0" in refused(capsys, *good, "--minutes", "0")
     assert "--speeds fast" in refused(capsys, *good, "--speeds", "fast")
-    assert "is no model form" in refused(capsys, str(campaign), "--bounds", str(campaign / "manifest.json"), *out)
-    assert "no test point fits" in refused(capsys, *good, "--minutes", "0.1", "--speeds", "22", "--cases", "1")
+    assert "is no model form" in refused(
+        capsys, str(campaign), "--bounds", str(campaign / "manifest.json"), *out
+    )
+    assert "no test point fits" in refused(
+        capsys, *good, "--minutes", "0.1", "--speeds", "22", "--cases", "1"
+    )
     form = json.loads(bounds.read_text())
     other = tmp_path / "other.json"
     other.write_text(json.dumps({**form, "aircraft": {**form["aircraft"], "name": "glider"}}))
-    assert "belong to aircraft 'glider'" in refused(capsys, str(campaign), "--bounds", str(other), *out)
+    assert "belong to aircraft 'glider'" in refused(
+        capsys, str(campaign), "--bounds", str(other), *out
+    )
     row = form["coefficients"]["CY"]
     row |= {"terms": ["1"], "beta_hat": [0.0], "XtX_inv": [[1.0 / row["n"]]]}
     other.write_text(json.dumps(form))
@@ -396,7 +493,9 @@ def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tm
 def test_a_campaign_without_corners_is_refused(tmp_path, bounds, capsys):
     text = CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
     folder = flown_campaign(tmp_path / "middle", text)
-    assert "not a corner campaign" in refused(capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n"))
+    assert "not a corner campaign" in refused(
+        capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n")
+    )
 
 
 def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, capsys):
@@ -404,8 +503,19 @@ def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, cap
     (tmp_path / "c").mkdir()
     shutil.copy(bounds, tmp_path / "c" / "model-form.json")
     i = CAMPAIGN.index("bounds = {")
-    folder = flown_campaign(tmp_path / "c", CAMPAIGN[:i] + 'coefficients = ["CY", "Cn"]\nbounds = "model-form.json"\n')
-    arguments = ["next-flight", str(folder), "--redone", str(bounds), "--cases", "1", "--out", str(tmp_path / "next")]
+    folder = flown_campaign(
+        tmp_path / "c", CAMPAIGN[:i] + 'coefficients = ["CY", "Cn"]\nbounds = "model-form.json"\n'
+    )
+    arguments = [
+        "next-flight",
+        str(folder),
+        "--redone",
+        str(bounds),
+        "--cases",
+        "1",
+        "--out",
+        str(tmp_path / "next"),
+    ]
     assert main([*arguments, "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert set(found["achieved"]) == set(read_model_form(bounds).coefficients)

@@ -14,16 +14,24 @@ from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.prospects import designs_of, prospects, scatter_ratios, widths_over
 
 FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
-MISSION = Occupancy({name: np.full(20, MEAN.get(name, 0.0)) for name in LONGITUDINAL}, 1, 0, 2.0, "the mission")
+MISSION = Occupancy(
+    {name: np.full(20, MEAN.get(name, 0.0)) for name in LONGITUDINAL}, 1, 0, 2.0, "the mission"
+)
 
 
 def states(rng, n, speed=22.0):
-    return {s: MEAN.get(s, 0.0) + SPREAD[s] * rng.standard_normal(n) for s in LONGITUDINAL} | {"V_mps": np.full(n, speed)}
+    return {s: MEAN.get(s, 0.0) + SPREAD[s] * rng.standard_normal(n) for s in LONGITUDINAL} | {
+        "V_mps": np.full(n, speed)
+    }
 
 
 def flown(n=2000, **more) -> Residuals:
     rng = np.random.default_rng(0)
-    return Residuals((ResidualPiece("m", 0.02 * np.arange(n), np.zeros((n, 6)), states(rng, n, **more)),), 0.02, Cutoffs())
+    return Residuals(
+        (ResidualPiece("m", 0.02 * np.arange(n), np.zeros((n, 6)), states(rng, n, **more)),),
+        0.02,
+        Cutoffs(),
+    )
 
 
 def trial(speed, power=-4.0, n=400):
@@ -52,10 +60,17 @@ def test_scatter_follows_the_speed_as_the_trials_do():
     assert slow / fast == pytest.approx((26.0 / 18.0) ** 4, rel=0.3)
     assert scatter_ratios(FORM, flown(speed=18.0), STEADY) == {"CZ": 1.0, "Cm": 1.0}
     # Bounds that do not know the speed cannot tell.
-    blind = replace(FORM, coefficients={n: replace(b, states=("x", *b.states[1:])) for n, b in FORM.coefficients.items()})
+    blind = replace(
+        FORM,
+        coefficients={
+            n: replace(b, states=("x", *b.states[1:])) for n, b in FORM.coefficients.items()
+        },
+    )
     assert scatter_ratios(blind, flown(speed=18.0), trials)["CZ"] == 1.0
 
 
 def test_the_forms_own_terms():
     found = designs_of(FORM)
-    assert {n: (d.states, d.terms) for n, d in found.items()} == {n: (b.states, b.terms) for n, b in FORM.coefficients.items()}
+    assert {n: (d.states, d.terms) for n, d in found.items()} == {
+        n: (b.states, b.terms) for n, b in FORM.coefficients.items()
+    }

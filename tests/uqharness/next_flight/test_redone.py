@@ -13,12 +13,17 @@ from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.redone import achieved, as_text
 
 FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
-MISSION = Occupancy({name: np.full(20, MEAN.get(name, 0.0)) for name in LONGITUDINAL}, 1, 0, 2.0, "the mission")
+MISSION = Occupancy(
+    {name: np.full(20, MEAN.get(name, 0.0)) for name in LONGITUDINAL}, 1, 0, 2.0, "the mission"
+)
 
 
 def narrowed(factor: float):
     """The same bounds with their scatter and their terms' error so much smaller, and no part that holds zero."""
-    rows = {n: replace(b, s2=b.s2 * factor**2, beta_hat=b.beta_hat * factor) for n, b in FORM.coefficients.items()}
+    rows = {
+        n: replace(b, s2=b.s2 * factor**2, beta_hat=b.beta_hat * factor)
+        for n, b in FORM.coefficients.items()
+    }
     return replace(FORM, coefficients=rows)
 
 
@@ -36,7 +41,9 @@ def test_half_the_scatter_is_half_the_width(tmp_path):
 
 def test_what_was_predicted_stands_beside_it(tmp_path):
     plan = tmp_path / "next-flight.json"
-    plan.write_text(json.dumps({"prospects": {"Cm": {"narrowing_redone": 0.4, "parameter_narrowing": 0.6}}}))
+    plan.write_text(
+        json.dumps({"prospects": {"Cm": {"narrowing_redone": 0.4, "parameter_narrowing": 0.6}}})
+    )
     found = achieved(FORM, narrowed(0.5), MISSION, plan)
     assert (found["Cm"]["predicted"], found["Cm"]["predicted_parameter"]) == (0.4, 0.6)
     assert found["CZ"]["predicted"] is None

@@ -43,8 +43,13 @@ def test_it_is_not_where_that_would_say_nothing(flown: list, tmp_path: Path):
     aircraft = find_aircraft("c172x")
     assert instrument_aircraft(aircraft, BOUNDS, tmp_path / "c172x", check=False).verdict is None
     # One that has the plugin gets other bounds; one that is changed in its place has no other to compare with.
-    assert instrument_aircraft(find_aircraft("espaaro"), BOUNDS, tmp_path / "espaaro").verdict is None
-    assert instrument_aircraft(find_aircraft(tmp_path / "c172x"), BOUNDS, tmp_path / "c172x").verdict is None
+    assert (
+        instrument_aircraft(find_aircraft("espaaro"), BOUNDS, tmp_path / "espaaro").verdict is None
+    )
+    assert (
+        instrument_aircraft(find_aircraft(tmp_path / "c172x"), BOUNDS, tmp_path / "c172x").verdict
+        is None
+    )
     assert flown == []
 
 
@@ -55,7 +60,9 @@ def test_a_dry_run_writes_nothing(flown: list, tmp_path: Path):
     assert flown == []
 
 
-def test_an_aircraft_that_does_not_fly_is_refused_or_noted(flown: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
+    flown: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     def ask(folder: Path) -> aircraft_facts.AircraftFacts:
         raise BadInputError("it dives")
 

@@ -16,7 +16,9 @@ CONTROLS = {
     "throttle": ControlFacts(1),
 }
 FACTS = AircraftFacts(1.97, 3.66, 0.53, 1, CONTROLS)
-SCALED = Scaled("LIFT", "aero/coefficient/CLalpha", "a.xml", 12, "uq/scale/CLalpha", "uq/bias/CLalpha")
+SCALED = Scaled(
+    "LIFT", "aero/coefficient/CLalpha", "a.xml", 12, "uq/scale/CLalpha", "uq/bias/CLalpha"
+)
 
 
 def test_what_the_flights_told_stands_in_the_card():
@@ -24,7 +26,11 @@ def test_what_the_flights_told_stands_in_the_card():
     assert card["aircraft"] == {"name": "plane", "xml": "plane.xml", "dt_s": 0.01}
     assert card["reference"] == {"S_m2": 1.97, "b_m": 3.66, "c_m": 0.53}
     elevator = card["inputs"]["elevator"]
-    assert (elevator["throw_deg"], elevator["position"], elevator["positive"]) == (-25, "fcs/elevator-pos-deg", "nose up")
+    assert (elevator["throw_deg"], elevator["position"], elevator["positive"]) == (
+        -25,
+        "fcs/elevator-pos-deg",
+        "nose up",
+    )
     assert card["inputs"]["aileron"]["throw_deg"] == 1.0
     assert "throw_deg" not in card["inputs"]["throttle"]
     assert card["inputs"]["throttle"]["limits"] == [0, 1]
@@ -34,7 +40,12 @@ def test_what_the_flights_told_stands_in_the_card():
 def test_scales_and_path_errors_are_added_where_there_are_some():
     card = parse_toml(card_text("plane", "plane.xml", FACTS, [SCALED], errors=True))
     assert card["parameters"] == {
-        "uq/scale/CLalpha": {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": "factor on aero/coefficient/CLalpha"}
+        "uq/scale/CLalpha": {
+            "initial": 1.0,
+            "bounds": [-1, 4],
+            "unit": "1",
+            "source": "factor on aero/coefficient/CLalpha",
+        }
     }
     for entry in card["metrics"].values():
         assert f'name="{entry["true"]}"'.encode() in ERRORS_XML
@@ -42,4 +53,7 @@ def test_scales_and_path_errors_are_added_where_there_are_some():
 
 @pytest.mark.parametrize("name", ['my "best" plane', "back\\slash", "a\x7fb"])
 def test_a_name_is_read_back_as_it_was(name):
-    assert parse_toml(card_text(name, f"{name}.xml", FACTS, [], errors=False))["aircraft"]["name"] == name
+    assert (
+        parse_toml(card_text(name, f"{name}.xml", FACTS, [], errors=False))["aircraft"]["name"]
+        == name
+    )

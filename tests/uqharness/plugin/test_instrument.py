@@ -46,7 +46,11 @@ OWN = """
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
 
 
 @pytest.fixture
@@ -55,8 +59,12 @@ def small(tmp_path) -> Path:
     folder.mkdir(parents=True)
     gain = "<pure_gain name='own/servo'><input>fcs/elevator-cmd-norm</input><gain>20</gain></pure_gain>"
     fcs = f"<channel name='c'>{gain}</channel>"
-    text = SKELETON.format(fcs=fcs, aero=OWN, ixz="", mass_attributes="", aerorp=0.2).replace("\n", "\r\n")
-    (folder / "small.xml").write_bytes(text.replace("<fdm_config", "<!-- \xe4 --><fdm_config").encode("utf-8"))
+    text = SKELETON.format(fcs=fcs, aero=OWN, ixz="", mass_attributes="", aerorp=0.2).replace(
+        "\n", "\r\n"
+    )
+    (folder / "small.xml").write_bytes(
+        text.replace("<fdm_config", "<!-- \xe4 --><fdm_config").encode("utf-8")
+    )
     return folder
 
 
@@ -81,9 +89,21 @@ def test_the_check_sees_a_plugin_that_is_wrong(small, tmp_path):
     good = xml.read_bytes()
     # A drag that the idle plugin adds; a moment a millionth too large; a force that acts at AERORP.
     faults = (
-        (b'<property value="0.3">own/gain', b'<property value="0.3000001">own/gain', "with uq/active 0"),
-        (b"<property>uq/Cm/delta</property>", b"<property>uq/Cm/delta</property><value>1.000001</value>", "Cm"),
-        (b'<function name="uq/force/DRAG" apply_at_cg="true">', b'<function name="uq/force/DRAG">', "CX|CZ"),
+        (
+            b'<property value="0.3">own/gain',
+            b'<property value="0.3000001">own/gain',
+            "with uq/active 0",
+        ),
+        (
+            b"<property>uq/Cm/delta</property>",
+            b"<property>uq/Cm/delta</property><value>1.000001</value>",
+            "Cm",
+        ),
+        (
+            b'<function name="uq/force/DRAG" apply_at_cg="true">',
+            b'<function name="uq/force/DRAG">',
+            "CX|CZ",
+        ),
     )
     for old, new, words in faults:
         assert good.count(old) == 1, old
@@ -101,8 +121,16 @@ def test_scales_multiply_each_function_and_biases_add_a_coefficient(small, tmp_p
         for name, value in settings.items():
             engine.set_property(fdm, f"uq/{name.replace('__', '/')}", value)
         step(0)
-        names = ["aero/moment/alpha", "aero/moment/q", "moments/m-aero-lbsft", "forces/fwz-aero-lbs",
-                 "aero/force/lift-alpha", "aero/qbar-psf", "metrics/Sw-sqft", "metrics/cbarw-ft"]  # fmt: skip
+        names = [
+            "aero/moment/alpha",
+            "aero/moment/q",
+            "moments/m-aero-lbsft",
+            "forces/fwz-aero-lbs",
+            "aero/force/lift-alpha",
+            "aero/qbar-psf",
+            "metrics/Sw-sqft",
+            "metrics/cbarw-ft",
+        ]
         return {name: fdm[name] for name in names}
 
     plain, m = moments(), "moments/m-aero-lbsft"
@@ -111,28 +139,42 @@ def test_scales_multiply_each_function_and_biases_add_a_coefficient(small, tmp_p
     qSc = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"] * plain["metrics/cbarw-ft"]
     assert moments(bias__q=0.01)[m] - plain[m] == pytest.approx(0.01 * qSc, rel=1e-9)
     lifted = moments(**{"scale__lift-alpha": 2.0})
-    assert lifted["forces/fwz-aero-lbs"] - plain["forces/fwz-aero-lbs"] == pytest.approx(plain["aero/force/lift-alpha"], rel=1e-9)
+    assert lifted["forces/fwz-aero-lbs"] - plain["forces/fwz-aero-lbs"] == pytest.approx(
+        plain["aero/force/lift-alpha"], rel=1e-9
+    )
 
 
 def test_undo_restores_the_bytes_and_keeps_what_an_author_changed_since(small, tmp_path):
     before = tree(small)
     out = instrumented(small, tmp_path / "out" / "small")
-    assert b'\r\n    <function name="uq/force/LIFT" apply_at_cg="true">\r\n' in (out / "small.xml").read_bytes()
+    assert (
+        b'\r\n    <function name="uq/force/LIFT" apply_at_cg="true">\r\n'
+        in (out / "small.xml").read_bytes()
+    )
     again = instrumented(out, tmp_path / "again" / "small", Bounds(constant={"CX": (-0.01, 0.01)}))
     assert tree(again) != tree(out)
     undo(again, again)
     assert tree(again) == before
     changed = out / "small.xml"
-    changed.write_bytes(changed.read_bytes().replace(b"<value>90</value>", b"<value>90.125</value>"))
+    changed.write_bytes(
+        changed.read_bytes().replace(b"<value>90</value>", b"<value>90.125</value>")
+    )
     done = dict(undo(out, out))
     assert "kept" in done["small.xml"]
-    assert tree(out) == {"small.xml": before["small.xml"].replace(b"<value>90</value>", b"<value>90.125</value>")}
+    assert tree(out) == {
+        "small.xml": before["small.xml"].replace(b"<value>90</value>", b"<value>90.125</value>")
+    }
 
 
 def test_in_place_and_back(small):
     before = tree(small)
     instrumented(small, small)
-    assert set(tree(small)) == {"small.xml", "Systems/model-form.xml", "Systems/scale-bias.xml", "uq-instrument.json"}
+    assert set(tree(small)) == {
+        "small.xml",
+        "Systems/model-form.xml",
+        "Systems/scale-bias.xml",
+        "uq-instrument.json",
+    }
     undo(small, small)
     assert tree(small) == before
 
@@ -154,7 +196,11 @@ def test_a_link_to_another_aircrafts_file_is_not_written_through(small):
 def test_undo_refuses_what_it_cannot_take_out_cleanly(small):
     instrumented(small, small)
     xml = small / "small.xml"
-    xml.write_bytes(xml.read_bytes().replace(b"<property>uq/Cm/delta</property>", b"<property>uq/Cm/delta</property> "))
+    xml.write_bytes(
+        xml.read_bytes().replace(
+            b"<property>uq/Cm/delta</property>", b"<property>uq/Cm/delta</property> "
+        )
+    )
     spoilt = tree(small)
     with pytest.raises(BadInputError, match=r"small\.xml: changed since.*uq/moment/PITCH.*by hand"):
         undo(small, small)
@@ -169,11 +215,23 @@ def test_undo_refuses_what_it_cannot_take_out_cleanly(small):
         ('<axis name="PITCH">', '<axis name="X">', r"small\.xml:\d+: force axes are mixed"),
         (">2</wingarea>", ">0</wingarea>", r"small\.xml:\d+: <wingarea> is 0"),
         ("own/gain", "uq/gain", r"small\.xml:\d+: 'uq/gain' is a name of the plugin"),
-        ("<ground_reactions/>", "<ground_reactions file='../gear'/>", r"small\.xml:\d+: <ground_reactions.*lies outside"),
-        ("<property>aero/alpha-rad</property>", "<property>uq/CX/delta</property>", r"reads? .*uq/CX/delta but not uq/CY/delta"),
-        ("<aerodynamics>", "<aerodynamics file='none'>", r"small\.xml:\d+: file=\"none\": there is no"),
+        (
+            "<ground_reactions/>",
+            "<ground_reactions file='../gear'/>",
+            r"small\.xml:\d+: <ground_reactions.*lies outside",
+        ),
+        (
+            "<property>aero/alpha-rad</property>",
+            "<property>uq/CX/delta</property>",
+            r"reads? .*uq/CX/delta but not uq/CY/delta",
+        ),
+        (
+            "<aerodynamics>",
+            "<aerodynamics file='none'>",
+            r"small\.xml:\d+: file=\"none\": there is no",
+        ),
     ],
-)  # fmt: skip
+)
 def test_refusals_name_file_and_line_and_write_nothing(small, tmp_path, old, new, message):
     xml = small / "small.xml"
     xml.write_bytes(xml.read_bytes().replace(old.encode(), new.encode()))
@@ -213,16 +271,22 @@ def test_engines_and_systems_beside_the_folder_go_along(small, tmp_path):
     root = small.parent.parent
     (root / "engine").mkdir()
     (root / "systems").mkdir()
-    (root / "engine" / "puller.xml").write_text('<electric_engine name="puller"><power unit="WATTS">500</power></electric_engine>')
+    (root / "engine" / "puller.xml").write_text(
+        '<electric_engine name="puller"><power unit="WATTS">500</power></electric_engine>'
+    )
     (root / "engine" / "nozzle.xml").write_text('<direct name="Direct"></direct>')
-    (root / "systems" / "aside.xml").write_text('<system name="aside"><property value="1">own/aside</property></system>')
+    (root / "systems" / "aside.xml").write_text(
+        '<system name="aside"><property value="1">own/aside</property></system>'
+    )
     xml = small / "small.xml"
     parts = (
         '<propulsion><engine file="puller"><location unit="M"><x>0</x><y>0</y><z>0</z></location>'
         '<thruster file="nozzle"><location unit="M"><x>0</x><y>0</y><z>0</z></location></thruster></engine></propulsion>'
         '<system file="aside"/>'
     )
-    xml.write_bytes(xml.read_bytes().replace(b"<flight_control", parts.encode() + b"<flight_control"))
+    xml.write_bytes(
+        xml.read_bytes().replace(b"<flight_control", parts.encode() + b"<flight_control")
+    )
     out = tmp_path / "far" / "away" / "small"
     instrumented(small, out)
     assert {"Engines/puller.xml", "Engines/nozzle.xml", "Systems/aside.xml"} <= set(tree(out))
@@ -246,12 +310,22 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert main(arguments) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["check"]["status"] == "works"
-    assert [row["coefficient"] for row in report["coefficients"]] == ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+    assert [row["coefficient"] for row in report["coefficients"]] == [
+        "CX",
+        "CY",
+        "CZ",
+        "Cl",
+        "Cm",
+        "Cn",
+    ]
     assert {row["file"]: row["change"] for row in report["files"]} == {
-        "Systems/model-form.xml": "added", "Systems/path-errors.xml": "added", "Systems/scale-bias.xml": "added",
+        "Systems/model-form.xml": "added",
+        "Systems/path-errors.xml": "added",
+        "Systems/scale-bias.xml": "added",
         "Systems/idle-throttle.xml": "added",
-        "airframe.toml": "added", "small.xml": "edited",
-    }  # fmt: skip
+        "airframe.toml": "added",
+        "small.xml": "edited",
+    }
     card = tomllib.loads((out / "airframe.toml").read_text())
     assert card["reference"]["S_m2"] == pytest.approx(2.0, rel=1e-7)
     assert list(card["inputs"]) == ["elevator", "aileron", "rudder", "throttle"]
@@ -265,15 +339,23 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     north, east = (fdm[f"position/from-start-neu-{axis}-ft"] for axis in "ne")
     course = np.arctan2(fdm["ic/ve-fps"], fdm["ic/vn-fps"])
     # The errors are read every tenth frame, and this is one.
-    assert fdm["nav/cross-track-m"] == pytest.approx(0.3048 * (east * np.cos(course) - north * np.sin(course)), abs=0.05)
-    assert fdm["nav/altitude-error-m"] == pytest.approx(0.3048 * (fdm["position/h-sl-ft"] - 5000.0), abs=0.05)
+    assert fdm["nav/cross-track-m"] == pytest.approx(
+        0.3048 * (east * np.cos(course) - north * np.sin(course)), abs=0.05
+    )
+    assert fdm["nav/altitude-error-m"] == pytest.approx(
+        0.3048 * (fdm["position/h-sl-ft"] - 5000.0), abs=0.05
+    )
     assert main(["instrument", str(small), "--out", str(out), "--undo"]) == 0
     assert tree(out) == tree(small)
 
 
 def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small, tmp_path, capsys):
     xml = small / "small.xml"
-    xml.write_bytes(xml.read_bytes().replace(b"<property>own/used</property>", b"<property>host/gives</property>"))
+    xml.write_bytes(
+        xml.read_bytes().replace(
+            b"<property>own/used</property>", b"<property>host/gives</property>"
+        )
+    )
     arguments = ["instrument", str(small), "--out", str(tmp_path / "elsewhere")]
     assert main(arguments) == 2
     assert "host/gives" in (error := capsys.readouterr().err)
@@ -285,7 +367,19 @@ def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small,
 
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     (tmp_path / "bounds.json").write_text("{}")
-    assert main(["instrument", str(small), "--out", str(tmp_path / "o"), "--bounds", str(tmp_path / "bounds.json")]) == 2
+    assert (
+        main(
+            [
+                "instrument",
+                str(small),
+                "--out",
+                str(tmp_path / "o"),
+                "--bounds",
+                str(tmp_path / "bounds.json"),
+            ]
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert "bounds.json" in error
     assert "Traceback" not in error
@@ -297,7 +391,9 @@ def test_an_aircraft_that_ends_the_interpreter_is_a_verdict(small, tmp_path):
     (broken / "small.xml").rename(broken / "broken.xml")
     xml = broken / "broken.xml"
     xml.write_bytes(
-        xml.read_bytes().replace(b"<sum>", b"<smu>").replace(b"<product><property>own/used", b"<prodct><property>own/used")
+        xml.read_bytes()
+        .replace(b"<sum>", b"<smu>")
+        .replace(b"<product><property>own/used", b"<prodct><property>own/used")
     )
     verdict = check_in_child(broken, broken, 0.7)
     assert verdict.status == "fails"
@@ -319,9 +415,14 @@ GLIDE = """<?xml version="1.0"?>
 </initialize>
 """
 STEPS = (
-    (3, "elevator", 0.0), (4, "elevator", -0.2), (5, "elevator", -0.1), (9, "aileron", 0.1), (10, "aileron", 0.0),
-    (13, "elevator", 0.0), (13.5, "elevator", -0.1),
-)  # fmt: skip
+    (3, "elevator", 0.0),
+    (4, "elevator", -0.2),
+    (5, "elevator", -0.1),
+    (9, "aileron", 0.1),
+    (10, "aileron", 0.0),
+    (13, "elevator", 0.0),
+    (13.5, "elevator", -0.1),
+)
 
 
 @pytest.mark.slow
@@ -343,7 +444,16 @@ def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
     settings = [part for name, value in truth.items() for part in ("--set", f"{name}={value}")]
     flight = str(tmp_path / "flight.csv")
     assert main(["fly", str(out), "--script", str(script), *settings, "--out", flight]) == 0
-    arguments = ["--params", ",".join(truth), "--biases", "none", "--workers", "1", "--no-figures", "--json"]
+    arguments = [
+        "--params",
+        ",".join(truth),
+        "--biases",
+        "none",
+        "--workers",
+        "1",
+        "--no-figures",
+        "--json",
+    ]
     capsys.readouterr()
     main(["identify", str(out), "--flight", flight, "--out", str(tmp_path / "fit"), *arguments])
     found = json.loads(capsys.readouterr().out)["parameters"]
@@ -369,20 +479,66 @@ def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_a
         f"{events}</run></runscript>"
     )
     flight = tmp_path / "flight.parquet"
-    assert main(["fly", str(folder), "--script", str(script), "--duration-s", "10", "--out", str(flight)]) == 0
+    assert (
+        main(
+            [
+                "fly",
+                str(folder),
+                "--script",
+                str(script),
+                "--duration-s",
+                "10",
+                "--out",
+                str(flight),
+            ]
+        )
+        == 0
+    )
     # Three seconds into the flight the propeller has come to its speed; the surfaces' positions are left to the model.
     record = pd.read_parquet(flight)
-    record[record.time_s >= 3.0].drop(columns=["elevator_pos_deg", "rudder_pos_deg"]).to_parquet(flight)
-    main(["compare", str(folder), "--flight", str(flight), "--out", str(tmp_path / "gap"), "--no-figures"])
+    record[record.time_s >= 3.0].drop(columns=["elevator_pos_deg", "rudder_pos_deg"]).to_parquet(
+        flight
+    )
+    main(
+        [
+            "compare",
+            str(folder),
+            "--flight",
+            str(flight),
+            "--out",
+            str(tmp_path / "gap"),
+            "--no-figures",
+        ]
+    )
     gaps = json.loads((tmp_path / "gap" / "compare.json").read_text())
-    found = {name: gap["rms"] for kind in ("channels", "coefficients") for name, gap in gaps[kind].items()}
+    found = {
+        name: gap["rms"]
+        for kind in ("channels", "coefficients")
+        for name, gap in gaps[kind].items()
+    }
     # Without mixture CX was .08 off; with one factor for both ends of the elevator's travel Cm was .03, and .34 before.
-    limits = {"V_mps": 0.05, "q_radps": 1e-3, "az_mps2": 0.05, "Cm": 0.002, "CZ": 0.005, "CX": 0.005}
+    limits = {
+        "V_mps": 0.05,
+        "q_radps": 1e-3,
+        "az_mps2": 0.05,
+        "Cm": 0.002,
+        "CZ": 0.005,
+        "CX": 0.005,
+    }
     assert {name: found[name] for name, limit in limits.items() if not found[name] < limit} == {}
 
 
 def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
-    words = ["instrument", "c172p", "--constant", "CX=0.01,Cm=-0.02:0.03", "--no-check", "--json", "--out", str(tmp_path / "made")]
+    words = [
+        "instrument",
+        "c172p",
+        "--constant",
+        "CX=0.01,Cm=-0.02:0.03",
+        "--no-check",
+        "--json",
+        "--out",
+        str(tmp_path / "made"),
+    ]
     assert main(words) == 0
     plain = capsys.readouterr().out
     shutil.rmtree(tmp_path / "made")
@@ -394,7 +550,10 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
     assert "Constant bounds of 2 coefficients." in words_of(text)
 
 
-@pytest.mark.parametrize("words", [["--page", "b.txt"], ["--page", "b.html", "--dry-run"], ["--page", "b.html", "--undo"]])
+@pytest.mark.parametrize(
+    "words",
+    [["--page", "b.txt"], ["--page", "b.html", "--dry-run"], ["--page", "b.html", "--undo"]],
+)
 def test_a_page_that_cannot_be_is_refused(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["instrument", "c172p", "--out", "made", *words]) == 2

@@ -23,9 +23,15 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, find_aircraft, 
 from uqharness.xml.expressions import horner
 
 WIDE = {
-    "V_mps": (12.0, 35.0), "alpha_rad": (-0.25, 0.25), "beta_rad": (-0.3, 0.3), "phi_rad": (-1.0, 1.0),
-    "theta_rad": (-0.6, 0.6), "p_radps": (-3.0, 3.0), "q_radps": (-1.5, 1.5), "r_radps": (-1.5, 1.5),
-}  # fmt: skip
+    "V_mps": (12.0, 35.0),
+    "alpha_rad": (-0.25, 0.25),
+    "beta_rad": (-0.3, 0.3),
+    "phi_rad": (-1.0, 1.0),
+    "theta_rad": (-0.6, 0.6),
+    "p_radps": (-3.0, 3.0),
+    "q_radps": (-1.5, 1.5),
+    "r_radps": (-1.5, 1.5),
+}
 
 
 @pytest.fixture
@@ -43,15 +49,30 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
     """Bounds and extrapolation flag of the XML over a Latin hypercube of states, and those states as the record names them."""
     fdm = open_aircraft(aircraft)
     lows, highs = zip(*WIDE.values(), (-15.0, 15.0), (20.0, 100.0), strict=True)
-    points = qmc.scale(qmc.LatinHypercube(len(lows), rng=np.random.default_rng(4)).random(count), lows, highs)
+    points = qmc.scale(
+        qmc.LatinHypercube(len(lows), rng=np.random.default_rng(4)).random(count), lows, highs
+    )
     bounds, flags, seen, far = [], [], [], []
     for row in points:
         # The system runs before the actuators and sees them a frame old; only in a fresh instance do they stand still.
         fdm = open_aircraft(aircraft) if fresh else fdm
         speed, alpha, beta, phi, theta, p, q, r, elevator, throttle = row
-        body = speed / 0.3048 * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
-        fdm["ic/h-sl-ft"], fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = 1000.0, phi, theta, 0.3
-        for name, value in zip(("u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec"), [*body, p, q, r], strict=True):
+        body = (
+            speed
+            / 0.3048
+            * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        )
+        fdm["ic/h-sl-ft"], fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
+            1000.0,
+            phi,
+            theta,
+            0.3,
+        )
+        for name, value in zip(
+            ("u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec"),
+            [*body, p, q, r],
+            strict=True,
+        ):
             fdm[f"ic/{name}"] = value
         fdm["fcs/elevator-cmd-deg"], fdm["fcs/throttle-cmd-pct"] = elevator, throttle
         engine.run_ic(fdm)
@@ -60,7 +81,12 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
         far.append(fdm["uq/extrapolation"])
         seen.append([*row[:8], fdm["fcs/elevator-pos-deg"], fdm["fcs/throttle-pos-pct"]])
     names = [*WIDE, "elevator_pos_deg", "throttle_pct"]
-    return np.array(bounds), np.array(flags), dict(zip(names, np.array(seen).T, strict=True)), np.array(far)
+    return (
+        np.array(bounds),
+        np.array(flags),
+        dict(zip(names, np.array(seen).T, strict=True)),
+        np.array(far),
+    )
 
 
 def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False):
@@ -86,8 +112,16 @@ def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False
 def test_bounds_equal_numpys_well_outside_the_data_clip_included(aircraft, outside):
     # Wide data, so that the hypercube meets both sides of the hull.
     form = made_up_form(outside=outside)
-    wide = {c: replace(b, scale=3 * b.scale, hull=replace(b.hull, low=b.centre - 12 * b.scale, high=b.centre + 12 * b.scale,
-            leverage=0.3)) for c, b in form.coefficients.items()}  # fmt: skip
+    wide = {
+        c: replace(
+            b,
+            scale=3 * b.scale,
+            hull=replace(
+                b.hull, low=b.centre - 12 * b.scale, high=b.centre + 12 * b.scale, leverage=0.3
+            ),
+        )
+        for c, b in form.coefficients.items()
+    }
     form = replace(form, coefficients=wide)
     bounds, flags = compare(form, aircraft, 250)
     assert 0.05 < flags.mean() < 0.95
@@ -113,11 +147,18 @@ def test_the_comparison_sees_a_wrong_digit(aircraft):
     form = made_up_form()
     system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
     worse = form.coefficients["Cn"]
-    changed = replace(form, coefficients={**form.coefficients, "Cn": replace(worse, s2=worse.s2 * (1 + 1e-6))})
+    changed = replace(
+        form, coefficients={**form.coefficients, "Cn": replace(worse, s2=worse.s2 * (1 + 1e-6))}
+    )
     text = model_form_xml(changed, aircraft)
     bounds, _, states, far = states_forced_upon(aircraft, 20, False)
-    slack = {c: replace(b, hull=replace(b.hull, leverage=1.001 * b.hull.leverage)) for c, b in form.coefficients.items()}
-    assert far != pytest.approx(np.max([b.distance(states) for b in slack.values()], axis=0), rel=1e-9, abs=1e-9)
+    slack = {
+        c: replace(b, hull=replace(b.hull, leverage=1.001 * b.hull.leverage))
+        for c, b in form.coefficients.items()
+    }
+    assert far != pytest.approx(
+        np.max([b.distance(states) for b in slack.values()], axis=0), rel=1e-9, abs=1e-9
+    )
     upper = changed.bounds(states)["Cn"][1]
     assert text != system_of(aircraft).read_bytes()
     assert bounds[:, 5, 1] != pytest.approx(upper, rel=1e-9, abs=1e-12)
@@ -154,7 +195,11 @@ def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = 1000.0, 72.0
     fdm["uq/active"] = 1.0
     engine.run_ic(fdm)
-    assert fdm["uq/CX/transient"] == form.coefficients["CX"].parts.transient_half_width == pytest.approx(np.sqrt(3) * 0.004)
+    assert (
+        fdm["uq/CX/transient"]
+        == form.coefficients["CX"].parts.transient_half_width
+        == pytest.approx(np.sqrt(3) * 0.004)
+    )
     assert [fdm[f"uq/{c}/transient-level"] for c in COEFFICIENTS] == [0.0] * 6
     for level, wave in ((0.3, 0.0), (0.3, 1.0), (0.9, -0.7)):
         for c in COEFFICIENTS:
@@ -163,10 +208,16 @@ def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
         for c, bounds in form.coefficients.items():
             lower, upper = fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]
             still = lower + level * (upper - lower)
-            assert fdm[f"uq/{c}/delta"] == pytest.approx(still + wave * bounds.parts.transient_half_width, rel=1e-12)
+            assert fdm[f"uq/{c}/delta"] == pytest.approx(
+                still + wave * bounds.parts.transient_half_width, rel=1e-12
+            )
     # A part that is not there moves nothing.
-    assert fdm["uq/CY/delta"] == pytest.approx(fdm["uq/CY/lower"] + 0.9 * (fdm["uq/CY/upper"] - fdm["uq/CY/lower"]), rel=1e-12)
-    assert fdm["uq/CX/delta"] != pytest.approx(fdm["uq/CX/lower"] + 0.9 * (fdm["uq/CX/upper"] - fdm["uq/CX/lower"]), rel=1e-3)
+    assert fdm["uq/CY/delta"] == pytest.approx(
+        fdm["uq/CY/lower"] + 0.9 * (fdm["uq/CY/upper"] - fdm["uq/CY/lower"]), rel=1e-12
+    )
+    assert fdm["uq/CX/delta"] != pytest.approx(
+        fdm["uq/CX/lower"] + 0.9 * (fdm["uq/CX/upper"] - fdm["uq/CX/lower"]), rel=1e-3
+    )
 
 
 def test_bounds_with_parts_are_the_persistent_ones(aircraft):
@@ -180,8 +231,15 @@ def test_every_plugin_has_the_same_properties(aircraft):
     def declared(text):
         return set(re.findall(r"<property value=[^>]*>([^<]+)<", text.decode()))
 
-    constant, formed = constant_xml({"CX": (-0.01, 0.02)}, "made up"), model_form_xml(made_up_form(), aircraft)
-    wanted = {f"uq/{c}/{what}" for c in COEFFICIENTS for what in ("level", "active", "transient", "transient-level")}
+    constant, formed = (
+        constant_xml({"CX": (-0.01, 0.02)}, "made up"),
+        model_form_xml(made_up_form(), aircraft),
+    )
+    wanted = {
+        f"uq/{c}/{what}"
+        for c in COEFFICIENTS
+        for what in ("level", "active", "transient", "transient-level")
+    }
     assert wanted <= declared(constant)
     assert wanted <= declared(formed)
     assert "uq/extrapolation" in declared(constant)
@@ -189,10 +247,13 @@ def test_every_plugin_has_the_same_properties(aircraft):
 
 
 @pytest.mark.parametrize(
-    ("dt_s", "rate_hz", "every"), [(0.01, 50, 2), (1 / 120, 50, 2), (0.02, 50, 1), (0.05, 50, 1), (0.005, 10, 20)]
+    ("dt_s", "rate_hz", "every"),
+    [(0.01, 50, 2), (1 / 120, 50, 2), (0.02, 50, 1), (0.05, 50, 1), (0.005, 10, 20)],
 )
 def test_bounds_run_at_least_at_their_rate(aircraft, dt_s, rate_hz, every):
-    card = aircraft.card.model_copy(update={"aircraft": aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})})
+    card = aircraft.card.model_copy(
+        update={"aircraft": aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})}
+    )
     text = model_form_xml(made_up_form(), replace(aircraft, card=card), rate_hz).decode()
     assert f'<channel name="Bounds" execrate="{every}">' in text
 

@@ -30,13 +30,32 @@ def test_an_aircraft_with_a_card_is_itself():
 def test_an_aircraft_that_does_not_load_is_refused_in_jsbsim_s_words(tmp_path):
     folder = tmp_path / "broken"
     folder.mkdir()
-    (folder / "broken.xml").write_text("<fdm_config name='broken' version='2.0'><metrics></metrics></fdm_config>")
+    (folder / "broken.xml").write_text(
+        "<fdm_config name='broken' version='2.0'><metrics></metrics></fdm_config>"
+    )
     with pytest.raises(BadInputError):
         with_card(find_aircraft(folder))
 
 
 def fly(out):
-    assert main(["fly", "c172p", "--mission", "doublets", "--speed-mps", "50", "--noise", "--seed", "1", "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "fly",
+                "c172p",
+                "--mission",
+                "doublets",
+                "--speed-mps",
+                "50",
+                "--noise",
+                "--seed",
+                "1",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
 
 
 def test_a_stock_aircraft_flies_to_dataflash_and_its_log_has_no_fault(tmp_path, capsys):
@@ -51,18 +70,47 @@ def test_a_stock_aircraft_flies_to_dataflash_and_its_log_has_no_fault(tmp_path, 
 def test_a_stock_aircraft_meets_its_own_model(tmp_path):
     record = tmp_path / "flight.parquet"
     fly(record)
-    words = ["compare", "c172p", "--flight", str(record), "--out", str(tmp_path / "gap"), "--workers", "1", "--no-figures"]
+    words = [
+        "compare",
+        "c172p",
+        "--flight",
+        str(record),
+        "--out",
+        str(tmp_path / "gap"),
+        "--workers",
+        "1",
+        "--no-figures",
+    ]
     assert main(words) == 0
 
 
 @pytest.mark.slow
-def test_bounds_of_a_stock_aircraft_are_made_and_validated_without_a_card_of_one_s_own(tmp_path, capsys):
+def test_bounds_of_a_stock_aircraft_are_made_and_validated_without_a_card_of_one_s_own(
+    tmp_path, capsys
+):
     records = [tmp_path / f"{name}.parquet" for name in ("one", "two")]
     for record in records:
         fly(record)
     made = tmp_path / "bounds"
-    assert main(["bounds", "c172p", "--flight", str(records[0]), "--out", str(made), "--no-check", "--no-figures"]) == 0
+    assert (
+        main(
+            [
+                "bounds",
+                "c172p",
+                "--flight",
+                str(records[0]),
+                "--out",
+                str(made),
+                "--no-check",
+                "--no-figures",
+            ]
+        )
+        == 0
+    )
     assert "c172p has no airframe.toml" in capsys.readouterr().err
     form = made / "model-form.json"
-    assert main(["validate-bounds", "c172p", str(form), "--flight", str(records[1]), "--json"]) in (0, 1)
+    assert main(["validate-bounds", "c172p", str(form), "--flight", str(records[1]), "--json"]) in (
+        0,
+        1,
+    )
     assert '"coverage"' in capsys.readouterr().out

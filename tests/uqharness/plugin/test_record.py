@@ -62,15 +62,30 @@ def test_a_record_of_another_file_does_not_fit(tmp_path):
 @pytest.mark.parametrize(
     ("document", "said"),
     [
-        ({"format": "instrument 9", "files": {}}, "format is 'instrument 9'"), ([], "is no record"),
+        ({"format": "instrument 9", "files": {}}, "format is 'instrument 9'"),
+        ([], "is no record"),
         ({"files": {}}, "is no record"),
-        *(({"format": "instrument 1", "files": {name: {"before": "", "after": ""}}}, "no file that an instrumentation makes")
-          for name in ("../a.xml", "/a.xml", "C:a.xml", ".hidden", "a//b", "a\\b", FILE_NAME)),
-        ({"format": "instrument 1", "files": {"a": {"before": "", "after": "", "insertions": [[-1, "x", ""]]}}}, "before its file"),
-        ({"format": "instrument 1", "files": {"a": {"before": 3, "after": ""}}}, "a hash is no text"),
+        *(
+            (
+                {"format": "instrument 1", "files": {name: {"before": "", "after": ""}}},
+                "no file that an instrumentation makes",
+            )
+            for name in ("../a.xml", "/a.xml", "C:a.xml", ".hidden", "a//b", "a\\b", FILE_NAME)
+        ),
+        (
+            {
+                "format": "instrument 1",
+                "files": {"a": {"before": "", "after": "", "insertions": [[-1, "x", ""]]}},
+            },
+            "before its file",
+        ),
+        (
+            {"format": "instrument 1", "files": {"a": {"before": 3, "after": ""}}},
+            "a hash is no text",
+        ),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_strangers_record_is_refused(tmp_path, document, said):
     (tmp_path / FILE_NAME).write_text(json.dumps(document))
     with pytest.raises(BadInputError, match=said):

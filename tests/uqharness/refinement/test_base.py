@@ -21,7 +21,11 @@ def test_a_sensor_is_as_quiet_as_the_fit_leaves_it_down_to_half_its_card(monkeyp
     outputs = [np.zeros((5000, 2)), np.zeros((15_000, 2))]
     columns = [SimpleNamespace(names=("aero/a",))]
     fit = Fit(Flown(None, outputs, [], [], 1.0), [], [], columns, None, ())
-    monkeypatch.setattr(base, "whiten", lambda steps, measured, columns, which, noise: seen.setdefault("white", [noise]))
+    monkeypatch.setattr(
+        base,
+        "whiten",
+        lambda steps, measured, columns, which, noise: seen.setdefault("white", [noise]),
+    )
     monkeypatch.setattr(base, "gather", lambda white, names, group, prior: (white, names, group))
     quiet, again = as_quiet(setup, fit)
     assert quiet.noise == pytest.approx(taken * card, rel=0.02)

@@ -47,7 +47,9 @@ def test_an_effect_that_is_no_number_is_too_weak():
 
 def shown(residual):
     noise = np.array([0.1, 0.2])
-    rms = [float(np.sqrt(np.mean(np.concatenate([r[:, k] for r in residual]) ** 2))) for k in (0, 1)]
+    rms = [
+        float(np.sqrt(np.mean(np.concatenate([r[:, k] for r in residual]) ** 2))) for k in (0, 1)
+    ]
     return SimpleNamespace(residual=residual, noise=noise, channel_rms=lambda k: rms[k])
 
 
@@ -74,7 +76,9 @@ def test_a_channel_above_its_noise_is_left_in_any_air():
 
 
 def test_colour_counts_in_calm_air_alone():
-    residual = [lfilter([0.8], [1.0, -0.6], r, axis=0) * [1.0, 0.0] + r * [0.0, 1.0] for r in white()]
+    residual = [
+        lfilter([0.8], [1.0, -0.6], r, axis=0) * [1.0, 0.0] + r * [0.0, 1.0] for r in white()
+    ]
     assert left_in(SETUP, shown(residual), gusty=False) == Left({}, ("q_radps",))
     assert not left_in(SETUP, shown(residual), gusty=True)
 
@@ -87,7 +91,9 @@ class Found:
     trail: tuple[str, ...] = ("first",)
     unnamed: tuple[Choice, ...] = ()
     bent: Bent | None = None
-    after: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(flown=SimpleNamespace(point=None)))
+    after: SimpleNamespace = field(
+        default_factory=lambda: SimpleNamespace(flown=SimpleNamespace(point=None))
+    )
 
 
 @pytest.fixture
@@ -97,7 +103,9 @@ def flown(monkeypatch):
 
     def asked(found, residual):
         side = SimpleNamespace(setup=SETUP, air=None)
-        monkeypatch.setattr(refine_beside, "show", lambda aircraft, *_: models.append(aircraft) or shown(residual))
+        monkeypatch.setattr(
+            refine_beside, "show", lambda aircraft, *_: models.append(aircraft) or shown(residual)
+        )
         return named_beside(found, side, found.selection.chosen, map)
 
     def left_out(found, evidence, keys):

@@ -57,11 +57,15 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
     return find_aircraft(out)
 
 
-def along(aircraft: Aircraft, setup: Setup, values: dict[str, float]) -> tuple[Flown, list[np.ndarray]]:
+def along(
+    aircraft: Aircraft, setup: Setup, values: dict[str, float]
+) -> tuple[Flown, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     with Bench(aircraft, replace(setup, positions=())) as bench:
-        point = Point(values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments))
+        point = Point(
+            values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
+        )
         flown = replayed(bench.model, setup, point, ALONE)
         found = probes(bench.straight, setup, flown, positions(bench.model, setup), ALONE)
         return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
@@ -78,7 +82,9 @@ def about_another_point(aircraft: Aircraft) -> dict[str, float]:
     return values
 
 
-def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_says(aircraft, moved, setup):
+def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_says(
+    aircraft, moved, setup
+):
     plain, columns = along(aircraft, setup, about_another_point(aircraft))
     forward, _ = along(moved, with_sensors_of(setup, moved), {})
     felt = [setup.outputs.index(c) for c in ACCELERATIONS]
@@ -96,7 +102,11 @@ def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> Non
     loaded = with_card(find_aircraft("c172p"))
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     write_effects(loaded, [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "c172p")
-    other = replace(find_aircraft(tmp_path / "c172p"), engine_path=loaded.engine_path, systems_path=loaded.systems_path)
+    other = replace(
+        find_aircraft(tmp_path / "c172p"),
+        engine_path=loaded.engine_path,
+        systems_path=loaded.systems_path,
+    )
     aft_m = []
     for one in (loaded, other):
         fdm = open_aircraft(one)
@@ -116,4 +126,9 @@ def test_without_an_empty_weight_nothing_is_written(tmp_path: Path) -> None:
     xml.write_text(text.replace("</mass_balance>", f"{load}</mass_balance>"), encoding="utf-8")
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     with pytest.raises(BadInputError, match="<emptywt> is 0"):
-        write_effects(find_aircraft(weightless), [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "out" / "espaaro")
+        write_effects(
+            find_aircraft(weightless),
+            [Written(effect, FORWARD_M, "a remark", {})],
+            {},
+            tmp_path / "out" / "espaaro",
+        )

@@ -22,14 +22,23 @@ def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
     gram = np.eye(len(names))
     gram[1, 2] = gram[2, 1] = likeness
     score = gram @ np.array([0.0, *strengths.values()])
-    return Evidence(names, gram[None], score[None], np.zeros(1, dtype=int), np.zeros(len(names)), ())
+    return Evidence(
+        names, gram[None], score[None], np.zeros(1, dtype=int), np.zeros(len(names)), ()
+    )
 
 
 def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
     found = evidence({"effect/a": 30.0, "effect/b": 12.0, "effect/c": -25.0, "effect/d": 9.0})
     keys = ["effect/a", "effect/b", "effect/c", "effect/d"]
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], ["effect/a"], keys)] == ["effect/c", "effect/b"]
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], keys)] == ["effect/a", "effect/c", "effect/b"]
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], ["effect/a"], keys)] == [
+        "effect/c",
+        "effect/b",
+    ]
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], keys)] == [
+        "effect/a",
+        "effect/c",
+        "effect/b",
+    ]
     assert left_beside(found, ["aero/Cm_q"], keys, keys) == ()
     assert all(abs(t) > CERTAIN_T for _, t in left_beside(found, ["aero/Cm_q"], [], keys))
 
@@ -37,7 +46,10 @@ def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
 def test_what_only_resembles_the_chosen_is_not():
     """b is nothing but like a: alone it would stand at |t| 27."""
     found = evidence({"effect/a": 30.0, "effect/b": 0.0}, likeness=0.9)
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])] == ["effect/a", "effect/b"]
+    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])] == [
+        "effect/a",
+        "effect/b",
+    ]
     assert left_beside(found, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
 
 
@@ -54,20 +66,29 @@ def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():
     assert low < 0.62 - 2.0 * 0.125
     same = replace(chosen, std=0.1)
     assert chosen_interval(same, 6.0) == pytest.approx(conditional_interval(0.62, 0.1, 6.0))
-    assert chosen_interval(replace(chosen, value=0.0, t=0.0), 6.0) == pytest.approx((-0.245, 0.245), abs=1e-3)
+    assert chosen_interval(replace(chosen, value=0.0, t=0.0), 6.0) == pytest.approx(
+        (-0.245, 0.245), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(("moved_s", "said_s"), [(0.0475, 0.0402), (0.0, 0.0)])
 def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, said_s):
-    nuisance = {"lateness/one/controls": -0.0070, "lateness/two/controls": -0.0076, "bias/one/q_radps": 1.0}
+    nuisance = {
+        "lateness/one/controls": -0.0070,
+        "lateness/two/controls": -0.0076,
+        "bias/one/q_radps": 1.0,
+    }
     after = SimpleNamespace(flown=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
     found = SimpleNamespace(late_s=moved_s, after=after)
     assert Found.controls_late_s.fget(found) == pytest.approx(said_s)
 
 
 @pytest.mark.parametrize(
-    ("command_s", "first", "late_s"), [(0.01, True, 0.005), (0.04, True, 0.005), (0.04, False, 0.0012), (0.2, True, 0.006)]
+    ("command_s", "first", "late_s"),
+    [(0.01, True, 0.005), (0.04, True, 0.005), (0.04, False, 0.0012), (0.2, True, 0.006)],
 )
-def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(command_s, first, late_s):
+def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(
+    command_s, first, late_s
+):
     """Surfaces that jump and are seen old by the first of four stages act a sixth of a step late: .67 ms of 4 ms."""
     assert slips_s(command_s, first)[0] == pytest.approx(late_s)

@@ -27,11 +27,20 @@ def side(
     measured = columns @ values + rng.standard_normal(n)
     residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
     there = np.ones((n, 1), dtype=bool)
-    white = White(residual[:, None], columns[:, None, :].astype(np.float32), 0.0, np.zeros((8, 5)), there, np.ones(1))
+    white = White(
+        residual[:, None],
+        columns[:, None, :].astype(np.float32),
+        0.0,
+        np.zeros((8, 5)),
+        there,
+        np.ones(1),
+    )
     return gather([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
 
 
-def both(rng: np.random.Generator) -> tuple[Both, dict[str, float], tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def both(
+    rng: np.random.Generator,
+) -> tuple[Both, dict[str, float], tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Train flights between 1 and 2, hold-out flights between 0 and 1, each about numbers of its own."""
     at = ({"aero/a": 0.8, "aero/b": 0.1, KEY: 0.0}, {"aero/a": 1.3, "aero/b": -0.9, KEY: 0.0})
     train, X, z = side(rng, 1.0, 2.0, 400, at[0])
@@ -41,13 +50,20 @@ def both(rng: np.random.Generator) -> tuple[Both, dict[str, float], tuple[np.nda
     t = fitted[2] / std
     choice = Choice(KEY, fitted[2], std, t, t * t, 1.0, 0.0)
     found = SimpleNamespace(names=NAMES, selection=Selection((choice,)), limit=3.0)
-    return Both(found, train, test, at), dict(zip((*NAMES, KEY), fitted, strict=False)), (X, z), (Y, w)  # type: ignore[arg-type]
+    return (
+        Both(found, train, test, at),
+        dict(zip((*NAMES, KEY), fitted, strict=False)),
+        (X, z),
+        (Y, w),
+    )  # type: ignore[arg-type]
 
 
 def test_t_of_both_sides_is_that_of_one_regression():
     made, _, (X, z), (Y, w) = both(np.random.default_rng(3))
     # Each side has a bias of its own.
-    whole = np.vstack([np.column_stack([X, 0.0 * X[:, 3]]), np.column_stack([Y[:, :3], 0.0 * Y[:, 3], Y[:, 3]])])
+    whole = np.vstack(
+        [np.column_stack([X, 0.0 * X[:, 3]]), np.column_stack([Y[:, :3], 0.0 * Y[:, 3], Y[:, 3]])]
+    )
     fitted = np.linalg.lstsq(whole, np.concatenate([z, w]), rcond=None)[0]
     expected = fitted[2] / np.sqrt(np.linalg.inv(whole.T @ whole)[2, 2])
     assert made.t(KEY, [KEY]) == pytest.approx(expected, rel=1e-4)
@@ -61,7 +77,10 @@ def test_the_spread_of_the_change_is_that_of_many_train_flights():
     for _ in range(200):
         made, fitted, (X, z), (Y, w) = both(rng)
         plain = np.linalg.lstsq(X[:, [0, 1, 3]], z, rcond=None)[0]
-        with_, without = (shown(r, Y) for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2]))
+        with_, without = (
+            shown(r, Y)
+            for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2])
+        )
         setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
         verdict = gap_change(without, with_, setup, with_)  # type: ignore[arg-type]
         sure = surer(verdict, made, without, with_, [KEY], KEY)  # type: ignore[arg-type]

@@ -21,7 +21,9 @@ def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
     logdet = tuple(w.size * float(np.log(deviation)) for w in white)
     cost = float(sum(np.nansum(w**2) for w in white))
     surprise = cost + 2.0 * sum(logdet)
-    return SimpleNamespace(white=white, cost=cost, logdet=logdet, surprise=surprise, flown=SimpleNamespace(point=None))
+    return SimpleNamespace(
+        white=white, cost=cost, logdet=logdet, surprise=surprise, flown=SimpleNamespace(point=None)
+    )
 
 
 def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
@@ -46,7 +48,9 @@ def test_standard_error_of_the_change_is_that_of_the_draws():
     for colour in (0.0, 0.8):
         found = [change(rng, 0.2, True, colour) for _ in range(200)]
         spread = np.std([f.change for f in found])
-        assert np.mean([f.change for f in found]) == pytest.approx(square, abs=4.0 * spread / np.sqrt(200.0))
+        assert np.mean([f.change for f in found]) == pytest.approx(
+            square, abs=4.0 * spread / np.sqrt(200.0)
+        )
         assert np.sqrt(np.mean([f.std**2 for f in found])) == pytest.approx(spread, rel=0.3)
         if not colour:
             assert spread == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
@@ -105,7 +109,9 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
     assert np.mean([v.says == "shrank" for v in found]) > 0.9
 
 
-def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: bool = False) -> list[str]:
+def judged(
+    monkeypatch, harm: dict[str, float], together: float = 0.0, left: bool = False
+) -> list[str]:
     """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm`` raises the cost, and so does
     ``together`` where two or more are in. left: whether the train flights are left unexplained."""
     rng = np.random.default_rng(5)
@@ -115,13 +121,24 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: boo
     def flown(model, setup, *_) -> SimpleNamespace:
         white = noise.copy()
         for k, (key, size) in enumerate(harm.items()):
-            white[:, 0] += (size if key in model and size > 0.0 else -size if key not in model and size < 0.0 else 0.0) * wave[k]
+            white[:, 0] += (
+                size
+                if key in model and size > 0.0
+                else -size
+                if key not in model and size < 0.0
+                else 0.0
+            ) * wave[k]
         white[:, 1] += (together if len(model) > 1 else 0.0) * wave[-1]
         return shown([white])
 
     def without(found, keys):
-        return replace(found, selection=replace(found.selection, chosen=tuple(
-            c for c in found.selection.chosen if c.key not in keys)))  # fmt: skip
+        return replace(
+            found,
+            selection=replace(
+                found.selection,
+                chosen=tuple(c for c in found.selection.chosen if c.key not in keys),
+            ),
+        )
 
     chosen = tuple(Choice(k, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0) for k in harm)
     effects = {k: Effect("Cm", None, k, k, k) for k in harm}
@@ -136,12 +153,19 @@ def judged(monkeypatch, harm: dict[str, float], together: float = 0.0, left: boo
     monkeypatch.setattr(refine_judge, "left_out", lambda found, _, keys: without(found, keys))
     monkeypatch.setattr(refine_judge, "bare", lambda found: without(found, list(harm)))
     side = refine_judge.Side(SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)]))  # type: ignore[arg-type]
-    done = refine_judge.judge(found, None, lambda f: [c.key for c in f.selection.chosen], side, side, map)  # type: ignore
+    done = refine_judge.judge(
+        found, None, lambda f: [c.key for c in f.selection.chosen], side, side, map
+    )  # type: ignore
     return [*(c.key for c in done.withdrawn), "|", *(c.key for c in done.found.selection.chosen)]
 
 
 def test_the_worst_goes_first_and_what_helps_stays(monkeypatch):
-    assert judged(monkeypatch, {"alpha": -0.6, "alpha^2": 0.4, "alpha^3": 0.8}) == ["alpha^3", "alpha^2", "|", "alpha"]
+    assert judged(monkeypatch, {"alpha": -0.6, "alpha^2": 0.4, "alpha^3": 0.8}) == [
+        "alpha^3",
+        "alpha^2",
+        "|",
+        "alpha",
+    ]
     assert judged(monkeypatch, {"alpha": -0.6, "beta": -0.5}) == ["|", "alpha", "beta"]
 
 
@@ -159,12 +183,21 @@ def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights
 
 
 @pytest.mark.parametrize(
-    ("share", "std", "seen"), [(0.6, 0.14, True), (1.0, 0.2, True), (0.39, 0.21, False), (0.1, 0.04, False), (0.8, 0.6, False)]
+    ("share", "std", "seen"),
+    [
+        (0.6, 0.14, True),
+        (1.0, 0.2, True),
+        (0.39, 0.21, False),
+        (0.1, 0.04, False),
+        (0.8, 0.6, False),
+    ],
 )
 def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
     """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the change is none."""
     size = 1e4
-    verdict = Verdict(size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0)))
+    verdict = Verdict(
+        size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0))
+    )
     assert verdict.share == pytest.approx((share, std))
     assert verdict.seen == seen
 
@@ -189,7 +222,9 @@ def test_flights_far_from_both_models_judge_neither():
     noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
     sound = gap_change(shown([noise]), shown([noise + d]), setup, shown([noise]))
-    broken = gap_change(shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise]))
+    broken = gap_change(
+        shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise])
+    )
     assert (sound.says, broken.says) == ("grew", "too far")
     assert broken.far == pytest.approx(6.0, rel=0.1)
     assert broken.z < -BEYOND_CHANCE
@@ -199,7 +234,10 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
     """Left-out terms are zero; a servo's number that stands in the XML alone needs an aircraft of its own once it is left out."""
     term, lag = coefficient_effect("Cm", "p_hat^2"), Effect(None, "mass", "cg_x", "", "")
     sensor = Effect(None, "sensor.alpha_rad", "scale", "", "")
-    chosen = tuple(Choice(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0) for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1)))
+    chosen = tuple(
+        Choice(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0)
+        for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1))
+    )
     setup = SimpleNamespace(carriers={term.key: Carrier("aero/Cm_p2", 0.0)})
     found = Found(
         setup,

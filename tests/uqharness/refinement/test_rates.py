@@ -42,7 +42,9 @@ def test_a_limit_that_is_felt_may_be_too_low_as_well_as_too_high():
 def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit, share):
     setup = setup_with(40.0)
     servo, command = setup.servos["elevator"], setup.segments[0].controls[:, 0]
-    missing = Actuator(25.0, limit).follow(command, DT, DT / runs_per_row(DT)) - servo.follow(command, DT, DT / runs_per_row(DT))
+    missing = Actuator(25.0, limit).follow(command, DT, DT / runs_per_row(DT)) - servo.follow(
+        command, DT, DT / runs_per_row(DT)
+    )
     speeds = np.array([s for s in _asked(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)])
     wanted = []
     for speed in speeds:
@@ -58,7 +60,9 @@ def test_above_the_fastest_motion_every_limit_is_the_same():
     (within,) = felt([beyond], limited)
     # Where the command jumps a servo is faster than on the way from row to row.
     rows = limited.servos["elevator"].lag * limited.segments[0].at_commands().dt_s
-    assert 1.0 / (within.value + 1.0 / 40.0) == pytest.approx(fastest(limited) * rows / (1.0 - np.exp(-rows)))
+    assert 1.0 / (within.value + 1.0 / 40.0) == pytest.approx(
+        fastest(limited) * rows / (1.0 - np.exp(-rows))
+    )
     assert within.t == pytest.approx(within.value / 1e-4)
     below = Choice(KEY, 1.0 / 60.0 - 1.0 / 40.0, 1e-4, -80.0, 1.0, 1.0, 0.0)
     lag = Choice("effect/actuator.elevator/lag", -5.0, 1.0, -5.0, 1.0, 1.0, 0.0)
@@ -73,11 +77,17 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     def found(here: np.ndarray) -> SimpleNamespace:
         columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + HERE: here}
         white = White(
-            noise, np.stack(list(columns.values()), axis=2).astype(np.float32), 0.0,
-            np.zeros((8, 4)), np.ones((400, 1), dtype=bool), np.ones(1),
-        )  # fmt: skip
+            noise,
+            np.stack(list(columns.values()), axis=2).astype(np.float32),
+            0.0,
+            np.zeros((8, 4)),
+            np.ones((400, 1), dtype=bool),
+            np.ones(1),
+        )
         evidence = gather([white], tuple(columns), [0], {}).taken_out({KEY: value})
-        return SimpleNamespace(evidence=evidence, free=("other", KEY), setup=setup_with(40.0), flown={KEY: value})
+        return SimpleNamespace(
+            evidence=evidence, free=("other", KEY), setup=setup_with(40.0), flown={KEY: value}
+        )
 
     choice = Choice(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
     (known,) = as_known_here(Selection((choice,)), found(1e4 * here)).chosen
@@ -110,10 +120,14 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
         column = in_dead_zone(asked, one)
         estimates.append(column @ missing / (column @ column))
     widths = np.array(WIDTHS_DEG)
-    assert just_so(widths, np.array(estimates) / widths, np.ones(len(widths))) == pytest.approx(width, rel=0.1)
+    assert just_so(widths, np.array(estimates) / widths, np.ones(len(widths))) == pytest.approx(
+        width, rel=0.1
+    )
     # A column of one width for all makes another width of it.
     assert np.abs(np.array(estimates) / width - 1.0).max() > 0.08
     # One that stands in it already is short by half of what it is wider.
     wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
     outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx((wider - stands)[outside], abs=1e-12)
+    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx(
+        (wider - stands)[outside], abs=1e-12
+    )

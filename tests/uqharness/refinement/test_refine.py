@@ -36,9 +36,11 @@ def with_p2(airframe: Airframe, x, u):
 def flights(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("flights")
     made = {
-        "train": fly(TRAIN[:2], seed=1, seconds=6.0, rhs=with_p2), "test": fly(TEST, seed=2, seconds=6.0, rhs=with_p2),
-        "plain": fly(TRAIN[:2], seed=3, seconds=6.0), "plain_test": fly(TEST, seed=4, seconds=6.0),
-    }  # fmt: skip
+        "train": fly(TRAIN[:2], seed=1, seconds=6.0, rhs=with_p2),
+        "test": fly(TEST, seed=2, seconds=6.0, rhs=with_p2),
+        "plain": fly(TRAIN[:2], seed=3, seconds=6.0),
+        "plain_test": fly(TEST, seed=4, seconds=6.0),
+    }
     for name, record in made.items():
         record.write(folder / f"{name}.parquet")
     return {name: folder / f"{name}.parquet" for name in made}
@@ -76,7 +78,11 @@ def test_the_missing_effect_is_named_and_valued(refined):
     found = document(refined)
     assert found["verdict"] == "effects-found"
     (effect,) = found["effects"]
-    assert (effect["coefficient"], effect["term"], effect["property"]) == ("Cm", "p_hat^2", "aero/Cm_p2")
+    assert (effect["coefficient"], effect["term"], effect["property"]) == (
+        "Cm",
+        "p_hat^2",
+        "aero/Cm_p2",
+    )
     assert effect["name"] == "pitching moment due to roll rate squared"
     assert abs(effect["value"] - HIDDEN) < 3.0 * effect["std"]
     assert 0.0 < effect["std"] < 0.1 * HIDDEN
@@ -105,7 +111,12 @@ def test_the_model_carries_the_effect(refined):
     assert "aero/Cm_p2" in xml.read_text(encoding="utf-8")
     assert "+      " in (refined / "model.diff").read_text(encoding="utf-8")
     assert found["switch"] == [{"property": "aero/Cm_p2", "off": 0.0}]
-    for name in ("report.html", "figures/gap.svg", "figures/candidates.svg", "figures/coefficients.svg"):
+    for name in (
+        "report.html",
+        "figures/gap.svg",
+        "figures/candidates.svg",
+        "figures/coefficients.svg",
+    ):
         assert (refined / name).stat().st_size > 1000
     assert problems((refined / "report.html").read_text(encoding="utf-8")) == []
 
@@ -135,26 +146,56 @@ def test_test_flights_choose_nothing(flights, refined, tmp_path):
         ]
     )
     keys = ("coefficient", "term", "value", "std", "evidence")
-    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [[e[k] for k in keys] for e in document(refined)["effects"]]
+    assert [[e[k] for k in keys] for e in document(out)["effects"]] == [
+        [e[k] for k in keys] for e in document(refined)["effects"]
+    ]
 
 
 def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
     out = tmp_path / "out"
-    code = main([
-        "refine", "espaaro", "--train", str(flights["plain"]), "--test", str(flights["plain_test"]), "--out", str(out),
-        "--workers", "1", "--no-figures", "--no-pbox", "--json",
-    ])  # fmt: skip
+    code = main(
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            str(flights["plain"]),
+            "--test",
+            str(flights["plain_test"]),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--no-figures",
+            "--no-pbox",
+            "--json",
+        ]
+    )
     found = json.loads(capsys.readouterr().out)
     assert (code, found["verdict"], found["effects"]) == (0, "no-missing-effect", [])
     assert (
-        found["gap"]["test"]["channels"]["q_radps"]["rms_after"] < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
+        found["gap"]["test"]["channels"]["q_radps"]["rms_after"]
+        < 1.15 * found["gap"]["test"]["channels"]["q_radps"]["noise_rms"]
     )
 
 
 def test_a_train_flight_given_as_test_is_refused_by_its_content(flights, tmp_path, capsys):
     copy = tmp_path / "renamed.parquet"
     copy.write_bytes(flights["train"].read_bytes())
-    assert main(["refine", "espaaro", "--train", str(flights["train"]), "--test", str(copy), "--out", str(tmp_path / "o")]) == 2
+    assert (
+        main(
+            [
+                "refine",
+                "espaaro",
+                "--train",
+                str(flights["train"]),
+                "--test",
+                str(copy),
+                "--out",
+                str(tmp_path / "o"),
+            ]
+        )
+        == 2
+    )
     assert "proves nothing" in capsys.readouterr().err
 
 
@@ -165,10 +206,20 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
     assert "--train" in capsys.readouterr().out
     own = tmp_path / "own.toml"
     own.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', encoding="utf-8")
-    code = main([
-        "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--effects", str(own),
-        "--out", str(tmp_path / "o"),
-    ])  # fmt: skip
+    code = main(
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            str(flights["train"]),
+            "--test",
+            str(flights["test"]),
+            "--effects",
+            str(own),
+            "--out",
+            str(tmp_path / "o"),
+        ]
+    )
     assert code == 2
     assert "is no factor" in capsys.readouterr().err
 
@@ -180,13 +231,24 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
 
     out = tmp_path / "out"
     arguments = [
-        "refine", "espaaro", "--train", str(flights["train"]), "--test", str(flights["test"]), "--out", str(out),
-        "--workers", "1", "--no-figures",
-    ]  # fmt: skip
+        "refine",
+        "espaaro",
+        "--train",
+        str(flights["train"]),
+        "--test",
+        str(flights["test"]),
+        "--out",
+        str(out),
+        "--workers",
+        "1",
+        "--no-figures",
+    ]
     # What was judged is kept where a mission follows.
     monkeypatch.setattr(refine_run, "_mission", lambda *_: no_pbox("not flown here"))
     with monkeypatch.context() as patch:
-        patch.setattr(refine_run, "fit_intervals", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(
+            refine_run, "fit_intervals", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+        )
         assert main(arguments) == 130
     assert list((out / ".stages").glob("effects-*.data"))
     assert not (out / "refinement.json").exists()
@@ -205,7 +267,9 @@ def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, mo
 
 def commands_alone(record: FlightRecord) -> FlightRecord:
     """The record without positions of surfaces: servos are the model's."""
-    return FlightRecord({c: record[c] for c in record.columns if not c.endswith("_pos_deg")}, record.metadata)
+    return FlightRecord(
+        {c: record[c] for c in record.columns if not c.endswith("_pos_deg")}, record.metadata
+    )
 
 
 def one_sample_late(record: FlightRecord) -> FlightRecord:
@@ -216,10 +280,22 @@ def one_sample_late(record: FlightRecord) -> FlightRecord:
 
 
 def timing_of(train: Path, test: Path, out: Path) -> dict:
-    main([
-        "refine", "espaaro", "--train", str(train), "--test", str(test), "--out", str(out), "--workers", "1",
-        "--no-figures", "--no-pbox",
-    ])  # fmt: skip
+    main(
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            str(train),
+            "--test",
+            str(test),
+            "--out",
+            str(out),
+            "--workers",
+            "1",
+            "--no-figures",
+            "--no-pbox",
+        ]
+    )
     return document(out)
 
 
@@ -240,7 +316,10 @@ def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
     """A lag of the elevator alone is named as that."""
 
     monkeypatch.setattr(flown, "LAG", np.array([16.0, 25.0, 25.0, 6.0]))
-    made = {"train": fly(TRAIN, seed=5, seconds=6.0), "test": fly((("pitch-3211", 20.0),), seed=6, seconds=6.0)}
+    made = {
+        "train": fly(TRAIN, seed=5, seconds=6.0),
+        "test": fly((("pitch-3211", 20.0),), seed=6, seconds=6.0),
+    }
     for name, record in made.items():
         commands_alone(record).write(tmp_path / f"{name}.parquet")
     found = timing_of(tmp_path / "train.parquet", tmp_path / "test.parquet", tmp_path / "out")

@@ -26,7 +26,16 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
         columns = rng.standard_normal((400, 2, len(NAMES)))
         residual = columns @ np.array(values) + noise * rng.standard_normal((400, 2))
         start = rng.standard_normal((8, 1 + len(NAMES)))
-        parts.append(White(residual, columns.astype(np.float32), 0.0, start, np.ones((400, 2), dtype=bool), np.ones(2)))
+        parts.append(
+            White(
+                residual,
+                columns.astype(np.float32),
+                0.0,
+                start,
+                np.ones((400, 2), dtype=bool),
+                np.ones(2),
+            )
+        )
     return gather(parts, NAMES, [0, 1], {})
 
 
@@ -52,7 +61,15 @@ def test_parameters_and_start_states_move_with_the_effects():
 
 def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
     servo, h = Actuator(lag=25.0, rate=240.0), 0.02
-    ramp = np.concatenate([np.zeros(20), np.linspace(0.0, 9.6, 5), np.full(30, 9.6), np.linspace(9.6, -9.6, 9), np.full(30, -9.6)])
+    ramp = np.concatenate(
+        [
+            np.zeros(20),
+            np.linspace(0.0, 9.6, 5),
+            np.full(30, 9.6),
+            np.linspace(9.6, -9.6, 9),
+            np.full(30, -9.6),
+        ]
+    )
     before = servo.follow(ramp, h, 0.01)
     fastest = float(np.abs(np.diff(before)).max()) / h
     limits = np.array(SHARES) * fastest
@@ -68,7 +85,9 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
     felt = servo_change("rate_limit", servo, ramp, h)
     assert abs(1.0 / (felt @ hidden / (felt @ felt) + 1.0 / 240.0) / (0.9 * fastest) - 1.0) > 0.1
     assert just_so(limits, -np.ones(len(limits)), -np.ones(len(limits))) is None
-    assert just_so(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0)) == limits[0]
+    assert (
+        just_so(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0)) == limits[0]
+    )
     assert around(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
     # Faster than the servo's own, where it may hardly be reached: halfway back, in travel time.
     assert around(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))

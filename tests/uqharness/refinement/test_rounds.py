@@ -25,13 +25,19 @@ def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> d
     columns = rng.standard_normal((50, 2, len(held)))
     residual = value * columns.sum(axis=2)
     white = White(
-        residual, columns.astype(np.float32), 0.0, np.zeros((8, 1 + len(held))), np.ones((50, 2), dtype=bool),
+        residual,
+        columns.astype(np.float32),
+        0.0,
+        np.zeros((8, 1 + len(held))),
+        np.ones((50, 2), dtype=bool),
         np.ones(2),
-    )  # fmt: skip
+    )
     evidence = gather([white], [e.key for e in held], [0], {})
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
-    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {})
+    setup = SimpleNamespace(
+        segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos=servos or {}
+    )
     return eligible(EFFECTS, setup, (), evidence)  # type: ignore[arg-type]
 
 
@@ -69,28 +75,42 @@ def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
 
 
 @pytest.mark.parametrize(
-    ("limit_dps", "late", "named"), [(282.0, {"one": ["p"]}, False), (282.0, {}, True), (480.0, {"one": ["p"]}, True)]
+    ("limit_dps", "late", "named"),
+    [(282.0, {"one": ["p"]}, False), (282.0, {}, True), (480.0, {"one": ["p"]}, True)],
 )
-def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(limit_dps, late, named):
+def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
+    limit_dps, late, named
+):
     """1/282 - 1/240 s/deg are 6 ms over a doublet of 10 deg, where a log leaves 10 ms open; 1/480 - 1/240 are 21 ms."""
     rng = np.random.default_rng(3)
     (effect,) = (e for e in EFFECTS if e.term == "rate_limit")
     value = 1.0 / limit_dps - 1.0 / 240.0
     columns = rng.standard_normal((200, 2, 2))
     white = White(
-        columns @ np.array([1.0, value]), columns.astype(np.float32), 0.0, np.zeros((8, 3)), np.ones((200, 2), dtype=bool),
+        columns @ np.array([1.0, value]),
+        columns.astype(np.float32),
+        0.0,
+        np.zeros((8, 3)),
+        np.ones((200, 2), dtype=bool),
         np.ones(2),
-    )  # fmt: skip
+    )
     keys = ("aero/Cl_p", effect.key)
     controls = np.array([[0.0, -10.0, 0.0, 50.0], [0.0, 10.0, 0.0, 50.0]])
     setup = SimpleNamespace(
-        segments=[SimpleNamespace(dt_s=DT, controls=controls)], late=late, servos={"aileron": Actuator(25.0, 240.0)}
+        segments=[SimpleNamespace(dt_s=DT, controls=controls)],
+        late=late,
+        servos={"aileron": Actuator(25.0, 240.0)},
     )
     found = SimpleNamespace(
-        selection=Selection((Choice(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),)), free=keys,
-        evidence=gather([white], keys, [0], {}), keys=frozenset([effect.key]),
-    )  # fmt: skip
-    assert bool(resolved(SimpleNamespace(setup=setup, effects={effect.key: effect}), found).chosen) is named  # type: ignore[arg-type]
+        selection=Selection((Choice(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),)),
+        free=keys,
+        evidence=gather([white], keys, [0], {}),
+        keys=frozenset([effect.key]),
+    )
+    assert (
+        bool(resolved(SimpleNamespace(setup=setup, effects={effect.key: effect}), found).chosen)
+        is named
+    )  # type: ignore[arg-type]
 
 
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
@@ -98,9 +118,13 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
     columns = rng.standard_normal((200, 2, 3))
     white = White(
-        columns @ np.array([0.4, 1.0, 1.0]), columns.astype(np.float32), 0.0, np.zeros((8, 4)), np.ones((200, 2), dtype=bool),
+        columns @ np.array([0.4, 1.0, 1.0]),
+        columns.astype(np.float32),
+        0.0,
+        np.zeros((8, 4)),
+        np.ones((200, 2), dtype=bool),
         np.ones(2),
-    )  # fmt: skip
+    )
     evidence = gather([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
@@ -108,10 +132,16 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     start = SimpleNamespace(setup=setup, effects=effects)
 
     def kept(late_s: float) -> list[str]:
-        chosen = tuple(Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0) for k, v in zip(keys, (late_s, 1.0), strict=True))
+        chosen = tuple(
+            Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0)
+            for k, v in zip(keys, (late_s, 1.0), strict=True)
+        )
         found = SimpleNamespace(
-            selection=Selection(chosen), free=("aero/Cm_q", *keys), evidence=evidence, keys=frozenset(keys)
-        )  # fmt: skip
+            selection=Selection(chosen),
+            free=("aero/Cm_q", *keys),
+            evidence=evidence,
+            keys=frozenset(keys),
+        )
         return [c.key for c in resolved(start, found).chosen]  # type: ignore[arg-type]
 
     assert kept(0.0008) == keys
@@ -119,26 +149,40 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     assert kept(-0.0005) == keys[1:]
 
 
-@pytest.mark.parametrize(("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)])
-def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(alike, positive, beside):
+@pytest.mark.parametrize(
+    ("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)]
+)
+def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
+    alike, positive, beside
+):
     rng = np.random.default_rng(4)
     term, delay = "effect/CZ/alphadot_hat", "effect/actuator.elevator/lag"
     columns = rng.standard_normal((200, 2, 2))
-    columns[:, :, 1] = -1000.0 * (columns[:, :, 0] + alike * columns[:, :, 1])  # -1 ms of it does what 1 of the term does
+    columns[:, :, 1] = -1000.0 * (
+        columns[:, :, 0] + alike * columns[:, :, 1]
+    )  # -1 ms of it does what 1 of the term does
     white = White(
-        columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)), columns.astype(np.float32), 0.0, np.zeros((8, 3)),
-        np.ones((200, 2), dtype=bool), np.ones(2),
-    )  # fmt: skip
+        columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)),
+        columns.astype(np.float32),
+        0.0,
+        np.zeros((8, 3)),
+        np.ones((200, 2), dtype=bool),
+        np.ones(2),
+    )
     evidence = gather([white], [term, delay], [0], {})
     start = SimpleNamespace(
         setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}),
         effects={
-            k: SimpleNamespace(key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2])
+            k: SimpleNamespace(
+                key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2]
+            )
             for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
         },
-    )  # fmt: skip
+    )
     chosen = (Choice(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
-    found = SimpleNamespace(selection=Selection(chosen), free=(term,), evidence=evidence, keys=frozenset([term]))
+    found = SimpleNamespace(
+        selection=Selection(chosen), free=(term,), evidence=evidence, keys=frozenset([term])
+    )
     (effect,) = resolved(start, found).chosen  # type: ignore[arg-type]
     assert effect.key == term
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])

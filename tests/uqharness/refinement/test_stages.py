@@ -33,7 +33,10 @@ def found() -> list[Finding]:
 def test_what_was_made_is_found_again_by_the_same_input_alone(folder, caplog):
     made = Stages(folder, ["input"])("effects", list[Finding], found)
     assert Stages(folder, ["input"])("effects", list[Finding], fail) == made
-    assert Stages(folder, ["other"])("effects", list[Finding], lambda: [*found(), *found()]) == [*made, *made]
+    assert Stages(folder, ["other"])("effects", list[Finding], lambda: [*found(), *found()]) == [
+        *made,
+        *made,
+    ]
     assert Stages(None, ())("effects", list[Finding], found) == made
     assert caplog.messages == []
 
@@ -41,10 +44,14 @@ def test_what_was_made_is_found_again_by_the_same_input_alone(folder, caplog):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"", "not a data file"), (pickle.dumps([1]), "not a data file"), (dump(found())[:-1], "damaged"),
-        (dump([1]), "not what is asked for"), (dump({"a": 1}), "not what is asked for"), (None, "is a folder, not a regular file"),
+        (b"", "not a data file"),
+        (pickle.dumps([1]), "not a data file"),
+        (dump(found())[:-1], "damaged"),
+        (dump([1]), "not what is asked for"),
+        (dump({"a": 1}), "not what is asked for"),
+        (None, "is a folder, not a regular file"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_the_stage_is_said_and_made_again(folder, caplog, content, why):
     stages = Stages(folder, ["input"])
     stages("effects", list[Finding], found)
@@ -72,9 +79,13 @@ stages = Stages(Path({str(folder)!r}), ["input"])
 (stages.folder / f"effects-{{stages.key}}.data").write_bytes(b"x")
 print(stages("effects", int, lambda: 5))
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     assert done.stdout == "5\n"
-    assert done.stderr.endswith(".data: not a data file of this version of the program; this stage is computed again\n")
+    assert done.stderr.endswith(
+        ".data: not a data file of this version of the program; this stage is computed again\n"
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such pipes")
@@ -141,7 +152,9 @@ def test_a_link_in_the_place_of_the_folder_is_not_followed(folder, tmp_path, cap
     assert stages("effects", list[Finding], found) == found()
     stages.forget()
     assert list(elsewhere.iterdir()) == [kept]
-    assert caplog.messages == [f"{folder}: is a link, not a folder of this program; stages are not kept"]
+    assert caplog.messages == [
+        f"{folder}: is a link, not a folder of this program; stages are not kept"
+    ]
 
 
 def test_a_link_planted_where_the_file_is_being_written_is_not_followed(folder, tmp_path, caplog):

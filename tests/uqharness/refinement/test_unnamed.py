@@ -26,7 +26,9 @@ from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
 
 KINDS = ("elevator 3-2-1-1", "roll and pitch", "roll and yaw")
-CARDS = tuple(card(40 + i, V, seconds=24.0, kinds=KINDS, first=i) for i, V in enumerate((20.0, 22.0, 21.0)))
+CARDS = tuple(
+    card(40 + i, V, seconds=24.0, kinds=KINDS, first=i) for i, V in enumerate((20.0, 22.0, 21.0))
+)
 BUMP = Effect("Cm", "bump", 0.003, "2.718281828**(-((alpha-0.03)/0.012)**2)")
 
 
@@ -37,7 +39,19 @@ def refined(folder, *effects, w20_kt=0.0):
     for record, path in zip(made, paths, strict=True):
         record.write(path)
     out, (*train, test) = folder / "out", map(str, paths)
-    arguments = ["refine", "espaaro", "--train", *train, "--test", test, "--out", str(out), "--no-pbox", "--workers", "1"]
+    arguments = [
+        "refine",
+        "espaaro",
+        "--train",
+        *train,
+        "--test",
+        test,
+        "--out",
+        str(out),
+        "--no-pbox",
+        "--workers",
+        "1",
+    ]
     return main(arguments), out
 
 
@@ -60,7 +74,9 @@ def test_the_term_is_offered_and_changes_no_verdict(bumped):
     assert (smooth["coefficient"], smooth["state"], smooth["times"]) == ("Cm", "alpha", None)
     assert smooth["p"] < 1e-6
     assert 3.0 < smooth["effective_degrees_of_freedom"] < 12.0
-    assert smooth["shapes"][0]["form"].startswith("hump at 0.03") or smooth["shapes"][0]["form"].startswith("hump at 0.02")
+    assert smooth["shapes"][0]["form"].startswith("hump at 0.03") or smooth["shapes"][0][
+        "form"
+    ].startswith("hump at 0.02")
     assert not any("uq/unnamed" in json.dumps(e) for e in (*found["effects"], *found["switch"]))
 
 
@@ -70,15 +86,22 @@ def test_the_effect_named_is_told_not_to_have_the_form(bumped):
     assert (form["coefficient"], form["depends_on"]) == ("Cm", [{"state": "alpha"}])
     assert form["p"] < 1e-6
     assert form["twice_log_likelihood"] > 30.0
-    assert form["words"].startswith("what is missing in Cm does not have the form of pitching moment due to angle of attack cubed")
+    assert form["words"].startswith(
+        "what is missing in Cm does not have the form of pitching moment due to angle of attack cubed"
+    )
     assert f"a {smooth['name']} gains" in form["words"]
 
 
 def test_its_band_holds_the_hidden_form(bumped):
     _, smooth = remaining(bumped)
-    at, curve, low, high, samples = (np.array(smooth["curve"][k]) for k in ("at", "value", "low", "high", "samples"))
+    at, curve, low, high, samples = (
+        np.array(smooth["curve"][k]) for k in ("at", "value", "low", "high", "samples")
+    )
     xml = (bumped / smooth["model"]).read_text(encoding="utf-8")
-    own = {n: float(re.search(rf'<property value="([^"]*)">aero/{n}</property>', xml)[1]) for n in ("Cm_0", "Cm_alpha")}
+    own = {
+        n: float(re.search(rf'<property value="([^"]*)">aero/{n}</property>', xml)[1])
+        for n in ("Cm_0", "Cm_alpha")
+    }
     assert smooth["in_place_of"] == ["pitching moment due to angle of attack cubed"]
     assert ">aero/Cm_alpha3<" not in xml
     truth = {n: Airframe().coefficients[n] for n in own}
@@ -103,14 +126,26 @@ def test_the_gap_shrinks_on_the_flight_that_chose_nothing(bumped):
     assert smooth["leaves"] < 1.05 < smooth["channel_on_train"]
 
 
-def test_its_aircraft_flies_in_jsbsim_and_in_the_batch_engine_and_compares_as_told(bumped, tmp_path):
+def test_its_aircraft_flies_in_jsbsim_and_in_the_batch_engine_and_compares_as_told(
+    bumped, tmp_path
+):
     _, smooth = remaining(bumped)
     folder = (bumped / smooth["model"]).parent
     assert find_aircraft(folder).name == "espaaro"
     (flown,) = fly_many([FlightSpec(folder, find_script("loiter"), 2.0)])
     assert flown.status == "ok"
     flight = bumped.parent / "2.parquet"
-    main(["compare", str(folder), "--flight", str(flight), "--out", str(tmp_path / "compared"), "--no-figures"])
+    main(
+        [
+            "compare",
+            str(folder),
+            "--flight",
+            str(flight),
+            "--out",
+            str(tmp_path / "compared"),
+            "--no-figures",
+        ]
+    )
     told = json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8"))
     row = smooth["gap"]["test"]["channels"]["q_radps"]
     assert told["channels"]["q_radps"]["rms"] == pytest.approx(row["rms_after"], rel=0.02)
@@ -131,7 +166,10 @@ def test_where_nothing_is_left_nothing_is_looked_for(tmp_path, monkeypatch, verd
     stale.mkdir(parents=True)
     (stale / "espaaro.xml").write_text("of an earlier run", encoding="utf-8")
     request = run.Request(find_aircraft("espaaro"), (), (), tmp_path)
-    assert run._unnamed(request, {"verdict": verdict}, None, tmp_path, None, None) == {"smooth": None, "smooth_reason": EXPLAINED}
+    assert run._unnamed(request, {"verdict": verdict}, None, tmp_path, None, None) == {
+        "smooth": None,
+        "smooth_reason": EXPLAINED,
+    }
     assert not stale.exists()
 
 
@@ -144,10 +182,16 @@ def test_flights_of_the_model_itself_are_offered_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_is_not_enough(tmp_path):
+def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_is_not_enough(
+    tmp_path,
+):
     for name, effect, wanted in (
         ("kink", Effect("Cn", "kink", 0.05, "maximum(beta-0.05,0)"), ("Cn", "beta", None)),
-        ("product", Effect("CY", "product", 0.3, "tanh((alpha-0.02)/0.012)*beta"), ("CY", "alpha", "beta")),
+        (
+            "product",
+            Effect("CY", "product", 0.3, "tanh((alpha-0.02)/0.012)*beta"),
+            ("CY", "alpha", "beta"),
+        ),
     ):
         (tmp_path / name).mkdir()
         code, out = refined(tmp_path / name, effect)
@@ -160,10 +204,18 @@ def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_i
 @pytest.mark.parametrize(
     ("coefficient", "term", "times", "same"),
     [
-        ("Cm", "alpha^3", None, True), ("Cm", "abs(alpha)*alpha", None, True), ("Cm", "alpha*CT", None, False),
-        ("CZ", "alpha^3", None, False), ("Cm", "alpha*CT", "CT", True), ("Cm", "alpha^2", "CT", False), ("Cm", "CT", "CT", True),
+        ("Cm", "alpha^3", None, True),
+        ("Cm", "abs(alpha)*alpha", None, True),
+        ("Cm", "alpha*CT", None, False),
+        ("CZ", "alpha^3", None, False),
+        ("Cm", "alpha*CT", "CT", True),
+        ("Cm", "alpha^2", "CT", False),
+        ("Cm", "CT", "CT", True),
     ],
-)  # fmt: skip
+)
 def test_an_effect_is_part_of_the_curve_where_the_curve_can_be_it(coefficient, term, times, same):
     found = {s: np.linspace(0.0, 1.0, 50) for s in STATES}
-    assert is_in(coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found)) is same
+    assert (
+        is_in(coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found))
+        is same
+    )

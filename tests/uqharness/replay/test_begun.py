@@ -35,11 +35,16 @@ def model():
 def piece(step_deg: float = 2.0, throttle_pct: float = 4.0) -> Segment:
     """Commands that stepped three rows before the first one and stay."""
     count, behind = STEPS
-    begin, step = np.array([1.0, -2.0, 0.5, 50.0]), np.array([step_deg, -step_deg, step_deg, throttle_pct])
+    begin, step = (
+        np.array([1.0, -2.0, 0.5, 50.0]),
+        np.array([step_deg, -step_deg, step_deg, throttle_pct]),
+    )
     before = begin + step * (np.arange(count)[:, None] >= count - behind)
     start = np.array([22.2, 0.015, 0.01, 0.1, 0.05, 1.0, 0.05, -0.02, 0.03])
     time_s = DT_S * np.arange(60)
-    return Segment("m", "f", time_s, np.tile(begin + step, (60, 1)), start, 130.0, 100.0, before=before)
+    return Segment(
+        "m", "f", time_s, np.tile(begin + step, (60, 1)), start, 130.0, 100.0, before=before
+    )
 
 
 def test_a_lag_has_gone_as_far_as_its_time_constant_says(model: ReplayModel) -> None:
@@ -48,7 +53,9 @@ def test_a_lag_has_gone_as_far_as_its_time_constant_says(model: ReplayModel) -> 
     assert {c: float(lag) for c, (lag, _) in model.lags.items()} == lags
     short = [math.exp(-held_s * lags[c]) for c in model.controls]
     step = made.before[-1] - made.before[0]
-    assert made.before[-1] - begun(model, made, {}, LIMITS) == pytest.approx(step * short, abs=0.01 * np.abs(step).max())
+    assert made.before[-1] - begun(model, made, {}, LIMITS) == pytest.approx(
+        step * short, abs=0.01 * np.abs(step).max()
+    )
 
 
 def test_a_rate_limit_holds_it_back(model: ReplayModel) -> None:
@@ -77,7 +84,9 @@ def test_without_commands_before_nothing_is_said(model: ReplayModel) -> None:
 def test_positions_begin_where_the_actuators_stand(model: ReplayModel) -> None:
     made = piece()
     stood = begun(model, made, {}, LIMITS)
-    (moved,), (still,) = (surface_positions(model, [s], CONTROLS) for s in (made, replace(made, before=None)))
+    (moved,), (still,) = (
+        surface_positions(model, [s], CONTROLS) for s in (made, replace(made, before=None))
+    )
     assert moved[0] == pytest.approx(stood, abs=1e-6)
     assert still[0] == pytest.approx(made.controls[0], abs=1e-6)
     assert moved[-1] == pytest.approx(made.controls[-1], abs=5e-3)

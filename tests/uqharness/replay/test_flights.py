@@ -16,7 +16,9 @@ from uqharness.replay.model import CONTROLS
 def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
     record = fly((("pitch-doublet", 22.0),), seed=1, seconds=6.0)
     n = len(record)
-    fast = record.with_columns({"time_s": 0.01 * np.arange(n), "elevator_deg": np.where(np.arange(n) >= 101, 2.0, 0.0)})
+    fast = record.with_columns(
+        {"time_s": 0.01 * np.arange(n), "elevator_deg": np.where(np.arange(n) >= 101, 2.0, 0.0)}
+    )
     flight = prepare("fast", fast, ())
     thin = flight.record
     assert abs(thin.dt_s - 0.02) < 1e-12
@@ -42,7 +44,9 @@ def test_commands_of_a_very_fast_record_are_averaged_over_five_milliseconds():
     column = np.where(np.arange(n) >= 1001, 2.0, 0.0)
     slow = record.rows(np.arange(len(record)) < 1)
     fast = type(record)(
-        {c: np.repeat(slow[c], n) for c in slow.columns} | {"time_s": 1e-3 * np.arange(n), "elevator_deg": column}, record.metadata
+        {c: np.repeat(slow[c], n) for c in slow.columns}
+        | {"time_s": 1e-3 * np.arange(n), "elevator_deg": column},
+        record.metadata,
     )
     flight = prepare("fast", fast, ())
     assert flight.per_row == 4
@@ -78,8 +82,14 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
     expected = np.concatenate([np.full(finer + 3, asked[0]), np.repeat(asked, finer)])[: len(fine)]
     np.testing.assert_allclose(fine, expected, atol=1e-6)
     # A row's own value is what acts until the next one, on average; a position is where it was.
-    np.testing.assert_allclose(moved.record["elevator_deg"][5], expected[5 * finer : 6 * finer].mean(), atol=1e-6)
-    np.testing.assert_allclose(moved.record["aileron_pos_deg"][3:], np.sin(0.1 * (np.arange(n) - late_s * rate_hz))[3:], atol=2e-3)
+    np.testing.assert_allclose(
+        moved.record["elevator_deg"][5], expected[5 * finer : 6 * finer].mean(), atol=1e-6
+    )
+    np.testing.assert_allclose(
+        moved.record["aileron_pos_deg"][3:],
+        np.sin(0.1 * (np.arange(n) - late_s * rate_hz))[3:],
+        atol=2e-3,
+    )
     # Between two samples of 5 ms the mean time is right.
     between = flight.with_commands_later(late_s + 0.002).commands["elevator_deg"]
     np.testing.assert_allclose(between[1:], 0.6 * fine[1:] + 0.4 * fine[:-1], atol=1e-6)
@@ -110,7 +120,9 @@ def northward(**metadata):
 
 
 def test_a_late_heading_that_is_moved_stays_north():
-    late = Finding("delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03, "std_s": 0.002})
+    late = Finding(
+        "delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03, "std_s": 0.002}
+    )
     record, noise = northward(findings=(late,))
     flight = prepare("north", record, ())
     assert any("psi_rad was moved 30 ms" in note for note in flight.notes)
@@ -126,7 +138,11 @@ def test_a_late_heading_that_is_moved_stays_north():
     ("numbers", "align", "moved"),
     [
         ({"delay_s": 0.03, "std_s": 0.007}, True, True),
-        ({"delay_s": 0.03, "std_s": 0.008}, True, False),  # less than four standard errors, whatever the severity
+        (
+            {"delay_s": 0.03, "std_s": 0.008},
+            True,
+            False,
+        ),  # less than four standard errors, whatever the severity
         ({"delay_s": 0.03}, True, False),  # of an error nobody stated
         ({"delay_s": 0.03, "std_s": 0.002}, False, False),
     ],
@@ -146,8 +162,12 @@ def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start()
     record, noise = northward(native_hz={"psi_rad": 25.0})
     # West of north at every row that was not logged: a segment that begins there begins just below 2 pi.
     noise = np.abs(noise) * np.where(np.arange(len(noise)) % 2, -1.0, 1.0)
-    flight = prepare("north", record.with_columns({"psi_rad": noise % (2.0 * np.pi)}), (), min_s=1.0, max_s=3.02)
+    flight = prepare(
+        "north", record.with_columns({"psi_rad": noise % (2.0 * np.pi)}), (), min_s=1.0, max_s=3.02
+    )
     assert any(piece.rows.start % 2 for piece in flight.pieces)
-    for segment, block in zip(segments(flight, ()), measured_outputs(flight, ("psi_rad",)), strict=True):
+    for segment, block in zip(
+        segments(flight, ()), measured_outputs(flight, ("psi_rad",)), strict=True
+    ):
         assert np.isnan(block).any()
         assert np.nanmax(np.abs(block - segment.start[5])) < 2.0 * np.abs(noise).max()

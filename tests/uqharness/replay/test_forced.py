@@ -16,11 +16,23 @@ from uqharness.simulator import find_aircraft
 
 N = 40
 MOTION = {
-    "V_mps": np.linspace(17.0, 27.0, N), "alpha_rad": np.linspace(-0.05, 0.15, N), "beta_rad": np.linspace(0.1, -0.1, N),
-    "phi_rad": np.linspace(-1.0, 1.0, N), "theta_rad": np.linspace(0.2, -0.2, N), "p_radps": np.linspace(-1.0, 1.0, N),
-    "q_radps": np.linspace(0.5, -0.5, N), "r_radps": np.linspace(-0.3, 0.3, N),
-}  # fmt: skip
-U = np.column_stack([np.linspace(-10.0, 10.0, N), np.linspace(8.0, -8.0, N), np.linspace(-5.0, 5.0, N), np.linspace(0.0, 100.0, N)])
+    "V_mps": np.linspace(17.0, 27.0, N),
+    "alpha_rad": np.linspace(-0.05, 0.15, N),
+    "beta_rad": np.linspace(0.1, -0.1, N),
+    "phi_rad": np.linspace(-1.0, 1.0, N),
+    "theta_rad": np.linspace(0.2, -0.2, N),
+    "p_radps": np.linspace(-1.0, 1.0, N),
+    "q_radps": np.linspace(0.5, -0.5, N),
+    "r_radps": np.linspace(-0.3, 0.3, N),
+}
+U = np.column_stack(
+    [
+        np.linspace(-10.0, 10.0, N),
+        np.linspace(8.0, -8.0, N),
+        np.linspace(-5.0, 5.0, N),
+        np.linspace(0.0, 100.0, N),
+    ]
+)
 HEIGHT_M = np.linspace(100.0, 900.0, N)
 
 
@@ -38,17 +50,25 @@ def nothing_known():
 
 
 def of_step(dt_s: float) -> Segment:
-    start = np.array([MOTION[c][0] for c in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad")] + [0.0] * 4)
+    start = np.array(
+        [MOTION[c][0] for c in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad")]
+        + [0.0] * 4
+    )
     return Segment("f", "f", dt_s * np.arange(N), U, start, 300.0, 0.0)
 
 
 def said(model, monkeypatch, worth: int, **properties: float) -> ForcedModel:
     monkeypatch.setattr(forced, "WORTH_ROWS", worth)
-    return force_states(model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M)
+    return force_states(
+        model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M
+    )
 
 
 def apart(a: ForcedModel, b: ForcedModel) -> float:
-    return float(np.abs(a.coefficients / b.coefficients - 1.0).max() + np.abs(a.other_force - b.other_force).max())
+    return float(
+        np.abs(a.coefficients / b.coefficients - 1.0).max()
+        + np.abs(a.other_force - b.other_force).max()
+    )
 
 
 def test_both_engines_say_the_same(straight, monkeypatch):
@@ -65,12 +85,20 @@ def test_segments_are_asked_for_at_their_own_step(straight, monkeypatch):
     monkeypatch.setattr(
         force,
         "by_batch",
-        lambda model, asked, dt_s, *rest: steps.append((dt_s, len(asked.controls))) or real(model, asked, dt_s, *rest),
+        lambda model, asked, dt_s, *rest: (
+            steps.append((dt_s, len(asked.controls))) or real(model, asked, dt_s, *rest)
+        ),
     )
     backwards = {c: v[::-1] for c, v in MOTION.items()}
     # Segments of one record have steps that differ by rounding.
-    parts = [(0.02, MOTION, U), (0.01, backwards, U[::-1]), (0.02 * (1.0 + 1e-13), backwards, U[::-1])]
-    found = force_all(straight, [StatesOf(of_step(dt_s), motion, u, HEIGHT_M) for dt_s, motion, u in parts], {})
+    parts = [
+        (0.02, MOTION, U),
+        (0.01, backwards, U[::-1]),
+        (0.02 * (1.0 + 1e-13), backwards, U[::-1]),
+    ]
+    found = force_all(
+        straight, [StatesOf(of_step(dt_s), motion, u, HEIGHT_M) for dt_s, motion, u in parts], {}
+    )
     assert steps == [(pytest.approx(0.02), 2 * N), (pytest.approx(0.01), N)]
     for one, (dt_s, motion, u) in zip(found, parts, strict=True):
         assert apart(one, force_states(straight, of_step(dt_s), motion, u, {}, HEIGHT_M)) == 0.0
@@ -108,7 +136,11 @@ def by_rates(request, tmp_path):
     shutil.copytree(find_aircraft("espaaro").folder, folder)
     xml = folder / "espaaro.xml"
     text = xml.read_text()
-    for axis, rate, size in (("Z", "alphadot", -0.05), ("PITCH", "alphadot", -0.2), ("Y", "betadot", -0.03)):
+    for axis, rate, size in (
+        ("Z", "alphadot", -0.05),
+        ("PITCH", "alphadot", -0.2),
+        ("Y", "betadot", -0.03),
+    ):
         term = (
             f'<function name="aero/by_rate/{axis}"><product><property>aero/qbar_S</property><value>{size * request.param}</value>'
             f"<property>aero/{rate}-rad_sec</property></product></function>"
@@ -121,7 +153,9 @@ def by_rates(request, tmp_path):
 
 def sizes_apart(a: ForcedModel, b: ForcedModel) -> float:
     """Largest difference of a coefficient in units of its largest size."""
-    return float((np.abs(a.coefficients - b.coefficients) / np.abs(b.coefficients).max(axis=0)).max())
+    return float(
+        (np.abs(a.coefficients - b.coefficients) / np.abs(b.coefficients).max(axis=0)).max()
+    )
 
 
 @pytest.mark.parametrize("by_rates", [1.0], indirect=True)

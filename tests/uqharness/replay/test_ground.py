@@ -41,11 +41,28 @@ def lift(aircraft, record, height_m, above_ground):
     segment = replace(segment, h_m=height_m, above_ground=above_ground)
     with ReplayFolder(aircraft) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
         az = fly_segment(model, segment, {})[0, CHANNELS.index("az_mps2")]
-        states = {name: np.full(2, v) for name, v in zip(
-            ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "psi_rad", "p_radps", "q_radps", "r_radps"), segment.start,
-            strict=True)}  # fmt: skip
+        states = {
+            name: np.full(2, v)
+            for name, v in zip(
+                (
+                    "V_mps",
+                    "alpha_rad",
+                    "beta_rad",
+                    "phi_rad",
+                    "theta_rad",
+                    "psi_rad",
+                    "p_radps",
+                    "q_radps",
+                    "r_radps",
+                ),
+                segment.start,
+                strict=True,
+            )
+        }
         heights = altitudes(straight, segment, np.array([height_m, height_m + 2.0 * SPAN_M]))
-        forced = force_states(straight, segment, states, np.repeat(segment.controls[:1], 2, axis=0), {}, heights)
+        forced = force_states(
+            straight, segment, states, np.repeat(segment.controls[:1], 2, axis=0), {}, heights
+        )
     return float(az), forced.coefficients[:, 2]
 
 
@@ -67,20 +84,27 @@ def test_a_record_that_starts_in_the_air_at_its_own_zero_does_not_say(record):
     climbing = 0.3 * (time - time[0])
     assert not height_known(record.with_columns({"h_m": climbing}))
     assert height_known(record.with_columns({"h_m": climbing + 3.0}))
-    on_the_ground = record.with_columns({"h_m": climbing, "V_mps": np.where(time < time[0] + 1.0, 0.0, 20.0)})
+    on_the_ground = record.with_columns(
+        {"h_m": climbing, "V_mps": np.where(time < time[0] + 1.0, 0.0, 20.0)}
+    )
     assert height_known(on_the_ground)
     assert not height_known(record.with_columns({"h_m": climbing - 100.0}))
     assert not height_known(record.with_columns({"h_m": np.full(len(time), np.nan)}))
 
 
-def climbing(seconds: float, wrong_pitch_rad: float = 0.0, seed: int = 0) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def climbing(
+    seconds: float, wrong_pitch_rad: float = 0.0, seed: int = 0
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Channels of a banked flight 4 m up that pitches up and down, its heights 1.5 m off (rms), and the true heights."""
     n = round(seconds / DT_S)
     t = DT_S * np.arange(n)
     channels = {
-        "V_mps": np.full(n, 21.0), "alpha_rad": 0.04 + 0.03 * np.sin(2.0 * t), "beta_rad": np.full(n, 0.02),
-        "phi_rad": 0.3 * np.sin(0.5 * t), "theta_rad": 0.05 + 0.1 * np.sin(1.3 * t),
-    }  # fmt: skip
+        "V_mps": np.full(n, 21.0),
+        "alpha_rad": 0.04 + 0.03 * np.sin(2.0 * t),
+        "beta_rad": np.full(n, 0.02),
+        "phi_rad": 0.3 * np.sin(0.5 * t),
+        "theta_rad": 0.05 + 0.1 * np.sin(1.3 * t),
+    }
     V, a, b, phi, theta = channels.values()
     air = np.stack([V * np.cos(a) * np.cos(b), V * np.sin(b), V * np.sin(a) * np.cos(b)])
     up = np.stack([np.sin(theta), -np.sin(phi) * np.cos(theta), -np.cos(phi) * np.cos(theta)])
@@ -96,7 +120,9 @@ def test_heights_follow_the_climb_of_the_air_data_without_noise() -> None:
 
 
 @pytest.mark.parametrize(("wrong_pitch_rad", "most_m"), [(0.0, 0.2), (0.03, 0.2)])
-def test_noise_of_heights_is_averaged_over_seconds_and_a_wrong_pitch_does_not_drift(wrong_pitch_rad: float, most_m: float) -> None:
+def test_noise_of_heights_is_averaged_over_seconds_and_a_wrong_pitch_does_not_drift(
+    wrong_pitch_rad: float, most_m: float
+) -> None:
     every = [climbing(8.0, wrong_pitch_rad, seed) for seed in range(20)]
     found = [heights(channels, DT_S) - true for channels, true in every]
     assert np.sqrt(np.mean(np.square(found))) < most_m

@@ -8,7 +8,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.replay.histories import HISTORIES, columns_of, have, read_histories, write_histories, write_pieces
+from uqharness.replay.histories import (
+    HISTORIES,
+    columns_of,
+    have,
+    read_histories,
+    write_histories,
+    write_pieces,
+)
 from uqharness.replay.segments import Segment
 
 TIMES = [np.arange(4) * 0.02, 10.0 + np.arange(3) * 0.02]
@@ -20,8 +27,12 @@ def pieces():
 
 
 def test_what_is_written_comes_back(tmp_path):
-    columns = columns_of(("q_radps", "V_mps"), BLOCKS) | columns_of(("q_radps", "V_mps"), BLOCKS, "_model")
-    segments = [Segment(m, f, t, np.zeros((len(t), 4)), np.zeros(9), 0.0, 0.0) for f, m, t in pieces()]
+    columns = columns_of(("q_radps", "V_mps"), BLOCKS) | columns_of(
+        ("q_radps", "V_mps"), BLOCKS, "_model"
+    )
+    segments = [
+        Segment(m, f, t, np.zeros((len(t), 4)), np.zeros(9), 0.0, 0.0) for f, m, t in pieces()
+    ]
     write_histories(tmp_path, segments, columns)
     first, second = read_histories(tmp_path / HISTORIES)
     assert (first.number, first.flight, first.manoeuvre) == (0, "f", "pitch")
@@ -45,7 +56,10 @@ def test_no_file_is_no_history(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"time_s": pa.array(["a", "b"])}, "column time_s is string, it must be there once, of type double"),
+        (
+            {"time_s": pa.array(["a", "b"])},
+            "column time_s is string, it must be there once, of type double",
+        ),
         ({"q_radps": pa.array([1, 2])}, "column q_radps is int64"),
         ({"flight": pa.array(["f", None])}, "column flight has gaps"),
         ({"segment": None}, "column segment is there 0 times"),
@@ -53,9 +67,12 @@ def test_no_file_is_no_history(tmp_path):
 )
 def test_columns_of_another_kind_are_refused(tmp_path, change, said):
     table = {
-        "segment": pa.array([0, 0]), "flight": pa.array(["f", "f"]), "manoeuvre": pa.array(["m", "m"]),
-        "time_s": pa.array([0.0, 1.0]), "q_radps": pa.array([1.0, None]),
-    }  # fmt: skip
+        "segment": pa.array([0, 0]),
+        "flight": pa.array(["f", "f"]),
+        "manoeuvre": pa.array(["m", "m"]),
+        "time_s": pa.array([0.0, 1.0]),
+        "q_radps": pa.array([1.0, None]),
+    }
     path = tmp_path / HISTORIES
     pq.write_table(pa.table(table), path)
     assert np.isnan(read_histories(path)[0].columns["q_radps"][1])

@@ -35,7 +35,11 @@ def segment(rows: int = ROWS, dt_s: float = DT_S, seed: int = 1) -> Segment:
     return Segment("piece", "flight", dt_s * np.arange(rows), controls, start, 130.0, 100.0)
 
 
-@pytest.fixture(scope="module", params=[(), ("elevator", "aileron", "rudder")], ids=["commands", "measured surfaces"])
+@pytest.fixture(
+    scope="module",
+    params=[(), ("elevator", "aileron", "rudder")],
+    ids=["commands", "measured surfaces"],
+)
 def model(request: pytest.FixtureRequest) -> Iterator[ReplayModel]:
     """The E-SPAARO for replay."""
     with ReplayFolder(find_aircraft("espaaro"), measured=request.param) as made:
@@ -48,7 +52,10 @@ def jobs(model: ReplayModel) -> list[ReplayJob]:
     found = []
     for piece in (segment(), segment(90, 0.0213, 3), segment(60, 1.0 / 60.0, 4)):
         for between in (False, True):
-            properties = {name: model.card.parameters[name].initial * (1.0 + 0.1 * rng.normal()) for name in NAMES}
+            properties = {
+                name: model.card.parameters[name].initial * (1.0 + 0.1 * rng.normal())
+                for name in NAMES
+            }
             start = piece.start * (1.0 + 0.02 * rng.normal(size=9))
             found.append(ReplayJob(model, piece, properties, start, 0.004, between))
     return found
@@ -80,7 +87,13 @@ def test_the_batch_engine_flew_them(model: ReplayModel) -> None:
 
 def test_a_change_of_a_ten_thousandth_is_noticed(model: ReplayModel) -> None:
     job = jobs(model)[0]
-    other = ReplayJob(model, job.segment, {**job.properties, "aero/Cm_q": job.properties["aero/Cm_q"] * 1.0001}, job.start, 0.004)
+    other = ReplayJob(
+        model,
+        job.segment,
+        {**job.properties, "aero/Cm_q": job.properties["aero/Cm_q"] * 1.0001},
+        job.start,
+        0.004,
+    )
     assert apart(fly_all([other])[0], by_jsbsim(job)) > 1e-7
 
 
@@ -91,9 +104,15 @@ def test_a_step_later_is_noticed(model: ReplayModel) -> None:
 
 
 @pytest.mark.parametrize("late_s", [-0.004, 0.004])
-def test_both_begin_with_the_first_run_where_controls_move_in_the_first_row(model: ReplayModel, late_s: float) -> None:
+def test_both_begin_with_the_first_run_where_controls_move_in_the_first_row(
+    model: ReplayModel, late_s: float
+) -> None:
     piece = segment()
-    moved = replace(piece, controls=piece.controls + np.minimum(np.arange(ROWS), 3)[:, None] * np.array([0.5, 1.0, 0.5, 2.0]))
+    moved = replace(
+        piece,
+        controls=piece.controls
+        + np.minimum(np.arange(ROWS), 3)[:, None] * np.array([0.5, 1.0, 0.5, 2.0]),
+    )
     job = ReplayJob(model, moved, {}, piece.start, late_s)
     fly_all(jobs(model)[:1])
     assert apart(fly_all([job], refuse)[0], by_jsbsim(job)) < 1e-8
@@ -101,7 +120,13 @@ def test_both_begin_with_the_first_run_where_controls_move_in_the_first_row(mode
 
 def test_further_properties_and_the_arm_of_the_accelerometers(model: ReplayModel) -> None:
     piece = segment()
-    job = ReplayJob(model, replace(piece, arm_m=(0.3, 0.1, -0.2)), {}, piece.start, extra=("aero/CZ", "fcs/elevator-pos-deg"))
+    job = ReplayJob(
+        model,
+        replace(piece, arm_m=(0.3, 0.1, -0.2)),
+        {},
+        piece.start,
+        extra=("aero/CZ", "fcs/elevator-pos-deg"),
+    )
     ours, theirs = fly_all([job])[0], by_jsbsim(job)
     assert ours.shape == (ROWS, len(CHANNELS) + 2)
     assert apart(ours, theirs) < 1e-8
@@ -119,7 +144,9 @@ def test_rows_behind_a_failure_are_nan(model: ReplayModel) -> None:
     assert apart(beside, by_jsbsim(calm)) < 1e-8
 
 
-def test_what_is_not_understood_is_flown_by_jsbsim(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_understood_is_flown_by_jsbsim(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refused(*_: object, **__: object) -> None:
         raise BadInputError("x.xml:3: not understood")
 
@@ -134,7 +161,11 @@ def test_an_engine_that_differs_is_not_used(
 ) -> None:
     real = module._in_lanes
     monkeypatch.setattr(module, "_programs", {})
-    monkeypatch.setattr(module, "_in_lanes", lambda program, some: [rows * (1.0 + 1e-5) for rows in real(program, some)])
+    monkeypatch.setattr(
+        module,
+        "_in_lanes",
+        lambda program, some: [rows * (1.0 + 1e-5) for rows in real(program, some)],
+    )
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
     assert "differs" in caplog.text
@@ -150,7 +181,9 @@ def tumbling(model: ReplayModel) -> ReplayJob:
     return ReplayJob(model, piece, TUMBLING, piece.start)
 
 
-def test_where_rounding_decides_the_engine_is_used(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_rounding_decides_the_engine_is_used(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "_programs", {})
     job = tumbling(model)
     ours, theirs = fly_all([job])[0], by_jsbsim(job)
@@ -161,7 +194,10 @@ def test_where_rounding_decides_the_engine_is_used(model: ReplayModel, monkeypat
 
 @pytest.mark.parametrize("fault", ["scale", "failure"])
 def test_an_engine_that_differs_before_rounding_decides_is_not_used(
-    model: ReplayModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault: str
+    model: ReplayModel,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    fault: str,
 ) -> None:
     real = module._in_lanes
 
@@ -173,14 +209,18 @@ def test_an_engine_that_differs_before_rounding_decides_is_not_used(
         return rows
 
     monkeypatch.setattr(module, "_programs", {})
-    monkeypatch.setattr(module, "_in_lanes", lambda program, some: [other(rows) for rows in real(program, some)])
+    monkeypatch.setattr(
+        module, "_in_lanes", lambda program, some: [other(rows) for rows in real(program, some)]
+    )
     job = tumbling(model)
     fly_all([job])
     assert module._programs[module._alike(job)] is None
     assert "differs" in caplog.text
 
 
-def test_without_a_compiler_jsbsim_flies(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_jsbsim_flies(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "_programs", {})
     monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
     job = jobs(model)[0]

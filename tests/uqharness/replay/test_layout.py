@@ -17,7 +17,9 @@ PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)
 
 
 def flight(native_hz):
-    return SimpleNamespace(name="f", record=SimpleNamespace(metadata=SimpleNamespace(native_hz=native_hz)))
+    return SimpleNamespace(
+        name="f", record=SimpleNamespace(metadata=SimpleNamespace(native_hz=native_hz))
+    )
 
 
 def test_half_a_row_is_allowed_and_a_row_is_not():
@@ -38,7 +40,9 @@ def test_a_row_of_commands_counts_where_rows_were_thinned():
 
 def test_logs_are_stamped_when_written_and_may_be_late():
     assert late_limit_s(flight({"q_radps": 25.0}), 0.02) == float("inf")
-    assert misplaced([flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}) == []
+    assert (
+        misplaced([flight({"q_radps": 25.0})], [PIECE], {"delay/f/controls": (0.05, 0.001)}) == []
+    )
 
 
 def test_places_of_biases_delays_and_starts():
@@ -46,9 +50,19 @@ def test_places_of_biases_delays_and_starts():
     biases, outputs = ("V_mps", "q_radps"), ("V_mps", "q_radps", "az_mps2")
     found = nuisance_layout(("Cm_q",), [(-20.0, 0.0)], cut, biases, outputs, {"g": ["controls"]})
     assert found.names == (
-        "Cm_q", "bias/f/V_mps", "bias/f/q_radps", "bias/g/V_mps", "bias/g/q_radps", "delay/g/controls",
-        "start/0/V_mps", "start/0/q_radps", "start/1/V_mps", "start/1/q_radps", "start/2/V_mps", "start/2/q_radps",
-    )  # fmt: skip
+        "Cm_q",
+        "bias/f/V_mps",
+        "bias/f/q_radps",
+        "bias/g/V_mps",
+        "bias/g/q_radps",
+        "delay/g/controls",
+        "start/0/V_mps",
+        "start/0/q_radps",
+        "start/1/V_mps",
+        "start/1/q_radps",
+        "start/2/V_mps",
+        "start/2/q_radps",
+    )
     assert len(found.bounds) == len(found.names)
     assert found.bounds[0] == (-20.0, 0.0)
     assert all(low == -high for low, high in found.bounds[1:])

@@ -17,21 +17,30 @@ def logged(rate_hz=200.0):
     """A record at 200 Hz whose commands were logged at 25 Hz, and the commands as they were."""
     record = fly((("roll-yaw", 22.0),), seed=3, rate_hz=rate_hz, positions=False)
     acted = np.asarray(record["aileron_deg"])
-    rows = np.maximum(((np.arange(len(acted)) + 5) // EVERY) * EVERY - 5, 0)  # its clock is not the manoeuvres'
+    rows = np.maximum(
+        ((np.arange(len(acted)) + 5) // EVERY) * EVERY - 5, 0
+    )  # its clock is not the manoeuvres'
     native = {"aileron_deg": 25.0, "elevator_deg": 25.0, "rudder_deg": 25.0, "p_radps": rate_hz}
-    slow = record.with_columns({c: np.asarray(record[c])[rows] for c in ("elevator_deg", "aileron_deg", "rudder_deg")})
+    slow = record.with_columns(
+        {c: np.asarray(record[c])[rows] for c in ("elevator_deg", "aileron_deg", "rudder_deg")}
+    )
     return replace(slow, metadata=replace(slow.metadata, native_hz=native)), acted
 
 
 def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
     record, acted = logged()
     placed, notes, late_s = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
-    assert np.abs(placed["aileron_deg"] - acted).sum() < 0.7 * np.abs(record["aileron_deg"] - acted).sum()
+    assert (
+        np.abs(placed["aileron_deg"] - acted).sum()
+        < 0.7 * np.abs(record["aileron_deg"] - acted).sum()
+    )
     assert len(notes) == 3
     assert 0.0 <= late_s <= LATEST_S
     assert notes[1].startswith("aileron_deg was logged at 25 Hz")
     flown = prepare("f", record, ()).record["aileron_deg"]
-    direct = prepare("f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()).record["aileron_deg"]
+    direct = prepare(
+        "f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()
+    ).record["aileron_deg"]
     np.testing.assert_array_equal(flown, direct)
     right = mean_ahead(acted, 4)[::4]
     held = mean_ahead(np.asarray(record["aileron_deg"]), 4)[::4]

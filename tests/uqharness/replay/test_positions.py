@@ -12,7 +12,17 @@ import pytest
 
 from tests.uqharness.replay.test_in_lanes import DT_S, apart, segment
 from uqharness.plugin import with_card
-from uqharness.replay import CHANNELS, CONTROLS, ReplayFolder, ReplayJob, ReplayModel, Segment, chains, fly_all, surface_positions
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    ReplayFolder,
+    ReplayJob,
+    ReplayModel,
+    Segment,
+    chains,
+    fly_all,
+    surface_positions,
+)
 from uqharness.replay import positions as module
 from uqharness.replay.in_lanes import by_jsbsim
 from uqharness.simulator import Aircraft, copy_folder, find_aircraft
@@ -36,7 +46,11 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 
     def counted(kind: str, real):
         def call(*args: object):
-            count[kind] += len(args[1]) if kind == "whole" else sum(len(s.time_s) > module._TRIED_ROWS for s in args[2])
+            count[kind] += (
+                len(args[1])
+                if kind == "whole"
+                else sum(len(s.time_s) > module._TRIED_ROWS for s in args[2])
+            )
             return real(*args)
 
         return call
@@ -64,9 +78,13 @@ def model() -> Iterator[ReplayModel]:
         yield made
 
 
-def in_jsbsim(model: ReplayModel, piece: Segment, properties: dict[str, float] | None = None) -> np.ndarray:
+def in_jsbsim(
+    model: ReplayModel, piece: Segment, properties: dict[str, float] | None = None
+) -> np.ndarray:
     """Positions of the whole aircraft [record units]; the E-SPAARO's are in these."""
-    job = ReplayJob(model, piece, properties or {}, piece.start, extra=tuple(model.positions().values()))
+    job = ReplayJob(
+        model, piece, properties or {}, piece.start, extra=tuple(model.positions().values())
+    )
     return by_jsbsim(job)[:, len(CHANNELS) :]
 
 
@@ -96,7 +114,11 @@ def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share
 ) -> None:
     piece = segment(seed=5)
     (before,) = surface_positions(model, [piece], CONTROLS)
-    with ReplayFolder(changed(tmp_path, "</aerodynamics>", '<property value="1">effect/x</property></aerodynamics>')) as copy:
+    with ReplayFolder(
+        changed(
+            tmp_path, "</aerodynamics>", '<property value="1">effect/x</property></aerodynamics>'
+        )
+    ) as copy:
         assert copy.identity != model.identity
         moved = replace(piece, start=piece.start * 1.1, altitude_m=700.0)
         (after,) = surface_positions(copy, [moved], CONTROLS)
@@ -105,7 +127,9 @@ def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share
         np.testing.assert_allclose(after, in_jsbsim(copy, moved), rtol=0.0, atol=1e-12)
 
 
-def test_a_copy_with_another_lag_does_not_share(model: ReplayModel, flights: dict[str, int], tmp_path: Path) -> None:
+def test_a_copy_with_another_lag_does_not_share(
+    model: ReplayModel, flights: dict[str, int], tmp_path: Path
+) -> None:
     piece = segment(seed=6)
     (before,) = surface_positions(model, [piece], CONTROLS)
     with ReplayFolder(changed(tmp_path, LAG, "<lag>12</lag>")) as copy:
@@ -115,8 +139,16 @@ def test_a_copy_with_another_lag_does_not_share(model: ReplayModel, flights: dic
         np.testing.assert_allclose(after, in_jsbsim(copy, piece), rtol=0.0, atol=1e-12)
 
 
-def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(flights: dict[str, int], tmp_path: Path) -> None:
-    with ReplayFolder(changed(tmp_path, f"<rate_limit>{RATE}</rate_limit>", "<rate_limit>velocities/vt-fps</rate_limit>")) as copy:
+def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(
+    flights: dict[str, int], tmp_path: Path
+) -> None:
+    with ReplayFolder(
+        changed(
+            tmp_path,
+            f"<rate_limit>{RATE}</rate_limit>",
+            "<rate_limit>velocities/vt-fps</rate_limit>",
+        )
+    ) as copy:
         piece = segment(seed=7)
         (stood,) = surface_positions(copy, [piece], CONTROLS)
         np.testing.assert_allclose(stood, in_jsbsim(copy, piece), rtol=0.0, atol=1e-9)
@@ -145,14 +177,20 @@ def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
     model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = module.fly_chain
-    monkeypatch.setattr(module, "fly_chain", lambda *asked: [np.full_like(rows, np.nan) for rows in real(*asked)])
+    monkeypatch.setattr(
+        module, "fly_chain", lambda *asked: [np.full_like(rows, np.nan) for rows in real(*asked)]
+    )
     surface_positions(model, [segment(seed=11)], CONTROLS)
     assert flights["whole"] == 1
     monkeypatch.setattr(module, "fly_chain", real)
     module._chains.clear()
     module._agrees.cache.clear()
     monkeypatch.setattr(
-        module, "by_jsbsim", lambda job: by_jsbsim(job) * np.where(np.arange(len(job.segment.time_s)) < 3, 1.0, np.nan)[:, None]
+        module,
+        "by_jsbsim",
+        lambda job: (
+            by_jsbsim(job) * np.where(np.arange(len(job.segment.time_s)) < 3, 1.0, np.nan)[:, None]
+        ),
     )
     surface_positions(model, [segment(seed=12)], CONTROLS)
     assert flights["whole"] == 2
@@ -160,26 +198,41 @@ def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
 
 def test_an_aircraft_with_an_engine_and_its_lever(flights: dict[str, int]) -> None:
     aircraft = with_card(find_aircraft("c172p"))
-    lever = aircraft.card.inputs["throttle"].model_copy(update={"position": "fcs/throttle-pos-norm"})
+    lever = aircraft.card.inputs["throttle"].model_copy(
+        update={"position": "fcs/throttle-pos-norm"}
+    )
     card = aircraft.card.model_copy(update={"inputs": {**aircraft.card.inputs, "throttle": lever}})
     with ReplayFolder(replace(aircraft, card=card)) as model:
-        piece = replace(segment(seed=9), start=np.array([50.0, 0.03, 0.0, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0]))
+        piece = replace(
+            segment(seed=9), start=np.array([50.0, 0.03, 0.0, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0])
+        )
         (stood,) = surface_positions(model, [piece], CONTROLS)
         assert flights == {"chain": 1, "whole": 0}
-        job = ReplayJob(model, piece, {}, piece.start, extra=("fcs/rudder-pos-deg", "fcs/throttle-pos-norm"))
+        job = ReplayJob(
+            model, piece, {}, piece.start, extra=("fcs/rudder-pos-deg", "fcs/throttle-pos-norm")
+        )
         rudder, throttle = by_jsbsim(job)[:, len(CHANNELS) :].T
         np.testing.assert_allclose(stood[:, CONTROLS.index("rudder")], rudder, rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(stood[:, CONTROLS.index("throttle")], 100.0 * throttle, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            stood[:, CONTROLS.index("throttle")], 100.0 * throttle, rtol=0.0, atol=1e-10
+        )
 
 
 def in_both(
-    model: ReplayModel, cut: list[Segment], servos: dict[str, float], monkeypatch: pytest.MonkeyPatch
+    model: ReplayModel,
+    cut: list[Segment],
+    servos: dict[str, float],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> list[list[np.ndarray]]:
     """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
     flown = []
     monkeypatch.setattr(chains, "_programs", {})
     real = chains._in_lanes
-    monkeypatch.setattr(chains, "_in_lanes", lambda program, asked, some: flown.append(len(some)) or real(program, asked, some))
+    monkeypatch.setattr(
+        chains,
+        "_in_lanes",
+        lambda program, asked, some: flown.append(len(some)) or real(program, asked, some),
+    )
     out = []
     for worth_s in (1e9, 0.0):
         monkeypatch.setattr(module, "_stood", OrderedDict())
@@ -191,7 +244,9 @@ def in_both(
     return out
 
 
-def test_the_batch_engine_moves_the_components_as_jsbsim_does(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_batch_engine_moves_the_components_as_jsbsim_does(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cut = [segment(seed=21), segment(seed=22, rows=130)]
     for servos in ({}, {RATE: 60.0}):
         theirs, ours = in_both(model, cut, servos, monkeypatch)
@@ -200,7 +255,9 @@ def test_the_batch_engine_moves_the_components_as_jsbsim_does(model: ReplayModel
             assert apart(a, piece.controls) > 0.01
 
 
-def test_where_the_engines_differ_jsbsim_moves_the_components(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_engines_differ_jsbsim_moves_the_components(
+    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(chains, "_programs", {})
     monkeypatch.setattr(chains, "WORTH_S", 0.0)
     real = chains._in_lanes
@@ -219,7 +276,9 @@ def test_measured_positions_are_the_record_s_own(flights: dict[str, int]) -> Non
         assert apart(stood[:, 3:], piece.controls[:, 3:]) > 0.01
 
 
-def test_whole_aircraft_come_to_the_same_whoever_flies_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whole_aircraft_come_to_the_same_whoever_flies_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     flown = []
     monkeypatch.setattr(module, "fly_all", lambda some: flown.append(len(some)) or fly_all(some))
     monkeypatch.setattr(module, "control_chain", lambda *_: None)

@@ -29,7 +29,11 @@ def only(record: FlightRecord, column: str, factor: float = 1.0) -> FlightRecord
 
 def without(record: FlightRecord) -> FlightRecord:
     """The record without throttle and what can stand for it."""
-    kept = {name: values for name, values in record.columns.items() if name not in ("throttle_pct", *SOURCES)}
+    kept = {
+        name: values
+        for name, values in record.columns.items()
+        if name not in ("throttle_pct", *SOURCES)
+    }
     return FlightRecord(kept, record.metadata)
 
 
@@ -47,11 +51,16 @@ def test_a_larger_thrust_is_another_throttle(record: FlightRecord) -> None:
 
 
 def test_a_thrust_that_the_engine_cannot_have_is_refused(record: FlightRecord) -> None:
-    with pytest.raises(BadInputError, match=r"f: thrust_N is .* N, and espaaro's engines have .* between no and full throttle"):
+    with pytest.raises(
+        BadInputError,
+        match=r"f: thrust_N is .* N, and espaaro's engines have .* between no and full throttle",
+    ):
         with_throttle(only(record, "thrust_N", 20.0), AIRCRAFT, "f")
 
 
-def test_a_record_with_a_throttle_keeps_it_and_one_with_neither_is_refused(record: FlightRecord) -> None:
+def test_a_record_with_a_throttle_keeps_it_and_one_with_neither_is_refused(
+    record: FlightRecord,
+) -> None:
     assert with_throttle(record, AIRCRAFT, "f") == (record, "")
     neither = without(record)
     assert with_throttle(neither, AIRCRAFT, "f") == (neither, "")
@@ -77,4 +86,6 @@ def test_throttle_at_is_the_inverse_of_the_curves() -> None:
     curves = np.array([[0.0, 100.0, 200.0], [-50.0, 0.0, 50.0]])
     V = np.array([20.0, 40.0, 30.0, np.nan, 20.0, 20.0])
     wanted = np.array([150.0, 25.0, 50.0, 1.0, np.nan, 900.0])
-    np.testing.assert_allclose(throttle_at(V, wanted, speeds, throttles, curves), [75.0, 75.0, 50.0, np.nan, np.nan, 100.0])
+    np.testing.assert_allclose(
+        throttle_at(V, wanted, speeds, throttles, curves), [75.0, 75.0, 50.0, np.nan, np.nan, 100.0]
+    )

@@ -41,7 +41,9 @@ def clean():
 def exact(segment, record):
     """The segment from the record's very first state instead of a straight line through 0.4 s."""
     at = int(np.argmin(np.abs(record["time_s"] - segment.time_s[0])))
-    return replace(segment, start=np.array([record[c][at] for c in STATES]), altitude_m=100.0, h_m=100.0)
+    return replace(
+        segment, start=np.array([record[c][at] for c in STATES]), altitude_m=100.0, h_m=100.0
+    )
 
 
 def misses(aircraft, record, measured, late=0, averaged=False):
@@ -94,9 +96,14 @@ def test_the_first_acceleration_has_seen_the_first_command(aircraft, clean):
         segment = exact(segments(flight, SURFACES)[0], clean)
         moved = segment.controls.copy()
         moved[0, 0] += 5.0
-        before, after = fly_segment(model, segment, {}), fly_segment(model, replace(segment, controls=moved), {})
+        before, after = (
+            fly_segment(model, segment, {}),
+            fly_segment(model, replace(segment, controls=moved), {}),
+        )
     az, q = CHANNELS.index("az_mps2"), CHANNELS.index("q_radps")
-    assert after[0, az] - before[0, az] == pytest.approx(0.036 * 5.0 * 0.5 * 1.2133 * 22.0**2 * 1.97 / 21.34, rel=0.01)
+    assert after[0, az] - before[0, az] == pytest.approx(
+        0.036 * 5.0 * 0.5 * 1.2133 * 22.0**2 * 1.97 / 21.34, rel=0.01
+    )
     assert after[0, q] == before[0, q]
     assert abs(after[1, q] - before[1, q]) > 0.01
 
@@ -141,9 +148,15 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
     """Mean time, spread and the row's own value: integrators count half of a run's change, a lag by Tustin's rule as much."""
     segment = controls_of([0.0, 0.0, 8.0, 8.0, 8.0])
     jumping = by_run(segment, 4, [False], [False])[:, 0]
-    np.testing.assert_allclose(jumping[7:13], 8.0 * np.array([0.0, 1.0, 1.0 / 18.0, 47.0 / 36.0, 41.0 / 36.0, 1.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        jumping[7:13],
+        8.0 * np.array([0.0, 1.0, 1.0 / 18.0, 47.0 / 36.0, 41.0 / 36.0, 1.0]),
+        atol=1e-12,
+    )
     lagging = by_run(segment, 4, [False], [True])[:, 0]
-    np.testing.assert_allclose(lagging[7:12], 8.0 * np.array([0.0, 0.0, 23.0 / 12.0, 7.0 / 12.0, 1.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        lagging[7:12], 8.0 * np.array([0.0, 0.0, 23.0 / 12.0, 7.0 / 12.0, 1.0]), atol=1e-12
+    )
     assert moments(jumping) == pytest.approx(OWN)
     assert moments(lagging) == pytest.approx(OWN)
     for late in (-1.5, 0.75, 2.0):
@@ -151,7 +164,9 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
         # The same step, later; what jumps has jumped at its row all the same, unless outputs between rows are asked for.
         assert [m.sum() for m in moved] == pytest.approx([8.0 * (8.5 - late)] * 2)
         assert moved[0][8] == pytest.approx(8.0)
-        assert by_run(segment, 4, [False], [False], late, seen=None)[:, 0].sum() == pytest.approx(8.0 * (8.5 - late))
+        assert by_run(segment, 4, [False], [False], late, seen=None)[:, 0].sum() == pytest.approx(
+            8.0 * (8.5 - late)
+        )
     assert by_run(segment, 4, [False], [False], 2.0, seen=None)[8, 0] == 0.0
     # A row that was read before its command went out has seen nothing of the step, or a share; the step's time stays.
     for seen in (0.0, 0.25):
@@ -199,7 +214,13 @@ def test_a_command_goes_no_further_than_its_limits():
     for high in (9.0, 8.0, 7.0):
         near = by_run(segment, 4, [False], [True], limits=np.array([[-20.0, high]]))[:, 0]
         assert near.max() == max(high, 8.0)
-    down = by_run(controls_of([0.0, 0.0, -8.0, -8.0, -8.0]), 4, [False], [True], limits=np.array([[-11.0, 20.0]]))[:, 0]
+    down = by_run(
+        controls_of([0.0, 0.0, -8.0, -8.0, -8.0]),
+        4,
+        [False],
+        [True],
+        limits=np.array([[-11.0, 20.0]]),
+    )[:, 0]
     np.testing.assert_allclose(down, -held, atol=1e-12)
 
 
@@ -216,17 +237,28 @@ def test_a_measured_position_that_turns_has_its_own_area():
 def test_accelerometers_read_before_the_command_feel_the_step_a_row_later(aircraft):
     segment = prepared_step()
     with ReplayFolder(aircraft, ideal=SURFACES) as model:
-        seen, half, blind = (fly_segment(model, segment, {}, unseen=share) for share in (0.0, 0.5, 1.0))
-        still = fly_segment(model, replace(segment, controls=np.repeat(segment.controls[:1], len(segment.time_s), axis=0)), {})
+        seen, half, blind = (
+            fly_segment(model, segment, {}, unseen=share) for share in (0.0, 0.5, 1.0)
+        )
+        still = fly_segment(
+            model,
+            replace(segment, controls=np.repeat(segment.controls[:1], len(segment.time_s), axis=0)),
+            {},
+        )
     felt = CHANNELS.index("az_mps2")
     step = seen[20, felt] - still[20, felt]
     assert abs(step) > 0.1
     assert blind[20, felt] == pytest.approx(still[20, felt], abs=0.02 * abs(step))
-    assert half[20, felt] == pytest.approx(0.5 * (seen[20, felt] + blind[20, felt]), abs=0.02 * abs(step))
+    assert half[20, felt] == pytest.approx(
+        0.5 * (seen[20, felt] + blind[20, felt]), abs=0.02 * abs(step)
+    )
     # Only that row's accelerations differ: what the aircraft does is the same but for a run's share of one step.
     rates = [CHANNELS.index(c) for c in ("p_radps", "q_radps", "r_radps")]
     q = CHANNELS.index("q_radps")
-    assert np.abs(blind[:, rates] - seen[:, rates]).max() < 0.02 * np.abs(seen[:, q] - still[:, q]).max()
+    assert (
+        np.abs(blind[:, rates] - seen[:, rates]).max()
+        < 0.02 * np.abs(seen[:, q] - still[:, q]).max()
+    )
     assert np.abs(blind[21:, felt] - seen[21:, felt]).max() < 0.05 * abs(step)
 
 
@@ -242,7 +274,9 @@ def prepared_step():
 
 
 @pytest.mark.parametrize("model", ["servo", pytest.param("at once", marks=pytest.mark.slow)])
-def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(aircraft, model, monkeypatch):
+def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(
+    aircraft, model, monkeypatch
+):
     """Against the servo's own solution (exact lag, then the limit) and fourth-order motion; a run of 10 ms is seen."""
     dynamics = Model([Airframe()], [()])
     if model == "at once":
@@ -253,14 +287,19 @@ def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(air
     flown = integrate(dynamics, x0, s0, 140, 0.02, 40, lambda k, air, x: s0 + steps[k])
     x, time = flown.x[:, :, 0], 0.02 * np.arange(140)
     controls = (s0 + steps)[:, :, 0]
-    start = np.array([22.0, flown.alpha[0, 0], flown.beta[0, 0], x[0, 6], x[0, 7], 0.0, 0.0, 0.0, 0.0])
+    start = np.array(
+        [22.0, flown.alpha[0, 0], flown.beta[0, 0], x[0, 6], x[0, 7], 0.0, 0.0, 0.0, 0.0]
+    )
     segment = Segment("steps", "f", time, controls, start, 100.0, 100.0)
     ideal = () if model == "servo" else SURFACES
 
     def miss():
         with ReplayFolder(aircraft, ideal=ideal) as staged:
             replayed = fly_segment(staged, segment, {})
-        return max(np.abs(replayed[:, 6 + k] - x[:, 3 + k]).max() / NOISE[c] for k, c in enumerate(("p_radps", "q_radps")))
+        return max(
+            np.abs(replayed[:, 6 + k] - x[:, 3 + k]).max() / NOISE[c]
+            for k, c in enumerate(("p_radps", "q_radps"))
+        )
 
     assert miss() < (0.25 if model == "servo" else 0.75)
     for longest in ("MAX_STEP_S", "SHORT_STEP_S"):
@@ -293,14 +332,23 @@ def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
     slope = np.gradient(rates, 0.02, axis=0)
     expected = np.cross(slope, arm) + np.cross(rates, np.cross(rates, arm))
     assert np.abs(gap[:, :9]).max() == 0.0
-    assert np.sqrt(np.mean((gap[:, 9:12] - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 0.03
+    assert (
+        np.sqrt(np.mean((gap[:, 9:12] - expected) ** 2))
+        < 0.05 * np.sqrt(np.mean(expected**2)) + 0.03
+    )
 
 
 def test_theta_is_laid_out_by_names_and_what_is_unmoved_is_not_flown_again(aircraft, clean):
     flight = prepare("f", clean, SURFACES)
     with ReplayFolder(aircraft, measured=SURFACES) as model:
         cut = segments(flight, SURFACES)
-        replay = Replay(model, cut, ("aero/Cm_q", "bias/f/q_radps", "start/1/phi_rad"), ("q_radps", "phi_rad"), "test")
+        replay = Replay(
+            model,
+            cut,
+            ("aero/Cm_q", "bias/f/q_radps", "start/1/phi_rad"),
+            ("q_radps", "phi_rad"),
+            "test",
+        )
         base = replay(np.array([-13.8, 0.0, 0.0]))
         flown = counter["rows"]
         biased = replay(np.array([-13.8, 0.01, 0.0]))
@@ -320,7 +368,9 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         ReplayFolder(aircraft, measured=SURFACES, ideal=CONTROLS) as straight,
     ):
         cut, every = segments(flight, SURFACES), [states(flight, piece) for piece in flight.pieces]
-        for segment, channels, (forced, found) in zip(cut, every, forced_at(model, straight, cut, every, {}), strict=True):
+        for segment, channels, (forced, found) in zip(
+            cut, every, forced_at(model, straight, cut, every, {}), strict=True
+        ):
             demand, said = demand_of(channels, forced, segment), smooth(forced.coefficients, 0.02)
             np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
             np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)
@@ -328,7 +378,13 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
         assert forced.mass.inertia[0, 2] == pytest.approx(-0.25, rel=1e-3)
         assert forced.mass.mass == pytest.approx(21.34, rel=1e-3)
         # The same sample asked twice, once after another: no state is remembered.
-        again = force_states(straight, segment, {k: v[[7, 300, 7]] for k, v in channels.items()}, segment.controls[[7, 300, 7]], {})
+        again = force_states(
+            straight,
+            segment,
+            {k: v[[7, 300, 7]] for k, v in channels.items()},
+            segment.controls[[7, 300, 7]],
+            {},
+        )
         np.testing.assert_allclose(again.coefficients[0], again.coefficients[2], atol=1e-12)
 
 
@@ -346,7 +402,11 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
     rows, said = [7, 300, 7, 120], []
     for some in (
         aircraft,
-        replace(find_aircraft(folder), engine_path=aircraft.engine_path, systems_path=aircraft.systems_path),
+        replace(
+            find_aircraft(folder),
+            engine_path=aircraft.engine_path,
+            systems_path=aircraft.systems_path,
+        ),
     ):
         with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as straight:
             segment = segments(flight, SURFACES)[0]
@@ -355,29 +415,44 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
     plain, with_term = said
     np.testing.assert_allclose(with_term.coefficients[0], with_term.coefficients[2], atol=1e-7)
     force = with_term.aero_force + with_term.other_force
-    V, alpha, beta, p, q, r = (x[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps"))
+    V, alpha, beta, p, q, r = (
+        x[c] for c in ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
+    )
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     ud = force[:, 0] / with_term.mass.mass - 9.80665 * np.sin(x["theta_rad"]) + r * v - q * w
-    wd = force[:, 2] / with_term.mass.mass + 9.80665 * np.cos(x["theta_rad"]) * np.cos(x["phi_rad"]) + q * u - p * v
+    wd = (
+        force[:, 2] / with_term.mass.mass
+        + 9.80665 * np.cos(x["theta_rad"]) * np.cos(x["phi_rad"])
+        + q * u
+        - p * v
+    )
     alphadot = (u * wd - w * ud) / (u**2 + w**2)
     assert np.abs(alphadot).max() > 0.02
-    np.testing.assert_allclose(with_term.coefficients[:, 2] - plain.coefficients[:, 2], 0.3 * alphadot, atol=2e-4)
+    np.testing.assert_allclose(
+        with_term.coefficients[:, 2] - plain.coefficients[:, 2], 0.3 * alphadot, atol=2e-4
+    )
 
 
 def test_the_smoother_is_what_the_differentiator_does_to_a_derivative():
     t = np.arange(400) * 0.02
     wave, slope = np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)
-    np.testing.assert_allclose(smooth(wave, 0.02, derivative=1)[5:-5], smooth(slope, 0.02)[5:-5], atol=3e-3)
+    np.testing.assert_allclose(
+        smooth(wave, 0.02, derivative=1)[5:-5], smooth(slope, 0.02)[5:-5], atol=3e-3
+    )
     np.testing.assert_allclose(smooth(np.ones(40), 0.02), 1.0)
     np.testing.assert_allclose(smooth(2.0 * t, 0.02, derivative=1), 2.0)
     fast = np.sin(2 * np.pi * 6.0 * np.arange(4000) * 0.002)
     assert half_width(0.002) > 10
-    assert np.std(smooth(fast, 0.002)[100:-100]) / np.std(fast) == pytest.approx(1 / np.sqrt(2), abs=0.03)
+    assert np.std(smooth(fast, 0.002)[100:-100]) / np.std(fast) == pytest.approx(
+        1 / np.sqrt(2), abs=0.03
+    )
 
 
 def test_records_that_cannot_be_replayed_say_why(aircraft, clean, tmp_path):
     bare = clean.rows(slice(0, None))
-    columns = {k: v for k, v in bare.columns.items() if k not in ("elevator_deg", "elevator_pos_deg")}
+    columns = {
+        k: v for k, v in bare.columns.items() if k not in ("elevator_deg", "elevator_pos_deg")
+    }
     with pytest.raises(BadInputError, match=r"no elevator_deg; without the surfaces"):
         prepare("f", type(clean)(columns), ())
     with pytest.raises(BadInputError, match="10"):

@@ -13,7 +13,16 @@ from tests.helpers.synthetic import flight
 from uqharness.errors import BadInputError
 from uqharness.replay import residuals
 from uqharness.replay.flights import Flight
-from uqharness.replay.residuals import ANSWERED, NEEDED, ReplayPair, asked_rows, changed, flight_residuals, prediction_of, recut
+from uqharness.replay.residuals import (
+    ANSWERED,
+    NEEDED,
+    ReplayPair,
+    asked_rows,
+    changed,
+    flight_residuals,
+    prediction_of,
+    recut,
+)
 from uqharness.simulator import find_aircraft
 
 RECORD = flight(30.0)
@@ -25,7 +34,11 @@ def made(record=RECORD) -> Flight:
 
 def test_the_same_states_are_asked_for_once(monkeypatch):
     asked = []
-    monkeypatch.setattr(residuals.JsbsimPrediction, "all", lambda self, some: [asked.append(one) or len(asked) for one in some])
+    monkeypatch.setattr(
+        residuals.JsbsimPrediction,
+        "all",
+        lambda self, some: [asked.append(one) or len(asked) for one in some],
+    )
     pair = ReplayPair(None, None, ())
     piece = made().pieces[0]
     ask = pair.of(made())
@@ -68,7 +81,9 @@ def test_a_refusal_bears_the_flights_name(monkeypatch):
 
 def with_positions() -> Flight:
     still = np.zeros(len(RECORD["V_mps"]))
-    return made(RECORD.with_columns({f"{c}_pos_deg": still for c in ("elevator", "aileron", "rudder")}))
+    return made(
+        RECORD.with_columns({f"{c}_pos_deg": still for c in ("elevator", "aileron", "rudder")})
+    )
 
 
 def test_what_is_asked_ahead_is_what_is_asked_one_by_one():
@@ -77,11 +92,17 @@ def test_what_is_asked_ahead_is_what_is_asked_one_by_one():
     moved = flown.record.with_columns({"q_radps": flown.record["q_radps"] + 0.01})
     flown = replace(flown, pieces=tuple(pieces))
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
-        single = [[pair.of(flown)(record, p).coefficients for p in pieces] for record in (flown.record, moved)]
+        single = [
+            [pair.of(flown)(record, p).coefficients for p in pieces]
+            for record in (flown.record, moved)
+        ]
     with prediction_of(find_aircraft("espaaro"), ("elevator", "aileron", "rudder")) as pair:
         pair.ahead(flown, [flown.record, moved], pieces)
         assert len(pair.said) == 6
-        ahead = [[pair.of(flown)(record, p).coefficients for p in pieces] for record in (flown.record, moved)]
+        ahead = [
+            [pair.of(flown)(record, p).coefficients for p in pieces]
+            for record in (flown.record, moved)
+        ]
         assert len(pair.said) == 6
     np.testing.assert_allclose(ahead, single, rtol=0.0, atol=1e-9)
     assert np.abs(np.array(ahead[0]) - np.array(ahead[1])).max() > 1e-3
@@ -94,7 +115,9 @@ def test_a_property_with_another_value_than_in_the_xml_is_flown():
         prediction_of(find_aircraft("espaaro"), surfaces) as plain,
         prediction_of(find_aircraft("espaaro"), surfaces, values={"aero/Cm_q": 0.0}) as without,
     ):
-        given, less = (pair.of(flown)(flown.record, flown.pieces[0]).coefficients for pair in (plain, without))
+        given, less = (
+            pair.of(flown)(flown.record, flown.pieces[0]).coefficients for pair in (plain, without)
+        )
     changed_by = np.abs(given - less).max(axis=0)
     assert changed_by[4] > 1e-3
     np.testing.assert_array_equal(np.delete(changed_by, 4), 0.0)
@@ -116,5 +139,7 @@ def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
     assert (error <= 0.01 * change.max()).all()
     assert change.max() > 1e-4
     # A change that is not drawn from the states themselves is not that of all rows.
-    other = changed(base, replace(whole, **{n: getattr(base, n)[asked_rows(200, 4)] for n in ANSWERED}), 4)
+    other = changed(
+        base, replace(whole, **{n: getattr(base, n)[asked_rows(200, 4)] for n in ANSWERED}), 4
+    )
     assert np.abs(other.coefficients - whole.coefficients).max() > 10.0 * error.max()

@@ -21,8 +21,15 @@ def with_commands(k):
     fine = np.zeros((5 * k + 1, 1))
     fine[2 * k + 1 :] = 4.0
     return Segment(
-        "m", "f", 0.02 * np.arange(6), fine[::k], np.zeros(9), 100.0, 0.0, commands=Commands(k, fine, None)
-    )  # fmt: skip
+        "m",
+        "f",
+        0.02 * np.arange(6),
+        fine[::k],
+        np.zeros(9),
+        100.0,
+        0.0,
+        commands=Commands(k, fine, None),
+    )
 
 
 @pytest.mark.parametrize("k", [2, 3])
@@ -52,5 +59,7 @@ def test_straight_lines_between_rows_have_the_area_of_what_is_known_at_each_comm
 
 
 def test_the_kind_of_a_manoeuvre_is_its_label_without_the_speed():
-    made = Segment("roll doublet, 22 m/s", "f", 0.02 * np.arange(6), np.zeros((6, 1)), np.zeros(9), 100.0, 0.0)
+    made = Segment(
+        "roll doublet, 22 m/s", "f", 0.02 * np.arange(6), np.zeros((6, 1)), np.zeros(9), 100.0, 0.0
+    )
     assert made.kind == "roll doublet"

@@ -14,14 +14,22 @@ from uqharness.simulator import find_aircraft
 
 CHANNELS = ("q_radps", "alpha_rad", "az_mps2")
 NAMES = (
-    "aero/Cm_q", "aero/Cm_de", "bias/f/q_radps", f"delay/f/{CONTROL_DELAY}", "delay/f/accelerations", "unseen/f",
-    "start/0/q_radps", "start/1/q_radps",
-)  # fmt: skip
+    "aero/Cm_q",
+    "aero/Cm_de",
+    "bias/f/q_radps",
+    f"delay/f/{CONTROL_DELAY}",
+    "delay/f/accelerations",
+    "unseen/f",
+    "start/0/q_radps",
+    "start/1/q_radps",
+)
 
 
 @pytest.fixture(scope="module")
 def replay():
-    flight = prepare("f", fly((("pitch-doublet", 22.0), ("pitch-3211", 22.0)), positions=False), (), max_s=6.0)
+    flight = prepare(
+        "f", fly((("pitch-doublet", 22.0), ("pitch-3211", 22.0)), positions=False), (), max_s=6.0
+    )
     aircraft = find_aircraft("espaaro")
     with ReplayFolder(aircraft) as model:
         cut = segments(flight, (), aircraft.accelerometer_m)[:2]
@@ -48,7 +56,11 @@ def points():
 def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
     flown = []
     fly_all = simulation.fly_all
-    monkeypatch.setattr(simulation, "fly_all", lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1])
+    monkeypatch.setattr(
+        simulation,
+        "fly_all",
+        lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
+    )
     replay.forget()
     together = list(spread_over(map)(Asked(replay), points()))
     # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for each start.
@@ -82,7 +94,11 @@ def test_what_is_forgotten_before_it_is_read_is_flown_again(replay, monkeypatch)
     """Negative control: more together than memory keeps is what made long logs slow."""
     flown = []
     fly_all = simulation.fly_all
-    monkeypatch.setattr(simulation, "fly_all", lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1])
+    monkeypatch.setattr(
+        simulation,
+        "fly_all",
+        lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
+    )
     replay.forget()
     monkeypatch.setattr(simulation, "_CACHE_BYTES", 4 * max(replay._sizes))
     list(spread_over(map)(Asked(replay), points()))
@@ -93,7 +109,11 @@ def test_a_point_moves_the_segments_that_it_says(replay):
     base = [part.copy() for part in replay(points()[0])]
     for index, _ in enumerate(NAMES):
         theta = points()[1 + index]
-        apart = [k for k, (a, b) in enumerate(zip(replay(theta), base, strict=True)) if not np.array_equal(a, b)]
+        apart = [
+            k
+            for k, (a, b) in enumerate(zip(replay(theta), base, strict=True))
+            if not np.array_equal(a, b)
+        ]
         said = replay.moved(index)
         # A segment in which no control moves feels no delay of theirs, and without a jump there is nothing unseen.
         assert apart or NAMES[index] == "unseen/f", NAMES[index]
@@ -108,14 +128,18 @@ def test_one_late_sensor_leaves_what_the_others_have_seen_of_a_jump():
     with ReplayFolder(aircraft, ideal=SURFACES) as model:
         cut = [prepared_step()]
         plain = Replay(model, cut, ("unseen/f",), CHANNELS, "test-plain")
-        late = Replay(model, cut, ("unseen/f",), CHANNELS, "test-late", late_s={"alpha_rad": late_s})
+        late = Replay(
+            model, cut, ("unseen/f",), CHANNELS, "test-late", late_s={"alpha_rad": late_s}
+        )
         felt = []
         for share in (0.0, 0.5, 1.0):
             own, moved = (one(np.array([share]))[0] for one in (plain, late))
             np.testing.assert_allclose(moved[:, [0, 2]], own[:, [0, 2]], rtol=0.0, atol=2e-3)
             felt.append(moved[20, 2])
         time_s = 0.02 * np.arange(60)
-        np.testing.assert_allclose(moved[3:, 1], np.interp(time_s[3:] - late_s, time_s, own[:, 1]), atol=2e-4)
+        np.testing.assert_allclose(
+            moved[3:, 1], np.interp(time_s[3:] - late_s, time_s, own[:, 1]), atol=2e-4
+        )
         assert np.abs(moved[:, 1] - own[:, 1]).max() > 3e-3
     # A share that were lost would leave all three alike.
     assert felt[1] == pytest.approx(0.5 * (felt[0] + felt[2]), abs=0.02 * abs(felt[2] - felt[0]))

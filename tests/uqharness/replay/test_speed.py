@@ -56,7 +56,9 @@ def worst(model, record):
 
 
 @pytest.mark.slow
-def test_runs_are_short_enough_where_forces_go_with_the_rate_of_alpha(aircraft, record, monkeypatch):
+def test_runs_are_short_enough_where_forces_go_with_the_rate_of_alpha(
+    aircraft, record, monkeypatch
+):
     assert [runs_per_row(dt, replay.SHORT_STEP_S) for dt in (0.005, 0.02, 0.04)] == [2, 8, 16]
     with ReplayFolder(aircraft, measured=SURFACES) as model:
         short = worst(model, record)
@@ -80,7 +82,9 @@ def rolled():
 
 def replayed(model, record, **asked):
     (segment,) = segments(prepare("f", record, ()), ())
-    segment = replace(segment, start=np.array([record[c][0] for c in STATES]), altitude_m=100.0, h_m=100.0)
+    segment = replace(
+        segment, start=np.array([record[c][0] for c in STATES]), altitude_m=100.0, h_m=100.0
+    )
     return fly_segment(model, segment, {}, **asked)[:, CHANNELS.index("p_radps")]
 
 

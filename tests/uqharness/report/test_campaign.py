@@ -36,7 +36,9 @@ def folder(tmp_path_factory):
     out = root / "out"
     command = "uqharness campaign run 'a<b>&\"c\".toml' --out out"
     spec = read_campaign(root / "campaign.toml")
-    run_campaign(spec, out, executor=SerialExecutor(), fly=fakes.hazardous_but_alive, command=command)
+    run_campaign(
+        spec, out, executor=SerialExecutor(), fly=fakes.hazardous_but_alive, command=command
+    )
     write_report(out)
     return out
 
@@ -50,9 +52,16 @@ def test_it_has_every_section_and_nothing_wrong(page):
     assert problems(page) == []
     tree = html.document_fromstring(page)
     assert [item.text for item in tree.iter("h2")] == [
-        "What was asked", "Where the answer is yes, no or inconclusive", "P-boxes of the median errors", "Ground track",
-        "Supportable claims", "Excursions per flight hour", "Failed flights", "Engine", "Provenance",
-    ]  # fmt: skip
+        "What was asked",
+        "Where the answer is yes, no or inconclusive",
+        "P-boxes of the median errors",
+        "Ground track",
+        "Supportable claims",
+        "Excursions per flight hour",
+        "Failed flights",
+        "Engine",
+        "Provenance",
+    ]
     assert len(tree.findall(".//table")) == 6
 
 
@@ -102,15 +111,30 @@ def test_another_aircraft_or_wind_has_no_published_flight(tmp_path):
 def test_aborted_flights_stand_apart_by_kind_where_there_are_some(folder, page, tmp_path):
     def claims(text):
         caption = "Supportable claims: excursions per flight hour, by condition and radius."
-        (table,) = [t for t in html.document_fromstring(text).iter("table") if t.findtext("caption") == caption]
+        (table,) = [
+            t
+            for t in html.document_fromstring(text).iter("table")
+            if t.findtext("caption") == caption
+        ]
         rows = [[e.text_content() for e in row] for row in table.findall("tbody/tr")]
-        return [dict(zip([e.text_content() for e in table.findall("thead//th")], row, strict=True)) for row in rows]
+        return [
+            dict(zip([e.text_content() for e in table.findall("thead//th")], row, strict=True))
+            for row in rows
+        ]
 
     signed = list(csv.DictReader((folder / "statements.csv").read_text().splitlines()))
-    names = {"Loss of control": "loss_of_control", "Ground contact": "ground_contact", "Diverged": "diverged"}
+    names = {
+        "Loss of control": "loss_of_control",
+        "Ground contact": "ground_contact",
+        "Diverged": "diverged",
+    }
     for row, item in zip(claims(page), signed, strict=True):
-        assert {name: row[name] for name in names} == {name: item[column] for name, column in names.items()}
-        assert float(row["Aborted flights, 95 % upper limit [1/h]"]) == pytest.approx(float(item["loss_upper_per_h"]), rel=0.01)
+        assert {name: row[name] for name in names} == {
+            name: item[column] for name, column in names.items()
+        }
+        assert float(row["Aborted flights, 95 % upper limit [1/h]"]) == pytest.approx(
+            float(item["loss_upper_per_h"]), rel=0.01
+        )
     assert sum(int(signed[0][column]) for column in names.values()) > 0
     spec = fakes.small_spec(tmp_path, 2)
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
@@ -123,8 +147,9 @@ def test_counts_of_flights_have_no_tick(tmp_path):
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     last = write_report(tmp_path / "out").page.verdict[-2:]
     assert [(item.text.partition(",")[2] or item.text, item.level) for item in last] == [
-        (" all ended as planned.", ""), ("No scored flight lost control.", ""),
-    ]  # fmt: skip
+        (" all ended as planned.", ""),
+        ("No scored flight lost control.", ""),
+    ]
 
 
 def test_text_from_outside_is_escaped(page):
@@ -138,15 +163,26 @@ def test_the_cursor_names_the_corner_behind_each_side(folder, page):
     table = pq.read_table(folder / "pbox.parquet").to_pandas()
     figure = tree.get_element_by_id("pbox-cross-track-median-m-3mps-moderate")
     (box,) = json.loads(figure.findtext("script"))["boxes"]
-    rows = table[(table["metric"] == "cross_track_median_m") & (table["condition"] == "3 m/s moderate")]
+    rows = table[
+        (table["metric"] == "cross_track_median_m") & (table["condition"] == "3 m/s moderate")
+    ]
     assert box["value"] == pytest.approx(rows["value"].tolist(), rel=1e-4)
     assert box["lower"] == pytest.approx(rows["lower"].tolist(), abs=1e-4)
     assert box["upper"] == pytest.approx(rows["upper"].tolist(), abs=1e-4)
-    cases = pq.read_table(folder / "cases.parquet").to_pandas().drop_duplicates("epistemic_id").set_index("epistemic_id")
+    cases = (
+        pq.read_table(folder / "cases.parquet")
+        .to_pandas()
+        .drop_duplicates("epistemic_id")
+        .set_index("epistemic_id")
+    )
     for side, corner in ((box["at_least"], "corner_lower"), (box["at_most"], "corner_upper")):
         for place, name in zip(side, rows[corner], strict=True):
-            levels = {c: cases.loc[name, f"level_{c}"] for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")}
-            assert box["corners"][place] == " ".join(f"{c}{'+' if v else '−'}" for c, v in levels.items())
+            levels = {
+                c: cases.loc[name, f"level_{c}"] for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+            }
+            assert box["corners"][place] == " ".join(
+                f"{c}{'+' if v else '−'}" for c, v in levels.items()
+            )
     # Every corner that may be named is drawn under that name, unless none of its flights is known.
     drawn = {e.get("data-corner") for e in figure.iter("path")} - {None}
     assert {f"0.{k}" for k in (*box["at_least"], *box["at_most"])} & drawn
@@ -158,7 +194,9 @@ def test_the_grid_says_what_the_statements_say(folder, page):
     signed = list(csv.DictReader((folder / "statements.csv").read_text().splitlines()))
     assert len(grids) == 2
     for grid, radius in zip(grids, ("15", "25"), strict=True):
-        (answer,) = [r["answer"] for r in signed if (r["radius_m"], r["distance"]) == (radius, "horizontal")]
+        (answer,) = [
+            r["answer"] for r in signed if (r["radius_m"], r["distance"]) == (radius, "horizontal")
+        ]
         (cell,) = grid.findall("tbody/tr/td")
         sign, level = {"yes": ("✓", "good"), "no": ("✕", "bad"), "open": ("?", "warn")}[answer]
         assert cell.findtext("span") == sign
@@ -174,9 +212,17 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     assert report.verdict[1] in html.document_fromstring(page).text_content()
     text = " ".join(report.verdict)
     assert text.startswith("Hardest condition flown: 3 m/s wind and moderate turbulence.")
-    assert re.search(r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured", text)
-    assert re.search(r"published flight's 9.41 m lies (below|within|above) the range measured by single flights, [\d.]+ to", text)
-    assert re.search(r"beyond 15 m per flight hour: [\d.]+ at the best corner, [\d.]+ at the worst", text)
+    assert re.search(
+        r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured",
+        text,
+    )
+    assert re.search(
+        r"published flight's 9.41 m lies (below|within|above) the range measured by single flights, [\d.]+ to",
+        text,
+    )
+    assert re.search(
+        r"beyond 15 m per flight hour: [\d.]+ at the best corner, [\d.]+ at the worst", text
+    )
     assert re.search(r"Of 192 flights, \d+ failed", text)
     (signed,) = [
         row
@@ -185,7 +231,11 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     ]
     rows = (folder / "excursions.csv").read_text().splitlines()
     header = rows[0].split(",")
-    horizontal = [dict(zip(header, row.split(","), strict=True)) for row in rows[1:] if ",15,horizontal," in row]
+    horizontal = [
+        dict(zip(header, row.split(","), strict=True))
+        for row in rows[1:]
+        if ",15,horizontal," in row
+    ]
     assert len(horizontal) == 64
     # Per hour flown, which is less than 3 flights of 150 s where one ended early.
     worst = max(int(row["excursions_upper"]) / float(row["hours"]) for row in horizontal)
@@ -211,7 +261,9 @@ def test_same_folder_same_bytes(folder, page):
 
 def test_many_conditions_are_tabled_and_the_first_drawn(tmp_path):
     spec = fakes.small_spec(tmp_path, 1, wind_mps=(0.0, 1.0, 2.0, 3.0, 4.0))
-    spec = replace(spec, epistemic=spec.epistemic.model_copy(update={"method": "none", "bounds": None}))
+    spec = replace(
+        spec, epistemic=spec.epistemic.model_copy(update={"method": "none", "bounds": None})
+    )
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     report = write_report(tmp_path / "out")
     assert problems(report.path.read_text(encoding="utf-8")) == []
@@ -224,7 +276,12 @@ def test_walks_are_not_called_corners(tmp_path, page):
     spec = read_campaign(fakes.campaign_file(tmp_path, walks))
     run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
     report = write_report(tmp_path / "out")
-    text = re.sub(r"<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", report.path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<(script|style|svg)\b.*?</\1>|<[^>]*>",
+        " ",
+        report.path.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
+    )
     assert "best to worst walk" in text
     assert "Worst walk [1/h]" in text
     assert "corner" not in text.lower()

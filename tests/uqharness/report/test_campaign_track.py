@@ -15,17 +15,24 @@ TIME = np.arange(0.0, 40.0, 0.1)
 ANGLE = 2.0 * np.pi * TIME / 40.0
 FRAME = pd.DataFrame(
     {
-        "case_id": ["a", "b", "c", "d"], "epistemic_id": ["CX-", "CX+", "CX-", "CX+"], "wind_mps": [3.0, 3.0, 7.0, 7.0],
-        "turbulence": ["moderate"] * 4, "cross_track_median_m": [9.0, 1.0, 2.0, 4.0],
+        "case_id": ["a", "b", "c", "d"],
+        "epistemic_id": ["CX-", "CX+", "CX-", "CX+"],
+        "wind_mps": [3.0, 3.0, 7.0, 7.0],
+        "turbulence": ["moderate"] * 4,
+        "cross_track_median_m": [9.0, 1.0, 2.0, 4.0],
     }
-)  # fmt: skip
+)
 
 
 def record(folder, case, radius=100.0):
     path = folder / "rerun" / case / "record.parquet"
     path.parent.mkdir(parents=True)
     away = np.sin(TIME)
-    columns = {"time_s": TIME, "north_m": (radius + away) * np.cos(ANGLE), "east_m": (radius + away) * np.sin(ANGLE)}
+    columns = {
+        "time_s": TIME,
+        "north_m": (radius + away) * np.cos(ANGLE),
+        "east_m": (radius + away) * np.sin(ANGLE),
+    }
     pd.DataFrame(columns | {"error_cross_track": away}).to_parquet(path)
 
 
@@ -43,10 +50,17 @@ def test_without_records_the_worst_flight_of_the_hardest_condition_is_named(tmp_
 def test_the_worst_and_the_median_flight_of_the_hardest_condition_are_shown():
     assert shown_cases(FRAME) == ("d", "c")
     five = pd.DataFrame(
-        {"case_id": list("abcde"), "wind_mps": 3.0, "turbulence": "light", "cross_track_median_m": [5, 1, 4, 2, 3.0]}
+        {
+            "case_id": list("abcde"),
+            "wind_mps": 3.0,
+            "turbulence": "light",
+            "cross_track_median_m": [5, 1, 4, 2, 3.0],
+        }
     )
     assert shown_cases(five) == ("a", "e")
-    assert shown_cases(five.assign(cross_track_median_m=[np.nan, 1.0, np.nan, np.nan, np.nan])) == ("b",)
+    assert shown_cases(five.assign(cross_track_median_m=[np.nan, 1.0, np.nan, np.nan, np.nan])) == (
+        "b",
+    )
     assert shown_cases(five.assign(cross_track_median_m=np.nan)) == ()
     assert shown_cases(five.drop(columns="cross_track_median_m")) == ()
 
@@ -61,10 +75,14 @@ def test_records_are_drawn_the_farthest_first(tmp_path):
 
 
 def test_no_more_tracks_than_fit(tmp_path):
-    frame = pd.concat([FRAME.assign(case_id=[f"{c}{k}" for c in FRAME["case_id"]]) for k in range(3)])
+    frame = pd.concat(
+        [FRAME.assign(case_id=[f"{c}{k}" for c in FRAME["case_id"]]) for k in range(3)]
+    )
     for case in frame["case_id"]:
         record(tmp_path, case)
-    assert len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MOST_TRACKS
+    assert (
+        len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MOST_TRACKS
+    )
 
 
 def test_a_damaged_record_is_told_and_no_error(tmp_path):
@@ -74,6 +92,8 @@ def test_a_damaged_record_is_told_and_no_error(tmp_path):
     assert any(isinstance(b, Words) and "record.parquet" in b.text for b in blocks(tmp_path))
 
 
-@pytest.mark.parametrize("frame", [FRAME.drop(columns="cross_track_median_m"), FRAME.assign(cross_track_median_m=np.nan)])
+@pytest.mark.parametrize(
+    "frame", [FRAME.drop(columns="cross_track_median_m"), FRAME.assign(cross_track_median_m=np.nan)]
+)
 def test_a_mission_without_a_path_has_no_track(tmp_path, frame):
     assert track_section(tmp_path, frame) == ()

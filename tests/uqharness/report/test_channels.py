@@ -32,33 +32,53 @@ def areas(figure, kind):
 
 def test_every_channel_has_a_chart_in_its_group():
     found = drawn(
-        {"V_mps": TIME, "elevator_deg": TIME, "elevator_pos_deg": TIME, "gear_norm": TIME, "mode": np.full(1001, "A", object)}
+        {
+            "V_mps": TIME,
+            "elevator_deg": TIME,
+            "elevator_pos_deg": TIME,
+            "gear_norm": TIME,
+            "mode": np.full(1001, "A", object),
+        }
     )
     assert {title: list(figures) for title, figures in found.items()} == {
-        "Air data": ["channel-V_mps"], "Controls and engine": ["channel-elevator_deg"], "Other channels": ["channel-gear_norm"],
-    }  # fmt: skip
+        "Air data": ["channel-V_mps"],
+        "Controls and engine": ["channel-elevator_deg"],
+        "Other channels": ["channel-gear_norm"],
+    }
 
 
 def test_a_command_is_drawn_beside_the_position_and_without_it_no_legend():
-    both = str(drawn({"elevator_deg": TIME, "elevator_pos_deg": TIME})["Controls and engine"]["channel-elevator_deg"].svg)
+    both = str(
+        drawn({"elevator_deg": TIME, "elevator_pos_deg": TIME})["Controls and engine"][
+            "channel-elevator_deg"
+        ].svg
+    )
     assert ">command<" in both
     assert ">position<" in both
-    assert ">command<" not in str(drawn({"elevator_deg": TIME})["Controls and engine"]["channel-elevator_deg"].svg)
+    assert ">command<" not in str(
+        drawn({"elevator_deg": TIME})["Controls and engine"]["channel-elevator_deg"].svg
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "quantity", "unit", "factor"),
     [
-        ("q_radps", "q", "deg/s", 180.0 / math.pi), ("az_mps2", "az", "m/s²", 1.0), ("rpm", "rpm", "1/min", 1.0),
-        ("cross_track_m", "cross track", "m", 1.0), ("thrust_N", "thrust", "N", 1.0), ("gear_norm", "gear_norm", "-", 1.0),
+        ("q_radps", "q", "deg/s", 180.0 / math.pi),
+        ("az_mps2", "az", "m/s²", 1.0),
+        ("rpm", "rpm", "1/min", 1.0),
+        ("cross_track_m", "cross track", "m", 1.0),
+        ("thrust_N", "thrust", "N", 1.0),
+        ("gear_norm", "gear_norm", "-", 1.0),
     ],
-)  # fmt: skip
+)
 def test_units(name, quantity, unit, factor):
     assert shown_signal(name) == (quantity, unit, pytest.approx(factor))
 
 
 def test_shading_stands_at_its_time_with_its_number_where_there_is_room():
-    figure = drawn({"V_mps": TIME}, [Shade(20.0, 40.0, "fill1", "7"), Shade(50.0, 50.4, "fill1", "8")])["Air data"]["channel-V_mps"]
+    figure = drawn(
+        {"V_mps": TIME}, [Shade(20.0, 40.0, "fill1", "7"), Shade(50.0, 50.4, "fill1", "8")]
+    )["Air data"]["channel-V_mps"]
     assert areas(figure, "fill1")[0] == pytest.approx((0.2, 0.4), abs=0.002)
     texts = [e.text for e in etree.fromstring(str(figure.svg)).iter("text")]
     assert "7" in texts
@@ -66,21 +86,30 @@ def test_shading_stands_at_its_time_with_its_number_where_there_is_room():
 
 
 def test_a_flag_is_in_its_own_channel_and_said_in_the_caption():
-    found = drawn({"V_mps": TIME, "alpha_rad": TIME}, flags={"V_mps": [Flag("error stuck", ((30.0, 60.0),)), Flag("estimate")]})
-    assert areas(found["Air data"]["channel-V_mps"], "fillbad") == [pytest.approx((0.3, 0.6), abs=0.002)]
+    found = drawn(
+        {"V_mps": TIME, "alpha_rad": TIME},
+        flags={"V_mps": [Flag("error stuck", ((30.0, 60.0),)), Flag("estimate")]},
+    )
+    assert areas(found["Air data"]["channel-V_mps"], "fillbad") == [
+        pytest.approx((0.3, 0.6), abs=0.002)
+    ]
     assert "Findings: error stuck, estimate." in found["Air data"]["channel-V_mps"].caption
     assert areas(found["Air data"]["channel-alpha_rad"], "fillbad") == []
     assert "Findings" not in found["Air data"]["channel-alpha_rad"].caption
 
 
 def test_a_moment_is_still_seen():
-    figure = drawn({"V_mps": TIME}, flags={"V_mps": [Flag("gap", ((30.0, 30.0),))]})["Air data"]["channel-V_mps"]
+    figure = drawn({"V_mps": TIME}, flags={"V_mps": [Flag("gap", ((30.0, 30.0),))]})["Air data"][
+        "channel-V_mps"
+    ]
     ((left, right),) = areas(figure, "fillbad")
     assert right - left == pytest.approx(0.004, abs=0.001)
 
 
 def test_what_stands_still_looks_so_and_what_is_nowhere_says_so():
-    found = drawn({"V_mps": 20.0 + 1e-9 * np.sin(TIME), "alpha_rad": np.full(1001, np.nan)})["Air data"]
+    found = drawn({"V_mps": 20.0 + 1e-9 * np.sin(TIME), "alpha_rad": np.full(1001, np.nan)})[
+        "Air data"
+    ]
     svg = etree.fromstring(str(found["channel-V_mps"].svg))
     path = next(e.get("d") for e in svg.iter("path") if e.get("class") == "line first thin")
     heights = {p.split(" ")[1] for p in path.lstrip("M").split("L")}

@@ -11,13 +11,23 @@ from uqharness.campaign.convergence import Converged
 from uqharness.report.convergence import convergence_section
 from uqharness.statistics.convergence import Growth, Repeats
 
-REPEATS = Repeats(2, 3, 0.3, 0.9, np.array([2.0, 3.0]), np.array([[1.0, 2.0, 3.0], [2.0, 3.0, np.inf]]))
-GROWTH = (Growth(1, 0.5, 0.2, 0.8, 0.5), Growth(2, 0.9, 0.6, 1.2, 0.3), Growth(4, 1.3, 1.3, 1.3, 0.2))
+REPEATS = Repeats(
+    2, 3, 0.3, 0.9, np.array([2.0, 3.0]), np.array([[1.0, 2.0, 3.0], [2.0, 3.0, np.inf]])
+)
+GROWTH = (
+    Growth(1, 0.5, 0.2, 0.8, 0.5),
+    Growth(2, 0.9, 0.6, 1.2, 0.3),
+    Growth(4, 1.3, 1.3, 1.3, 0.2),
+)
 
 
 @pytest.mark.parametrize(
     ("repeats", "growth", "names"),
-    [(REPEATS, GROWTH, ["repeats", "growth"]), (REPEATS, (), ["repeats"]), (None, GROWTH, ["growth"])],
+    [
+        (REPEATS, GROWTH, ["repeats", "growth"]),
+        (REPEATS, (), ["repeats"]),
+        (None, GROWTH, ["growth"]),
+    ],
 )
 def test_what_there_is_is_drawn(repeats, growth, names):
     item = Converged("cross_track_median_m", Condition(3.0, "light"), "0", repeats, growth)
@@ -35,5 +45,9 @@ def test_what_there_is_is_drawn(repeats, growth, names):
         assert not any("nan" in d or "inf" in d for d in lines)
     if repeats:
         # A flight that failed has no step: the second curve ends at two of three.
-        drawn = [e for e in etree.fromstring(str(figures.items[0].svg)).iter("path") if e.get("class") == "line first thin"]
+        drawn = [
+            e
+            for e in etree.fromstring(str(figures.items[0].svg)).iter("path")
+            if e.get("class") == "line first thin"
+        ]
         assert [e.get("d").count("V") for e in drawn] == [3, 2]

@@ -8,7 +8,10 @@ from uqharness.report.parts import Table, Words
 
 
 def manifest(engine, *why):
-    return {"campaign": {"campaign": {"engine": engine}}, "engine": {"asked": "auto", "why": list(why)}}
+    return {
+        "campaign": {"campaign": {"engine": engine}},
+        "engine": {"asked": "auto", "why": list(why)},
+    }
 
 
 def row(metric, difference, verdict="alike", remark="", case="1", part="whole"):
@@ -16,7 +19,9 @@ def row(metric, difference, verdict="alike", remark="", case="1", part="whole"):
 
 
 def test_jsbsim_and_the_reason():
-    (words,) = engine_section(manifest("jsbsim", "plane.xml:7: <rocket_engine> is not understood"), []).blocks
+    (words,) = engine_section(
+        manifest("jsbsim", "plane.xml:7: <rocket_engine> is not understood"), []
+    ).blocks
     assert isinstance(words, Words)
     assert words.text == "Flown in JSBSim, because plane.xml:7: <rocket_engine> is not understood."
     old = {"campaign": {"campaign": {"engine": "jsbsim"}}}
@@ -25,10 +30,14 @@ def test_jsbsim_and_the_reason():
 
 def test_the_largest_difference_of_each_metric_and_what_was_excused():
     rows = [
-        row("status", ""), row("altitude_max_m", "1e-9"), row("altitude_max_m", "3e-8", case="2"),
-        row("excursions_15m", "1.0", "excused", "came near"), row("excursions_15m", "0.0", case="2"),
-        row("nearest_excursions_15m", ""), row("altitude_max_m", "1.0", "alike", part="start"),
-    ]  # fmt: skip
+        row("status", ""),
+        row("altitude_max_m", "1e-9"),
+        row("altitude_max_m", "3e-8", case="2"),
+        row("excursions_15m", "1.0", "excused", "came near"),
+        row("excursions_15m", "0.0", case="2"),
+        row("nearest_excursions_15m", ""),
+        row("altitude_max_m", "1.0", "alike", part="start"),
+    ]
     said, note, table = engine_section(manifest("batch"), rows).blocks
     assert said.text == "Flown in the batch engine."
     assert note.text.startswith("2 whole flights, ")

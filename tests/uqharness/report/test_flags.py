@@ -14,7 +14,13 @@ SOURCES = {"V_mps": "ARSP.Airspeed x CTUN.E2T", "alpha_rad": "AOA.AOA", "beta_ra
 
 
 def record(*findings, **columns):
-    usual = {"time_s": TIME, "V_mps": np.full(TIME.size, 20.0), "alpha_rad": 0.0 * TIME, "beta_rad": 0.0 * TIME, "vn_mps": TIME}
+    usual = {
+        "time_s": TIME,
+        "V_mps": np.full(TIME.size, 20.0),
+        "alpha_rad": 0.0 * TIME,
+        "beta_rad": 0.0 * TIME,
+        "vn_mps": TIME,
+    }
     return FlightRecord({**usual, **columns}, Metadata(channels=SOURCES, findings=tuple(findings)))
 
 
@@ -25,24 +31,34 @@ def finding(code, channel, severity="warning", **numbers):
 @pytest.mark.parametrize(
     ("channel", "names"),
     [
-        ("V_mps", ("V_mps",)), ("AOA", ("alpha_rad", "beta_rad")), ("ground velocity", ("vn_mps",)), ("", ()), ("AO", ()),
+        ("V_mps", ("V_mps",)),
+        ("AOA", ("alpha_rad", "beta_rad")),
+        ("ground velocity", ("vn_mps",)),
+        ("", ()),
+        ("AO", ()),
         ("GPS", ()),
     ],
-)  # fmt: skip
+)
 def test_channels(channel, names):
     assert channels_of(finding("gap", channel), record()) == names
 
 
 def test_a_stretch_that_the_finding_names():
-    assert spans_of(finding("stuck", "V_mps", start_s=3.0, end_s=8.0), "V_mps", record()) == ((3.0, 8.0),)
+    assert spans_of(finding("stuck", "V_mps", start_s=3.0, end_s=8.0), "V_mps", record()) == (
+        (3.0, 8.0),
+    )
 
 
 def test_stretches_that_the_record_shows():
     speed = np.full(TIME.size, 20.0)
     speed[100:111], speed[500] = np.nan, 2000.0
     found = record(V_mps=speed)
-    assert spans_of(finding("dropouts", "V_mps"), "V_mps", found) == ((pytest.approx(10.0), pytest.approx(11.0)),)
-    assert spans_of(finding("out-of-range", "V_mps"), "V_mps", found) == ((pytest.approx(50.0), pytest.approx(50.0)),)
+    assert spans_of(finding("dropouts", "V_mps"), "V_mps", found) == (
+        (pytest.approx(10.0), pytest.approx(11.0)),
+    )
+    assert spans_of(finding("out-of-range", "V_mps"), "V_mps", found) == (
+        (pytest.approx(50.0), pytest.approx(50.0)),
+    )
     assert spans_of(finding("negative-airspeed", "V_mps"), "V_mps", found) == ()
     assert spans_of(finding("delay", "V_mps"), "V_mps", found) == ()
 
@@ -57,7 +73,13 @@ def test_many_stretches_are_joined_and_none_is_lost():
 
 def test_flags_name_severity_and_code_once():
     stuck = finding("stuck", "V_mps", "error", start_s=1.0, end_s=2.0)
-    found = flags_of(record(stuck, stuck, finding("estimate", "AOA"), finding("slower-than-grid", "V_mps", "info")))
+    found = flags_of(
+        record(
+            stuck, stuck, finding("estimate", "AOA"), finding("slower-than-grid", "V_mps", "info")
+        )
+    )
     assert {name: [f.words for f in flags] for name, flags in found.items()} == {
-        "V_mps": ["error stuck"], "alpha_rad": ["warning estimate"], "beta_rad": ["warning estimate"],
-    }  # fmt: skip
+        "V_mps": ["error stuck"],
+        "alpha_rad": ["warning estimate"],
+        "beta_rad": ["warning estimate"],
+    }

@@ -7,7 +7,15 @@ import pandas as pd
 import pytest
 from lxml import etree
 
-from uqharness.report.ground_track import Circle, circle_of, equal_scales, flown_track, ground_track, lap_of, track_distance
+from uqharness.report.ground_track import (
+    Circle,
+    circle_of,
+    equal_scales,
+    flown_track,
+    ground_track,
+    lap_of,
+    track_distance,
+)
 from uqharness.report.svg import Chart
 
 TIME = np.arange(0.0, 200.0, 0.2)
@@ -17,7 +25,12 @@ def lap(away, period_s=40.0, radius=120.0):
     """A flight around (10, 130) that is ``away`` from the circle."""
     angle = 2.0 * np.pi * TIME / period_s
     r = radius + away
-    return {"time_s": TIME, "north_m": 10.0 + r * np.cos(angle), "east_m": 130.0 + r * np.sin(angle), "distance_m": away}
+    return {
+        "time_s": TIME,
+        "north_m": 10.0 + r * np.cos(angle),
+        "east_m": 130.0 + r * np.sin(angle),
+        "distance_m": away,
+    }
 
 
 AWAY = 3.0 * np.sin(0.7 * TIME) + 20.0 * np.exp(-(((TIME - 120.0) / 4.0) ** 2))
@@ -25,7 +38,9 @@ AWAY = 3.0 * np.sin(0.7 * TIME) + 20.0 * np.exp(-(((TIME - 120.0) / 4.0) ** 2))
 
 def table(**tracks):
     rows = [
-        pd.DataFrame(columns | {"when": key.split("_")[0], "model": key.split("_")[1].replace("-", " ")})
+        pd.DataFrame(
+            columns | {"when": key.split("_")[0], "model": key.split("_")[1].replace("-", " ")}
+        )
         for key, columns in tracks.items()
     ]
     return pd.concat(rows, ignore_index=True)
@@ -45,7 +60,9 @@ def pair():
 def test_the_circle_is_found_from_where_the_distances_are_zero():
     flown = lap(AWAY)
     found = circle_of(flown["north_m"], flown["east_m"], flown["distance_m"])
-    assert (found.north_m, found.east_m, found.radius_m) == pytest.approx((10.0, 130.0, 120.0), abs=1e-6)
+    assert (found.north_m, found.east_m, found.radius_m) == pytest.approx(
+        (10.0, 130.0, 120.0), abs=1e-6
+    )
 
 
 def test_distances_from_something_else_are_no_circle():
@@ -66,14 +83,26 @@ def words_in(figure):
 def lines_in(figure):
     """Classes of the lines inside the axes, in the order in which they are drawn."""
     (inside,) = [e for e in etree.fromstring(str(figure.svg)).iter("g") if e.get("clip-path")]
-    return [e.get("class").removeprefix("line ") for e in inside.iter("path") if e.get("class", "").startswith("line")]
+    return [
+        e.get("class").removeprefix("line ")
+        for e in inside.iter("path")
+        if e.get("class", "").startswith("line")
+    ]
 
 
 def test_the_track_has_a_line_and_a_legend_for_every_flight():
     figure = ground_track("track", lap_of(pair()), 15.0, "12 m/s wind")
     assert {"commanded path", "15 m from it"} | LINES <= words_in(figure)
     # The path and two limits, worst corners below, and the dashed lines of before above those of after.
-    assert lines_in(figure) == ["third", "limit", "limit", "first", "second", "first thin", "second thin"]
+    assert lines_in(figure) == [
+        "third",
+        "limit",
+        "limit",
+        "first",
+        "second",
+        "first thin",
+        "second thin",
+    ]
     largest = 0.9 * np.abs(AWAY).max()
     assert f"{largest:.3g} m (worst corner, after)" in figure.svg
 
@@ -81,22 +110,36 @@ def test_the_track_has_a_line_and_a_legend_for_every_flight():
 def test_the_distance_over_the_lap_shows_each_flight_against_the_radius():
     lap_found = lap_of(pair())
     figure = track_distance("distance", lap_found, 15.0)
-    assert {"commanded path", "15 m from it", "time in the lap [s]", "distance from the path [m], outside positive"} <= words_in(
-        figure
-    )
+    assert {
+        "commanded path",
+        "15 m from it",
+        "time in the lap [s]",
+        "distance from the path [m], outside positive",
+    } <= words_in(figure)
     assert words_in(figure) >= LINES
     # No flight comes near the limit inside the circle, which is not drawn.
     assert lines_in(figure) == ["third", "limit", "first", "second", "first thin", "second thin"]
-    assert f"in the whole flight {0.9 * np.abs(AWAY).max():.3g} m (worst corner, after)" in figure.caption
+    assert (
+        f"in the whole flight {0.9 * np.abs(AWAY).max():.3g} m (worst corner, after)"
+        in figure.caption
+    )
     inside = table(**{"before_worst-corner": lap(-AWAY)})
-    assert lines_in(track_distance("distance", lap_of(inside), 15.0)) == ["third", "limit", "limit", "second"]
+    assert lines_in(track_distance("distance", lap_of(inside), 15.0)) == [
+        "third",
+        "limit",
+        "limit",
+        "second",
+    ]
 
 
 def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
     """Both flights go out by 20 m at 120 s, and differ by 3 m at 60 s."""
     other = AWAY + 3.0 * np.exp(-(((TIME - 60.0) / 4.0) ** 2))
     found = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(other)}))
-    assert (found.at_s, found.apart_m) == (pytest.approx(60.0, abs=0.2), pytest.approx(3.0, abs=0.01))
+    assert (found.at_s, found.apart_m) == (
+        pytest.approx(60.0, abs=0.2),
+        pytest.approx(3.0, abs=0.01),
+    )
     # The course turns a little faster or slower than the circle where the distance changes.
     assert found.end_s - found.begin_s == pytest.approx(40.0, abs=2.0)
     assert found.begin_s < 60.0 < found.end_s
@@ -104,7 +147,10 @@ def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
     assert "in which the lines are 3 m apart" in ground_track("track", found, 15.0, "calm").caption
     same = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(AWAY)}))
     assert same.at_s == pytest.approx(TIME[np.abs(AWAY).argmax()])
-    assert "in which the worst corner is farthest from its path" in ground_track("track", same, 15.0, "calm").caption
+    assert (
+        "in which the worst corner is farthest from its path"
+        in ground_track("track", same, 15.0, "calm").caption
+    )
 
 
 def test_a_lap_at_the_end_of_a_flight_is_a_whole_one():
@@ -123,7 +169,10 @@ def test_a_flight_that_ended_early_is_compared_while_it_flew():
 
 def test_without_refinement_there_is_no_before():
     found = lap_of(table(**{"before_nominal": lap(0.5 * AWAY), "before_worst-corner": lap(AWAY)}))
-    for figure in (ground_track("track", found, 15.0, "calm"), track_distance("distance", found, 15.0)):
+    for figure in (
+        ground_track("track", found, 15.0, "calm"),
+        track_distance("distance", found, 15.0),
+    ):
         assert {"nominal", "worst corner"} <= words_in(figure)
 
 
@@ -134,24 +183,43 @@ def test_a_path_that_is_no_circle_is_not_drawn():
 
 
 def test_a_straight_flight_is_cut_to_two_minutes():
-    straight = {"time_s": TIME, "north_m": 20.0 * TIME, "east_m": 0.0 * TIME, "distance_m": np.where(TIME == 100.0, 5.0, 0.0)}
-    assert "(120 s)" in ground_track("track", lap_of(table(**{"before_worst-corner": straight})), 15.0, "calm").caption
+    straight = {
+        "time_s": TIME,
+        "north_m": 20.0 * TIME,
+        "east_m": 0.0 * TIME,
+        "distance_m": np.where(TIME == 100.0, 5.0, 0.0),
+    }
+    assert (
+        "(120 s)"
+        in ground_track(
+            "track", lap_of(table(**{"before_worst-corner": straight})), 15.0, "calm"
+        ).caption
+    )
 
 
 def test_flights_without_a_distance_have_no_lap():
-    assert lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.nan * TIME}})) is None
+    assert (
+        lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.nan * TIME}})) is None
+    )
     assert lap_of(table(before_nominal=lap(AWAY))) is None
 
 
 def test_a_metre_is_as_long_to_the_east_as_to_the_north():
     x, y = equal_scales(np.array([0.0, 100.0]), np.array([0.0, 10.0]), 330)
     (u, v) = Chart("c", "", x, y, 330).at(np.array([0.0, 10.0]), np.array([0.0, 10.0]))
-    assert abs(u[1] - u[0]) == pytest.approx(abs(v[1] - v[0]), rel=0.03)  # the ticks' width moves the axis
+    assert abs(u[1] - u[0]) == pytest.approx(
+        abs(v[1] - v[0]), rel=0.03
+    )  # the ticks' width moves the axis
     assert x.low < 0.0 < 100.0 < x.high
 
 
 def columns_of(flown, sign=1.0):
-    return {"time_s": TIME, "north_m": flown["north_m"], "east_m": flown["east_m"], "cross_track_m": sign * flown["distance_m"]}
+    return {
+        "time_s": TIME,
+        "north_m": flown["north_m"],
+        "east_m": flown["east_m"],
+        "cross_track_m": sign * flown["distance_m"],
+    }
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -169,19 +237,30 @@ def test_a_circle_that_the_errors_do_not_tell_is_not_drawn():
 
 
 def test_circles_that_a_log_names_are_drawn_without_errors():
-    flown = {name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"}
+    flown = {
+        name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"
+    }
     assert "commanded circle" not in str(flown_track("track", flown).svg)
-    svg = str(flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg)
+    svg = str(
+        flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg
+    )
     assert "commanded circle, radius 80 m" in svg
     one = str(flown_track("track", flown, circles=[Circle(0.0, 0.0, 80.0)]).svg)
     rings = [e for e in etree.fromstring(svg).iter() if "third" in (e.get("class") or "")]
-    assert len(rings) == len([e for e in etree.fromstring(one).iter() if "third" in (e.get("class") or "")]) + 1
+    assert (
+        len(rings)
+        == len([e for e in etree.fromstring(one).iter() if "third" in (e.get("class") or "")]) + 1
+    )
 
 
 def test_positions_are_integrated_where_there_are_velocities_alone():
     flown = {"time_s": TIME, "vn_mps": np.full(TIME.size, 20.0), "ve_mps": np.zeros(TIME.size)}
     svg = etree.fromstring(str(flown_track("track", flown).svg))
-    ends = {e.get("class"): e for e in svg.iter("circle", "rect") if e.get("class") == "mark second"}
+    ends = {
+        e.get("class"): e for e in svg.iter("circle", "rect") if e.get("class") == "mark second"
+    }
     assert ends
     assert flown_track("track", {"time_s": TIME}) is None
-    assert flown_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None
+    assert (
+        flown_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None
+    )

@@ -14,18 +14,33 @@ MODEL = Model("_model", "first", "model")
 
 
 def segment(number, gap):
-    return History(number, "f", f"m{number}", TIME, {"q_radps": np.sin(TIME), "q_radps_model": np.sin(TIME) + gap})
+    return History(
+        number,
+        "f",
+        f"m{number}",
+        TIME,
+        {"q_radps": np.sin(TIME), "q_radps_model": np.sin(TIME) + gap},
+    )
 
 
 def drawn(section):
-    return [figure for part in section.parts for block in part.blocks[-1:] for figure in block.items]
+    return [
+        figure for part in section.parts for block in part.blocks[-1:] for figure in block.items
+    ]
 
 
 def test_the_worst_segments_come_first_and_all_when_asked():
     found = [segment(k, gap) for k, gap in enumerate((0.01, 0.05, 0.03))]
     names = {}
     for most in (2, None):
-        (section,) = history_section(found, {"q_radps": 0.01}, [MODEL], "T", most=most, file=lambda rank, h: f"{rank}-{h.number}")
+        (section,) = history_section(
+            found,
+            {"q_radps": 0.01},
+            [MODEL],
+            "T",
+            most=most,
+            file=lambda rank, h: f"{rank}-{h.number}",
+        )
         names[most] = [part.blocks[-1].file for part in section.parts]
     assert names == {2: ["0-1", "1-2"], None: ["0-1", "1-2", "2-0"]}
     assert "5.00 times the noise" in section.parts[0].blocks[0].text
@@ -40,11 +55,18 @@ def test_a_band_where_the_noise_is_known(noise, bands):
 
 
 def test_pieces_stand_end_to_end_with_a_gap_and_what_is_outside_is_marked():
-    found = [History(k, "f", "m", TIME + 50.0 * k, {"Cm": np.where(TIME < 0.1, 9.0, 0.0)}) for k in range(2)]
+    found = [
+        History(k, "f", "m", TIME + 50.0 * k, {"Cm": np.where(TIME < 0.1, 9.0, 0.0)})
+        for k in range(2)
+    ]
     band = ([np.full(TIME.size, -1.0)] * 2, [np.full(TIME.size, 1.0)] * 2, "")
-    figure = end_to_end(found, "n", [("Cm", "plain", "")], band, "label", "Cm [-]", "caption", outside=True)
+    figure = end_to_end(
+        found, "n", [("Cm", "plain", "")], band, "label", "Cm [-]", "caption", outside=True
+    )
     root = etree.fromstring(str(figure.svg))
-    assert [float(v) for v in root.get("data-x").split(",")] == pytest.approx([0.0, 2 * TIME[-1] + 0.5])
+    assert [float(v) for v in root.get("data-x").split(",")] == pytest.approx(
+        [0.0, 2 * TIME[-1] + 0.5]
+    )
     (line,) = (e.get("d") for e in root.iter("path") if e.get("class") == "line plain")
     assert line.count("M") == 2
     dots = [e.get("d") for e in root.iter("path") if e.get("class") == "dots dotout"]

@@ -39,7 +39,9 @@ def test_a_campaign_shows_its_size_statements_and_p_boxes(flown: CampaignResult)
     assert "<style" not in shown
 
 
-def test_a_campaign_without_a_metric_shows_no_chart(flown: CampaignResult, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_campaign_without_a_metric_shows_no_chart(
+    flown: CampaignResult, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
     from uqharness.report import notebook
 
     monkeypatch.setattr(notebook, "pboxes", lambda cases, confidence: iter(()))

@@ -41,7 +41,13 @@ def test_each_quantity_in_common_has_a_figure_and_a_row(pair):
     changes = [row[-1] for row in table.rows]
     assert all(change.level == ("warn" if change.small == "wider" else "") for change in changes)
     fewer = replace(pair[1], findings=pair[1].findings[:1])
-    (left,) = (block for block in overlay_section(pair[0], fewer, NAMES).blocks if isinstance(block, Figures))
+    (left,) = (
+        block
+        for block in overlay_section(pair[0], fewer, NAMES).blocks
+        if isinstance(block, Figures)
+    )
     assert len(left.items) == 1
     nothing = overlay_section(pair[0], replace(pair[1], findings=()), NAMES)
-    assert [block.text for block in nothing.blocks] == ["The two campaigns share no quantity in the same condition."]
+    assert [block.text for block in nothing.blocks] == [
+        "The two campaigns share no quantity in the same condition."
+    ]

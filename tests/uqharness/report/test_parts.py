@@ -27,10 +27,22 @@ from uqharness.report.parts import (
 
 
 def test_a_terminal_shows_the_verdict_and_what_is_key():
-    key = Table("Caption.", ("Name", "Value"), (("a", Cell("1.0", "good", "why")), ("bb", "20")), key=True)
+    key = Table(
+        "Caption.", ("Name", "Value"), (("a", Cell("1.0", "good", "why")), ("bb", "20")), key=True
+    )
     inner = Section("inner", (Bullets(("a note",), key=True),))
-    other = (Words("words"), Table("Other.", ("x",), (("y",),)), Bullets(("left out",)), Table("Empty.", ("x",), (), key=True))
-    page = Page("Title", "What?", (Say("So.", "good"), Say("But.", "warn")), (Section("s", (*other, key), (inner,)),))
+    other = (
+        Words("words"),
+        Table("Other.", ("x",), (("y",),)),
+        Bullets(("left out",)),
+        Table("Empty.", ("x",), (), key=True),
+    )
+    page = Page(
+        "Title",
+        "What?",
+        (Say("So.", "good"), Say("But.", "warn")),
+        (Section("s", (*other, key), (inner,)),),
+    )
     assert first_lines(page) == [
         "So.",
         "But.",
@@ -45,7 +57,13 @@ def test_a_terminal_shows_the_verdict_and_what_is_key():
 
 
 def test_what_is_undefined_says_so():
-    assert [shown(v) for v in (None, math.nan, math.inf, 0.0, 1234.5)] == ["undefined", "undefined", "open", "0", "1.23e+03"]
+    assert [shown(v) for v in (None, math.nan, math.inf, 0.0, 1234.5)] == [
+        "undefined",
+        "undefined",
+        "open",
+        "0",
+        "1.23e+03",
+    ]
     assert (percent(None), percent(0.123, ".1f")) == ("undefined", "12.3")
 
 

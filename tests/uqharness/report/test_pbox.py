@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from uqharness.report.pbox import DrawnBox, farthest, metric_label, pbox_figure, smooth_pbox, smooth_share
+from uqharness.report.pbox import (
+    DrawnBox,
+    farthest,
+    metric_label,
+    pbox_figure,
+    smooth_pbox,
+    smooth_share,
+)
 from uqharness.statistics.pbox import Sample, pbox
 
 
@@ -21,13 +28,18 @@ def test_many_samples_make_no_large_page():
     assert len(figure.svg) + len(json.dumps(figure.cursor)) < 150_000
     assert "96 of 2000 samples" in figure.svg
     (cursor,) = figure.cursor["boxes"]
-    assert [cursor["corners"][k] for k in cursor["at_least"]] == [words[str(name)] for name in box.corner_lower]
+    assert [cursor["corners"][k] for k in cursor["at_least"]] == [
+        words[str(name)] for name in box.corner_lower
+    ]
     assert f'data-corner="0.{cursor["at_least"][0]}"' in figure.svg
 
 
 def drawn(flights, factor=1.0, unknown=0):
     draw = np.random.default_rng(2)
-    return [Sample(f"s{k}", factor * (1.0 + k / 40.0) * draw.gamma(9.0, 0.3, size=flights), unknown) for k in range(20)]
+    return [
+        Sample(f"s{k}", factor * (1.0 + k / 40.0) * draw.gamma(9.0, 0.3, size=flights), unknown)
+        for k in range(20)
+    ]
 
 
 def test_a_smooth_share_rises_without_steps_from_0_to_1():
@@ -43,7 +55,9 @@ def test_a_smooth_share_rises_without_steps_from_0_to_1():
 
 
 def test_nothing_is_put_below_an_error_of_0():
-    share = smooth_share(np.abs(np.random.default_rng(5).normal(size=100)), np.array([-1.0, 0.0, 0.1]))
+    share = smooth_share(
+        np.abs(np.random.default_rng(5).normal(size=100)), np.array([-1.0, 0.0, 0.1])
+    )
     assert share[:2].tolist() == [0.0, 0.0]
     assert share[2] == pytest.approx(0.08, abs=0.03)
 
@@ -88,9 +102,12 @@ def test_smooth_curves_are_drawn_without_steps_and_say_how_far_they_are_from_the
 @pytest.mark.parametrize(
     ("metric", "label"),
     [
-        ("cross_track_median_m", "cross track median [m]"), ("speed_median_mps_measured", "speed median, measured [m/s]"),
-        ("heading_median_deg", "heading median [deg]"), ("excursions_15m", "excursions_15m [-]"), ("oddity", "oddity [-]"),
+        ("cross_track_median_m", "cross track median [m]"),
+        ("speed_median_mps_measured", "speed median, measured [m/s]"),
+        ("heading_median_deg", "heading median [deg]"),
+        ("excursions_15m", "excursions_15m [-]"),
+        ("oddity", "oddity [-]"),
     ],
-)  # fmt: skip
+)
 def test_a_metric_names_its_unit(metric, label):
     assert metric_label(metric) == label

@@ -15,13 +15,23 @@ from sysid.record import FlightRecord
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.conditions import Condition
 from uqharness.replay.histories import History
-from uqharness.report.plots import plot_history, plot_model_form, plot_overlay, plot_pbox, plot_sensitivity
+from uqharness.report.plots import (
+    plot_history,
+    plot_model_form,
+    plot_overlay,
+    plot_pbox,
+    plot_sensitivity,
+)
 from uqharness.sensitivity import Index, PairRange
 from uqharness.statistics.pbox import Sample, pbox
 
 TIME = np.arange(0.0, 4.0, 0.02)
-HISTORY = History(0, "flight1", "roll doublet", TIME, {"q_radps": np.sin(TIME), "q_radps_model": np.cos(TIME)})
-BOX = pbox([Sample("a", np.array([1.0, 2.0, 3.0])), Sample("b", np.array([2.0, 4.0, 6.0]), unknown=1)])
+HISTORY = History(
+    0, "flight1", "roll doublet", TIME, {"q_radps": np.sin(TIME), "q_radps_model": np.cos(TIME)}
+)
+BOX = pbox(
+    [Sample("a", np.array([1.0, 2.0, 3.0])), Sample("b", np.array([2.0, 4.0, 6.0]), unknown=1)]
+)
 FORM = made_up_form()
 
 
@@ -31,22 +41,28 @@ def sensitivity():
 
     indices = {"CX": share(0.2, 0.3), "CY": share(0.6, 0.8)}
     return SimpleNamespace(
-        result=SimpleNamespace(indices=indices), metric="cross_track_median_m", condition=Condition(3.0, "light")
+        result=SimpleNamespace(indices=indices),
+        metric="cross_track_median_m",
+        condition=Condition(3.0, "light"),
     )
 
 
 DRAW = {
     "pbox": lambda ax: plot_pbox(BOX, ax, "median error [m]"),
-    "history": lambda ax: plot_history(FlightRecord({"time_s": TIME, "q_radps": np.sin(TIME)}), "q_radps", ax),
+    "history": lambda ax: plot_history(
+        FlightRecord({"time_s": TIME, "q_radps": np.sin(TIME)}), "q_radps", ax
+    ),
     "overlay": lambda ax: plot_overlay(HISTORY, "q_radps", ax, noise=0.01),
     "sensitivity": lambda ax: plot_sensitivity(sensitivity(), ax),
     "model form": lambda ax: plot_model_form(FORM.coefficients["Cm"], "alpha_rad", ax, "Cm"),
 }
 LABELS = {
-    "pbox": ("median error [m]", "cumulative probability [-]"), "history": ("time [s]", "q [deg/s]"),
-    "overlay": ("time of the log [s]", "q [deg/s]"), "sensitivity": ("share of the p-box's width [-]", ""),
+    "pbox": ("median error [m]", "cumulative probability [-]"),
+    "history": ("time [s]", "q [deg/s]"),
+    "overlay": ("time of the log [s]", "q [deg/s]"),
+    "sensitivity": ("share of the p-box's width [-]", ""),
     "model form": ("alpha [deg]", "flight minus model, Cm [-]"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", DRAW)
@@ -117,9 +133,16 @@ def test_what_is_not_there_is_refused():
 def loaded(modules):
     """What of matplotlib is there once the modules are imported in a fresh process."""
     code = f"import sys, {modules}; print(*[n for n in ('matplotlib', 'matplotlib.pyplot') if n in sys.modules])"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
 
 
 def test_reports_load_no_matplotlib():
-    assert loaded("uqharness.report.write, uqharness.report.pages.study, uqharness.report.rerun, uqharness.cli.main") == []
+    assert (
+        loaded(
+            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.rerun, uqharness.cli.main"
+        )
+        == []
+    )
     assert loaded("uqharness.report.plots") == ["matplotlib"]

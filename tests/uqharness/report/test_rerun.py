@@ -13,11 +13,22 @@ from uqharness.report.rerun import flight_figures
 TIME = np.arange(0.0, 10.0, 0.1)
 RECORD = pd.DataFrame(
     {
-        "time_s": TIME, "V_mps": 20.0 + np.sin(TIME), "h_m": 100.0, "phi_rad": 0.1, "ve_mps": 20.0, "vn_mps": np.cos(TIME),
-        "error_cross_track": 3.0, "elevator_pos_deg": -1.0, "elevator_deg": -2.0, "throttle_pct": 60.0,
-        "level_CX": 0.3, "delta_CX": 0.01, "level_Cm": 0.7, "delta_Cm": 0.0,
+        "time_s": TIME,
+        "V_mps": 20.0 + np.sin(TIME),
+        "h_m": 100.0,
+        "phi_rad": 0.1,
+        "ve_mps": 20.0,
+        "vn_mps": np.cos(TIME),
+        "error_cross_track": 3.0,
+        "elevator_pos_deg": -1.0,
+        "elevator_deg": -2.0,
+        "throttle_pct": 60.0,
+        "level_CX": 0.3,
+        "delta_CX": 0.01,
+        "level_Cm": 0.7,
+        "delta_Cm": 0.0,
     }
-)  # fmt: skip
+)
 
 
 def spec(**more):
@@ -32,7 +43,10 @@ def spec(**more):
 
 
 def drawn(record, **more):
-    return {figure.name: etree.fromstring(str(figure.svg)) for figure in flight_figures(record, spec(**more))}
+    return {
+        figure.name: etree.fromstring(str(figure.svg))
+        for figure in flight_figures(record, spec(**more))
+    }
 
 
 def words(svg):
@@ -48,14 +62,18 @@ def test_a_chart_for_what_there_is():
     assert "elevator_deg" not in words(found["flight-surfaces"])
     assert "CX" in words(found["flight-levels"])
     assert "Cm" not in words(found["flight-levels"])
-    fewer = drawn(RECORD.drop(columns=["throttle_pct", "error_cross_track", "level_CX", "level_Cm"]))
+    fewer = drawn(
+        RECORD.drop(columns=["throttle_pct", "error_cross_track", "level_CX", "level_Cm"])
+    )
     assert set(found) - set(fewer) == {"flight-throttle", "flight-errors", "flight-levels"}
 
 
 def test_what_is_not_scored_is_shaded_and_near_radii_are_drawn():
     found = drawn(RECORD)["flight-errors"]
     assert {"not scored", "excursion radius"} <= words(found)
-    assert len([e for e in found.iter("path") if e.get("class") == "line limit"]) == 3  # both sides, and the legend's
+    assert (
+        len([e for e in found.iter("path") if e.get("class") == "line limit"]) == 3
+    )  # both sides, and the legend's
     assert "not scored" not in words(drawn(RECORD, burn_in_s=0.0)["flight-errors"])
 
 
@@ -66,6 +84,10 @@ def test_a_metre_is_as_long_to_the_east_as_to_the_north(turned):
     record = RECORD.assign(east_m=east, north_m=north)
     if turned:
         record = RECORD.assign(ve_mps=np.gradient(east, TIME), vn_mps=np.gradient(north, TIME))
-    (path,) = (e.get("d") for e in drawn(record)["flight-track"].iter("path") if e.get("class") == "line first thin")
+    (path,) = (
+        e.get("d")
+        for e in drawn(record)["flight-track"].iter("path")
+        if e.get("class") == "line first thin"
+    )
     points = np.array([[float(v) for v in pair.split()] for pair in path[1:].split("L")])
     assert np.ptp(points[:, 0]) == pytest.approx(np.ptp(points[:, 1]), rel=0.05)

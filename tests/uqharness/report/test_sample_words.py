@@ -10,11 +10,14 @@ from uqharness.report.sample_words import called
 
 
 @pytest.mark.parametrize(
-    ("method", "noun"), [("corners", "corner"), ("levels", "combination"), ("walk", "walk"), ("lhs", "sample")]
+    ("method", "noun"),
+    [("corners", "corner"), ("levels", "combination"), ("walk", "walk"), ("lhs", "sample")],
 )
 def test_every_text_of_a_part_is_renamed(method, noun):
     figure = Figure("f", Markup("<svg>corner</svg>"), "Corner by corner")
-    section = Section("Worst corner", (Table("c", ("Corner",), ((Cell("a corner"),),)), Figures((figure,))))
+    section = Section(
+        "Worst corner", (Table("c", ("Corner",), ((Cell("a corner"),),)), Figures((figure,)))
+    )
     found = called(section, method)
     table, figures = found.blocks
     assert found.title == f"Worst {noun}"

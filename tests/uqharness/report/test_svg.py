@@ -34,7 +34,11 @@ def test_contrast_as_published():
 
 @pytest.mark.parametrize("scheme", [0, 1])
 def test_text_and_lines_stand_out_in_both_schemes(scheme):
-    page = resources.files("uqharness.report").joinpath("templates/page.css").read_text(encoding="utf-8")
+    page = (
+        resources.files("uqharness.report")
+        .joinpath("templates/page.css")
+        .read_text(encoding="utf-8")
+    )
     blocks = re.findall(r":root \{(.*?)\}", style() + page, re.S)
     assert len(blocks) == 2
     colours = dict(re.findall(r"--([\w-]+): (#\w{6})", blocks[scheme]))
@@ -115,13 +119,19 @@ def test_numbers_of_a_line_have_one_decimal_where_it_is_not_0():
     chart.line(x, y, "first")
     assert f'd="M{places[0]}L{places[1]}L{places[2]}M{places[4]}"' in chart.marks[-1]
     chart.line(x, y, "first", steps=True)
-    assert f'd="M{places[0]}H{places[1].replace(" ", "V")}H{places[2].replace(" ", "V")}M{places[4]}"' in chart.marks[-1]
+    assert (
+        f'd="M{places[0]}H{places[1].replace(" ", "V")}H{places[2].replace(" ", "V")}M{places[4]}"'
+        in chart.marks[-1]
+    )
     chart.dots(x, y, "dot")
     assert chart.marks[-1].count("h0") == 4
     assert f"M{places[2]}h0M{places[4]}h0" in chart.marks[-1]
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)])
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)],
+)
 def test_ticks_are_round_inside_and_distinct(low, high):
     ticks = Scale("x [m]", low, high).ticks()
     assert 3 <= len(ticks) <= 8
@@ -181,9 +191,17 @@ def test_a_file_stands_alone_in_light_colours_without_variables():
 
 
 def test_charts_stand_side_by_side_and_none_over_another():
-    charts = [(chart(str(k)), "A caption of more than one line, which the sheet has to make room for. " * k) for k in range(5)]
+    charts = [
+        (
+            chart(str(k)),
+            "A caption of more than one line, which the sheet has to make room for. " * k,
+        )
+        for k in range(5)
+    ]
     root = etree.fromstring(standalone(charts, columns=2).encode())
-    boxes = [[float(e.get(key)) for key in ("x", "y", "width", "height")] for e in root.findall("{*}svg")]
+    boxes = [
+        [float(e.get(key)) for key in ("x", "y", "width", "height")] for e in root.findall("{*}svg")
+    ]
     assert len(boxes) == 5
     width, height = (float(v) for v in root.get("viewBox").split()[2:])
     for k, (x, y, w, h) in enumerate(boxes):
@@ -206,7 +224,12 @@ def test_a_map_is_drawn_where_it_has_a_share():
     drawn.cells(np.arange(3.0), np.arange(3.0), np.array([[0.0, 1.0], [0.25, 0.0]]), "")
     left, top, width, height = drawn.plot
     found = etree.fromstring(f"<g>{Markup().join(Markup(m) for m in drawn.marks)}</g>")
-    cells = {e.get("fill-opacity"): [float(e.get(key)) for key in ("x", "y", "width", "height")] for e in found}
+    cells = {
+        e.get("fill-opacity"): [float(e.get(key)) for key in ("x", "y", "width", "height")]
+        for e in found
+    }
     assert cells["1.000"] == pytest.approx([left, top, width / 2, height / 2], abs=0.06)
-    assert cells["0.250"] == pytest.approx([left + width / 2, top + height / 2, width / 2, height / 2], abs=0.06)
+    assert cells["0.250"] == pytest.approx(
+        [left + width / 2, top + height / 2, width / 2, height / 2], abs=0.06
+    )
     assert len(cells) == 2

@@ -35,7 +35,11 @@ def labels(path):
 def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
     folder = getattr(folders, kind)(tmp_path / "results")
     report = write_report(folder, figures=True)
-    assert {path.stem for path in report.figures} == {path.stem for path in (folder / "figures").iterdir()} == FILES[kind]
+    assert (
+        {path.stem for path in report.figures}
+        == {path.stem for path in (folder / "figures").iterdir()}
+        == FILES[kind]
+    )
     page = report.path.read_text(encoding="utf-8")
     assert problems(page) == []
     first = {path: path.read_bytes() for path in report.figures}
@@ -50,7 +54,10 @@ def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
 @pytest.mark.parametrize(("kind", "times"), [("identified", 2), ("bounded", 1)])
 def test_a_page_that_shows_all_segments_is_made_once(tmp_path, monkeypatch, kind, times):
     made = []
-    monkeypatch.setattr("uqharness.report.write.page_of", lambda *args, **more: (made.append(args), page_of(*args, **more))[1])
+    monkeypatch.setattr(
+        "uqharness.report.write.page_of",
+        lambda *args, **more: (made.append(args), page_of(*args, **more))[1],
+    )
     write_report(getattr(folders, kind)(tmp_path / "results"), figures=True)
     assert len(made) == times
 
@@ -64,12 +71,21 @@ def test_without_figures_no_folder_is_made(tmp_path):
 def test_every_segment_has_its_file_and_the_page_the_worst_alone(tmp_path):
     folder = folders.identified(tmp_path / "results")
     many = [(f"flight{k}", "roll doublet", folders.TIME) for k in range(5)]
-    columns = {"q_radps": [np.sin(folders.TIME)] * 5, "q_radps_model": [0.1 * k * np.sin(folders.TIME) for k in range(5)]}
+    columns = {
+        "q_radps": [np.sin(folders.TIME)] * 5,
+        "q_radps_model": [0.1 * k * np.sin(folders.TIME) for k in range(5)],
+    }
     folders.write_pieces(folder / "histories.parquet", many, columns)
     report = write_report(folder, figures=True)
     assert len(report.figures) == 5
     page = report.path.read_text(encoding="utf-8")
-    assert [f"fit-history-{k}-q_radps" in page for k in range(5)] == [True, True, True, False, False]
+    assert [f"fit-history-{k}-q_radps" in page for k in range(5)] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_names_of_flights_and_manoeuvres_are_safe_as_names_of_files(tmp_path):
@@ -83,7 +99,9 @@ def test_names_of_flights_and_manoeuvres_are_safe_as_names_of_files(tmp_path):
 
 def test_no_figures_of_an_effect_without_one(tmp_path):
     left = {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []}
-    document = folders.refinement(effects=[], withdrawn=[], disagreement=[], remaining=left, verdict="no-missing-effect")
+    document = folders.refinement(
+        effects=[], withdrawn=[], disagreement=[], remaining=left, verdict="no-missing-effect"
+    )
     folder = folders.refined(tmp_path / "results")
     (folder / "refinement.json").write_text(json.dumps(document))
     assert "history" not in {path.stem for path in write_report(folder, figures=True).figures}
@@ -98,7 +116,11 @@ def figure(name):
 def test_drawings_go_where_their_section_says(tmp_path):
     """Together under one name, each under its own, or into no file; sections within sections are not forgotten."""
     inner = Section("inner", (Figures((figure("c"),), file=""),))
-    blocks = (Figures((figure("a"), figure("b")), file="both"), Figures((figure("d"),)), Figures((), file="empty"))
+    blocks = (
+        Figures((figure("a"), figure("b")), file="both"),
+        Figures((figure("d"),)),
+        Figures((), file="empty"),
+    )
     paths = write_figures(tmp_path, [Section("outer", blocks, (inner,))], "Title")
     assert [path.name for path in paths] == ["both.svg", "c.svg"]
     assert labels(paths[0]) == ["label of a", "label of b"]
@@ -106,7 +128,12 @@ def test_drawings_go_where_their_section_says(tmp_path):
 
 
 def test_a_page_in_hand_is_written_like_any_other(tmp_path):
-    page = Page("Title", "What?", (Say("It is so.", "good"),), (Section("s", (Figures((figure("a"),), file="one"),)),))
+    page = Page(
+        "Title",
+        "What?",
+        (Say("It is so.", "good"),),
+        (Section("s", (Figures((figure("a"),), file="one"),)),),
+    )
     report = write_page(tmp_path, page, page)
     assert (report.path, report.verdict) == (tmp_path / "report.html", ["It is so."])
     assert [path.name for path in report.figures] == ["one.svg"]

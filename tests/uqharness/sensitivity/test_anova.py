@@ -12,7 +12,9 @@ from uqharness.sensitivity.study import run_study
 
 def total(model, samples=2048, draws=4, **more):
     box = {"a": (0.0, 1.0), "b": (0.0, 1.0), "c": (0.0, 1.0)}
-    made = run_study(model, box, {"w": stats.norm(0.0, 1.0)}, samples=samples, draws=draws, methods=("anova",))
+    made = run_study(
+        model, box, {"w": stats.norm(0.0, 1.0)}, samples=samples, draws=draws, methods=("anova",)
+    )
     found = anova(made, made.outputs["output"], **more)
     return [found.indices[n].value for n in "abc"], found
 
@@ -37,7 +39,9 @@ def test_the_interval_holds_the_truth_and_shrinks_with_samples():
     _, tight = total(lambda a, b, c, w: 3.0 * a + b, samples=1024)
     for found in (wide, tight):
         assert found.indices["a"].low < 0.9 < found.indices["a"].high
-    assert tight.indices["a"].high - tight.indices["a"].low < 0.5 * (wide.indices["a"].high - wide.indices["a"].low)
+    assert tight.indices["a"].high - tight.indices["a"].low < 0.5 * (
+        wide.indices["a"].high - wide.indices["a"].low
+    )
 
 
 def test_a_mean_without_variance_is_undefined_and_no_zero():

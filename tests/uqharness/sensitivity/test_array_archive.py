@@ -20,7 +20,9 @@ UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
 @pytest.fixture
 def study(tmp_path):
     """Arrays of a sound study's file by member."""
-    made = sensitivity.run_study(lambda a, b, w: a + b * w, UNIT, {"w": stats.norm(0.0, 1.0)}, samples=16, draws=8)
+    made = sensitivity.run_study(
+        lambda a, b, w: a + b * w, UNIT, {"w": stats.norm(0.0, 1.0)}, samples=16, draws=8
+    )
     sensitivity.write_study(made, tmp_path / "sound.npz")
     with zipfile.ZipFile(tmp_path / "sound.npz") as archive:
         return {name: archive.read(name) for name in archive.namelist()}
@@ -41,7 +43,9 @@ def array(values):
 
 def promise(shape, descr="<f8"):
     out = io.BytesIO()
-    np.lib.format.write_array_header_1_0(out, {"descr": descr, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        out, {"descr": descr, "fortran_order": False, "shape": shape}
+    )
     return out.getvalue() + bytes(64)
 
 
@@ -56,13 +60,19 @@ def header(**changes):
 
 
 HOSTILE = {
-    "a promise": {"theta.npy": promise((10**12,))}, "an object": {"theta.npy": array(np.array([Runs()], dtype=object))},
-    "text": {"theta.npy": array(np.array(["x"]))}, "other shape": {"lower.npy": array(np.zeros(3))},
-    "other draws": {"0/corners.npy": array(np.zeros((4, 7)))}, "other corners": {"0/corners.npy": array(np.zeros((5, 8)))},
-    "whole numbers": {"upper.npy": array(np.ones(2, dtype=int))}, "names that are none": {"header.npy": header(names=[{}, []])},
-    "no outputs": {"header.npy": header(outputs=None)}, "no JSON": {"header.npy": array(np.zeros(3, np.uint8))},
-    "no array": {"theta.npy": b"\x93NUMPY\x01\x00\xff\xff{"}, "odd header": {"theta.npy": b"\x93NUMPY\x01\x00\x08\x00{'descr'"},
-}  # fmt: skip
+    "a promise": {"theta.npy": promise((10**12,))},
+    "an object": {"theta.npy": array(np.array([Runs()], dtype=object))},
+    "text": {"theta.npy": array(np.array(["x"]))},
+    "other shape": {"lower.npy": array(np.zeros(3))},
+    "other draws": {"0/corners.npy": array(np.zeros((4, 7)))},
+    "other corners": {"0/corners.npy": array(np.zeros((5, 8)))},
+    "whole numbers": {"upper.npy": array(np.ones(2, dtype=int))},
+    "names that are none": {"header.npy": header(names=[{}, []])},
+    "no outputs": {"header.npy": header(outputs=None)},
+    "no JSON": {"header.npy": array(np.zeros(3, np.uint8))},
+    "no array": {"theta.npy": b"\x93NUMPY\x01\x00\xff\xff{"},
+    "odd header": {"theta.npy": b"\x93NUMPY\x01\x00\x08\x00{'descr'"},
+}
 
 
 def test_a_sound_one_is_read(study, tmp_path):
@@ -100,7 +110,9 @@ def test_a_damaged_archive_is_refused_or_gives_the_same_arrays(study, tmp_path):
             refused += 1
             continue
         # A name may be the damaged part; what an array holds may not.
-        assert sorted(v.tobytes() for v in found.values()) == sorted(v.tobytes() for v in sound.values())
+        assert sorted(v.tobytes() for v in found.values()) == sorted(
+            v.tobytes() for v in sound.values()
+        )
     assert refused > 50
 
 

@@ -35,7 +35,9 @@ def test_an_interaction_makes_a_range():
     found = paired(lambda a, b: a * (b + 2.0), draws=1, aleatory=False)
     assert sorted(found.indices["a"].pairs) == pytest.approx([2.0 / 6.0, 1.0])
     assert sorted(found.indices["b"].pairs) == pytest.approx([0.0, 4.0 / 6.0])
-    assert (found.details["shrink_min"][0], found.details["shrink_max"][0]) == pytest.approx((2.0 / 6.0, 1.0))
+    assert (found.details["shrink_min"][0], found.details["shrink_max"][0]) == pytest.approx(
+        (2.0 / 6.0, 1.0)
+    )
     # One column without chance is exact.
     assert found.indices["a"].minimum.low == pytest.approx(2.0 / 6.0)
 

@@ -67,7 +67,13 @@ def test_a_maximum_between_the_corners_is_not_linear():
 
 
 def test_a_campaigns_interior_samples_check_too():
-    made = run_study(lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0, UNIT, samples=64, draws=1, methods=("local", "proposed"))
+    made = run_study(
+        lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0,
+        UNIT,
+        samples=64,
+        draws=1,
+        methods=("local", "proposed"),
+    )
     runs = made.outputs["output"]
     inside = replace(runs, sampled=None, interior=np.array([[1.0], [0.9]]))
     assert local(made, inside).holds is False

@@ -30,17 +30,24 @@ def test_the_trim_carries_the_weight_without_a_moment():
     alpha, elevator = trim(VALUES)
     lift = VALUES["CZ_0"] + VALUES["CZ_alpha"] * alpha + VALUES["CZ_de"] * elevator
     assert -lift * QBAR_PA * VALUES["S_m2"] == pytest.approx(VALUES["M_kg"] * 9.81)
-    assert VALUES["Cm_0"] + VALUES["Cm_alpha"] * alpha + VALUES["Cm_de"] * elevator == pytest.approx(0.0, abs=1e-12)
+    assert VALUES["Cm_0"] + VALUES["Cm_alpha"] * alpha + VALUES[
+        "Cm_de"
+    ] * elevator == pytest.approx(0.0, abs=1e-12)
     heavier = trim(VALUES | {"M_kg": 1.1 * VALUES["M_kg"]})[0]
     assert heavier > alpha
 
 
 def test_the_readings_differ_in_one_entry_alone():
-    published, corrected = (system_matrix(r, VALUES).dense() for r in ("as_published", "as_corrected"))
+    published, corrected = (
+        system_matrix(r, VALUES).dense() for r in ("as_published", "as_corrected")
+    )
     assert np.argwhere(published != corrected).tolist() == [[1, 0]]
 
 
-@pytest.mark.parametrize(("slow", "fast"), [((0.1, 0.5), (0.7, 6.0)), ((0.02, 0.3), (1.4, 4.0)), ((-0.05, 0.4), (0.5, 5.0))])
+@pytest.mark.parametrize(
+    ("slow", "fast"),
+    [((0.1, 0.5), (0.7, 6.0)), ((0.02, 0.3), (1.4, 4.0)), ((-0.05, 0.4), (0.5, 5.0))],
+)
 def test_modes_of_a_matrix_made_from_them(slow, fast):
     """A companion form of the two pairs, turned at random; 1.4 is a pair of two real roots."""
     coefficients = np.polymul(*([1.0, 2.0 * zeta * wn, wn**2] for zeta, wn in (slow, fast)))
@@ -61,7 +68,10 @@ def test_a_pair_with_one_unstable_root_has_no_frequency():
 @pytest.mark.parametrize("reading", ["as_corrected", "as_published"])
 def test_the_fast_way_to_the_modes_is_that_of_eigenvalues(reading):
     rng = np.random.default_rng(1)
-    values = {name: np.append(rng.uniform(low, high, 200), NOMINAL[name]) for name, (low, high) in intervals().items()}
+    values = {
+        name: np.append(rng.uniform(low, high, 200), NOMINAL[name])
+        for name, (low, high) in intervals().items()
+    }
     values |= {name: mean for name, (mean, _) in ALEATORY.items()}
     # A short period that is hardly there: the iteration does not settle, and eigenvalues are taken.
     values["Cm_alpha"][-1] = -1e-3

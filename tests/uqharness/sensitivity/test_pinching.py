@@ -21,7 +21,9 @@ def test_a_sum_of_ranges_loses_the_known_ones():
     y = made.outputs["output"]
     assert found.details["area"] == pytest.approx(float(np.ptp(y.sampled)))
     for i, name in enumerate("ab"):
-        assert found.indices[name].value == pytest.approx(1.0 - np.ptp(y.pinned[i]) / np.ptp(y.sampled))
+        assert found.indices[name].value == pytest.approx(
+            1.0 - np.ptp(y.pinned[i]) / np.ptp(y.sampled)
+        )
     assert [found.indices[n].value for n in "ab"] == pytest.approx([0.75, 0.25], abs=0.04)
     assert np.isnan(found.indices["a"].low)
     assert found.runs == 3 * 512
@@ -49,7 +51,10 @@ def test_samples_that_leave_the_corners_are_said():
     """4 a (1 - a) + b / 2 is widest between the corners, where the sampled p-box fills theirs three times over."""
     unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
     found = {}
-    for name, model in (("curved", lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0), ("straight", lambda a, b: a + b / 2.0)):
+    for name, model in (
+        ("curved", lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0),
+        ("straight", lambda a, b: a + b / 2.0),
+    ):
         made = run_study(model, unit, samples=512, draws=1, methods=("pbox", "proposed"))
         found[name] = pinching(made, made.outputs["output"])
     assert found["straight"].holds is True

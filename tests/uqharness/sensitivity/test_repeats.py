@@ -18,10 +18,14 @@ def once(value, other=None) -> Sensitivity:
     index = Index(value, 0.0, 1.0)
     pairs = PairRange(index, Index(2.0 * value, 0.0, 1.0))
     single = {"a": index, "b": other or index}
-    return Sensitivity({"y": {
-        "anova": MethodResult("anova", 10, single, True, "fine", {"total_sum": 1.0}),
-        "proposed": MethodResult("proposed", 4, {"a": pairs, "b": pairs}, True, "fine"),
-    }})  # fmt: skip
+    return Sensitivity(
+        {
+            "y": {
+                "anova": MethodResult("anova", 10, single, True, "fine", {"total_sum": 1.0}),
+                "proposed": MethodResult("proposed", 4, {"a": pairs, "b": pairs}, True, "fine"),
+            }
+        }
+    )
 
 
 def test_the_interval_is_that_of_the_mean():
@@ -39,7 +43,9 @@ def test_the_interval_is_that_of_the_mean():
 def test_ranges_have_both_ends_averaged():
     found = average([once(v) for v in VALUES])["y"]["proposed"]
     pair = found.indices["a"]
-    assert (pair.minimum.value, pair.maximum.value) == pytest.approx((VALUES.mean(), 2.0 * VALUES.mean()))
+    assert (pair.minimum.value, pair.maximum.value) == pytest.approx(
+        (VALUES.mean(), 2.0 * VALUES.mean())
+    )
     assert found.details["std_of_one_run"] == pytest.approx([2.0 * VALUES.std(ddof=1)] * 2)
 
 

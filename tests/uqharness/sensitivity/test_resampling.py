@@ -10,12 +10,21 @@ from scipy import stats
 
 from uqharness.sensitivity import resampling
 from uqharness.sensitivity.areas import box_area
-from uqharness.sensitivity.resampling import MIN_DRAWS, PairBand, pair_band, reach_of_box, std_by_draws
+from uqharness.sensitivity.resampling import (
+    MIN_DRAWS,
+    PairBand,
+    pair_band,
+    reach_of_box,
+    std_by_draws,
+)
 
 
 def test_the_spread_of_a_mean_over_draws():
     rng = np.random.default_rng(0)
-    found = [std_by_draws(lambda a, y=y: float(y[a].mean()), 200, 0) for y in rng.normal(0.0, 2.0, (30, 200))]
+    found = [
+        std_by_draws(lambda a, y=y: float(y[a].mean()), 200, 0)
+        for y in rng.normal(0.0, 2.0, (30, 200))
+    ]
     assert np.mean(found) == pytest.approx(2.0 / np.sqrt(200), rel=0.1)
     y = rng.normal(size=(3, 1))
     assert std_by_draws(lambda a: y[:, a].mean(axis=1), 1, 0).tolist() == [0.0] * 3
@@ -92,6 +101,9 @@ def test_resamples_are_drawn_one_after_the_other_however_many_are_computed_toget
     assert band.area_high - band.area == pytest.approx(small * np.std(areas, ddof=1))
     monkeypatch.setattr(resampling, "TOGETHER", 1)
     for item in fields(PairBand):
-        one_by_one, together = getattr(pair_band(y, 2, 11, resamples=30), item.name), getattr(band, item.name)
+        one_by_one, together = (
+            getattr(pair_band(y, 2, 11, resamples=30), item.name),
+            getattr(band, item.name),
+        )
         np.testing.assert_array_equal(one_by_one, together)
     assert not np.array_equal(pair_band(y, 2, 12, resamples=30).low, band.low)

@@ -8,14 +8,29 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined, missing_values, number
+from uqharness.sensitivity.result import (
+    Index,
+    MethodResult,
+    PairRange,
+    all_undefined,
+    missing_values,
+    number,
+)
 
 
 def test_results_are_plain_json_and_nan_is_null():
     index = Index(0.5, 0.25, math.nan)
-    result = MethodResult("m", 3, {"a": index, "b": PairRange(index, Index(1.0, 0.5, 2.0))}, None, "s", {
-        "matrix": np.array([[1.0, np.nan]]), "single": np.float64(2.0),
-    })  # fmt: skip
+    result = MethodResult(
+        "m",
+        3,
+        {"a": index, "b": PairRange(index, Index(1.0, 0.5, 2.0))},
+        None,
+        "s",
+        {
+            "matrix": np.array([[1.0, np.nan]]),
+            "single": np.float64(2.0),
+        },
+    )
     found = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert found["indices"]["a"] == {"value": 0.5, "interval": [0.25, None]}
     assert found["indices"]["b"] == {"value": [0.5, 1.0], "interval": [0.25, 2.0]}

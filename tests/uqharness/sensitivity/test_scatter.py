@@ -16,7 +16,9 @@ BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}
 
 
 def scattered(model, **more):
-    made = run_study(model, BOX, {"w": stats.norm(0.0, 1.0)}, samples=128, draws=8, methods=("scatter",))
+    made = run_study(
+        model, BOX, {"w": stats.norm(0.0, 1.0)}, samples=128, draws=8, methods=("scatter",)
+    )
     return scatter(made, made.outputs["output"], **more), made
 
 

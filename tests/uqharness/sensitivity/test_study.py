@@ -61,7 +61,9 @@ def test_linear_variance_shares_are_squares_of_slopes(of_linear):
 def test_linear_local_and_scatter_are_slopes_over_the_sampled_width(of_linear):
     width = of_linear["local"].details["area"]
     assert 2.7 < width < 3.0  # E samples do not quite reach the corners, where it is 3
-    assert values(of_linear["local"]) == pytest.approx({"a": 2 / width, "b": 1 / width, "c": 0.0}, abs=1e-9)
+    assert values(of_linear["local"]) == pytest.approx(
+        {"a": 2 / width, "b": 1 / width, "c": 0.0}, abs=1e-9
+    )
     for name, share in {"a": 2 / width, "b": 1 / width, "c": 0.0}.items():
         index = of_linear["scatter"].indices[name]
         assert index.low <= share <= index.high
@@ -79,8 +81,15 @@ def test_linear_pinching_takes_what_the_slope_gives(of_linear):
 
 def test_costs_are_those_of_table_4_1(of_linear):
     d, E, draws = 3, 1024, 100
-    costs = {"local": d + 1, "scatter": E * draws, "anova": E * draws * (d + 2), "pbox": E * draws * (d + 1)}
-    assert {method: result.runs for method, result in of_linear.items()} == costs | {"proposed": draws * 2**d}
+    costs = {
+        "local": d + 1,
+        "scatter": E * draws,
+        "anova": E * draws * (d + 2),
+        "pbox": E * draws * (d + 1),
+    }
+    assert {method: result.runs for method, result in of_linear.items()} == costs | {
+        "proposed": draws * 2**d
+    }
 
 
 def ishigami(x1, x2, x3):
@@ -149,7 +158,9 @@ def test_product_pairs_depend_on_the_other_factor():
     assert found["anova"].details["total_sum"] > 1.0
     area = found["local"].details["area"]
     assert values(found["local"]) == pytest.approx({"a": 2 * 2.5 / area, "b": 2.0 / area})
-    assert values(found["scatter"]) == pytest.approx({"a": 2 * 2.5 / area, "b": 2.0 / area}, abs=0.05)
+    assert values(found["scatter"]) == pytest.approx(
+        {"a": 2 * 2.5 / area, "b": 2.0 / area}, abs=0.05
+    )
     assert found["pbox"].indices["a"].value == pytest.approx(1 - 2 / 7, abs=0.07)
 
 
@@ -166,7 +177,11 @@ def test_a_monotone_curve_satisfies_the_corners_and_a_bump_does_not():
 
 
 def test_the_envelope_is_checked_with_a_few_interior_samples_where_nothing_else_was_sampled():
-    found = run(lambda a, b: a * (1.0 - a) + 0.1 * b, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, methods=("proposed",))
+    found = run(
+        lambda a, b: a * (1.0 - a) + 0.1 * b,
+        {"a": (0.0, 1.0), "b": (0.0, 1.0)},
+        methods=("proposed",),
+    )
     assert found["proposed"].holds is False
     assert "of 16 interior samples" in found["proposed"].statement
     assert all(math.isnan(value) for value in values(found["local"]).values())
@@ -174,7 +189,9 @@ def test_the_envelope_is_checked_with_a_few_interior_samples_where_nothing_else_
 
 
 def test_a_model_without_any_effect_is_undefined_in_all_five():
-    found = run(lambda a, b, m: 0.0 * a + m, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, {"m": stats.norm(3.0, 0.2)})
+    found = run(
+        lambda a, b, m: 0.0 * a + m, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, {"m": stats.norm(3.0, 0.2)}
+    )
     for result in found.values():
         for index in result.indices.values():
             assert index.reason
@@ -203,7 +220,9 @@ def test_scatter_tells_chance_from_curvature():
 def test_total_effects_above_one_are_left_and_named():
     # Two samples' variance can be less than the pairs' differences: 16 rows of a noisy interaction show it at some seed.
     for seed in range(40):
-        found = run(lambda a, b: a, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, samples=16, seed=seed)["anova"]
+        found = run(lambda a, b: a, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, samples=16, seed=seed)[
+            "anova"
+        ]
         if found.indices["a"].value > 1.0:
             assert "above 1 by sampling error, left as estimated" in found.statement
             assert found.holds is False
@@ -212,7 +231,9 @@ def test_total_effects_above_one_are_left_and_named():
 
 
 def test_anova_agrees_with_scipys_own_estimator():
-    study = sensitivity.run_study(ishigami, dict.fromkeys(("x1", "x2", "x3"), (-PI, PI)), samples=1024)
+    study = sensitivity.run_study(
+        ishigami, dict.fromkeys(("x1", "x2", "x3"), (-PI, PI)), samples=1024
+    )
     runs = study.outputs["output"]
     f_A, f_B, f_AB = runs.sampled[:, 0], runs.second[:, 0], runs.mixed[:, :, 0]
     by_hand = [np.mean((f_A - f) ** 2) / 2.0 / np.var(np.concatenate([f_A, f_B])) for f in f_AB]
@@ -234,13 +255,17 @@ def test_a_models_named_outputs_and_scalar_models():
     def scalar(a, m):
         return {"double": 2.0 * a if a > 0 else 0.0, "sum": math.fsum([a, m])}
 
-    study = sensitivity.run_study(scalar, {"a": (0.0, 1.0)}, NOISE, samples=32, draws=8, vectorised=False)
+    study = sensitivity.run_study(
+        scalar, {"a": (0.0, 1.0)}, NOISE, samples=32, draws=8, vectorised=False
+    )
     found = sensitivity.analyse(study)
     assert set(found.results) == {"double", "sum"}
     assert found["double"]["proposed"].indices["a"].maximum.value == pytest.approx(1.0)
     assert "double" in found.text()
     with pytest.raises(BadInputError, match="different outputs"):
-        sensitivity.run_study(lambda a: {"x": a} if a < 0.5 else {"z": a}, {"a": (0, 1)}, samples=32, vectorised=False)
+        sensitivity.run_study(
+            lambda a: {"x": a} if a < 0.5 else {"z": a}, {"a": (0, 1)}, samples=32, vectorised=False
+        )
     with pytest.raises(BadInputError, match="vectorised=False"):
         sensitivity.run_study(lambda a: np.array([1.0, 2.0]), {"a": (0.0, 1.0)}, samples=32)
 
@@ -305,7 +330,10 @@ def coverage(method, exact, model, epistemic, aleatory=None, **options):
     inside = 0
     for seed in range(REPEATS):
         found = run(model, epistemic, aleatory, seed=seed, only=(method,), **options)[method]
-        inside += sum(found.indices[name].low <= share <= found.indices[name].high for name, share in exact.items())
+        inside += sum(
+            found.indices[name].low <= share <= found.indices[name].high
+            for name, share in exact.items()
+        )
     return inside / REPEATS / len(exact)
 
 
@@ -316,20 +344,33 @@ def test_variance_intervals_cover():
 
 
 def test_scatter_intervals_cover_the_mean_over_repeats():
-    study = [run(linear, UNIT, NOISE, ("scatter",), samples=128, draws=8, seed=seed)["scatter"] for seed in range(REPEATS)]
+    study = [
+        run(linear, UNIT, NOISE, ("scatter",), samples=128, draws=8, seed=seed)["scatter"]
+        for seed in range(REPEATS)
+    ]
     for name in "ab":
         mean = np.mean([found.indices[name].value for found in study])
-        inside = np.mean([found.indices[name].low <= mean <= found.indices[name].high for found in study])
+        inside = np.mean(
+            [found.indices[name].low <= mean <= found.indices[name].high for found in study]
+        )
         assert inside >= 0.88
         # An interval that covers because it says nothing would pass too.
-        assert np.mean([found.indices[name].high - found.indices[name].low for found in study]) < 0.5 * mean + 0.3
+        assert (
+            np.mean([found.indices[name].high - found.indices[name].low for found in study])
+            < 0.5 * mean + 0.3
+        )
 
 
 def test_pinching_intervals_cover_the_mean_over_repeats():
-    study = [run(lambda a, b, c: a * b + 0.5 * c, UNIT, only=("pbox",), samples=128, seed=s)["pbox"] for s in range(REPEATS)]
+    study = [
+        run(lambda a, b, c: a * b + 0.5 * c, UNIT, only=("pbox",), samples=128, seed=s)["pbox"]
+        for s in range(REPEATS)
+    ]
     for name in "abc":
         mean = np.mean([found.indices[name].value for found in study])
-        inside = np.mean([found.indices[name].low <= mean <= found.indices[name].high for found in study])
+        inside = np.mean(
+            [found.indices[name].low <= mean <= found.indices[name].high for found in study]
+        )
         assert inside >= 0.9
 
 
@@ -337,20 +378,28 @@ def corner_flights(draws, rng, own):
     """Eight corners with a share that interacts, a weak one, a shared spread, and noise of each corner's own."""
     a, b, c = corners(np.zeros(3), np.ones(3)).T
     base = a + 0.6 * b + 0.3 * a * b + 0.02 * c
-    return base[:, None] + rng.gamma(2.0, 0.3, draws) * (1 + 0.3 * b[:, None]) + own * rng.normal(size=(8, draws))
+    return (
+        base[:, None]
+        + rng.gamma(2.0, 0.3, draws) * (1 + 0.3 * b[:, None])
+        + own * rng.normal(size=(8, draws))
+    )
 
 
 @pytest.mark.parametrize(("own", "draws"), few([(0.0, 8), (0.1, 8), (0.4, 32)], 1))
 def test_pair_intervals_cover_both_ends_from_few_draws(own, draws):
-    truth = pair_band(corner_flights(100_000, np.random.default_rng(1), own), 3, seed=0, resamples=0).index[:, :-2]
+    truth = pair_band(
+        corner_flights(100_000, np.random.default_rng(1), own), 3, seed=0, resamples=0
+    ).index[:, :-2]
     ends = truth.min(axis=1), truth.max(axis=1)
     inside = 0
     for seed in range(REPEATS):
-        band = pair_band(corner_flights(draws, np.random.default_rng(100 + seed), own), 3, seed=seed)
-        low, high = band.low[:, :-2], band.high[:, :-2]
-        inside += np.all((low.min(axis=1) <= ends[0] + 1e-6) & (ends[0] <= high.min(axis=1) + 1e-6)) and np.all(
-            (low.max(axis=1) <= ends[1] + 1e-6) & (ends[1] <= high.max(axis=1) + 1e-6)
+        band = pair_band(
+            corner_flights(draws, np.random.default_rng(100 + seed), own), 3, seed=seed
         )
+        low, high = band.low[:, :-2], band.high[:, :-2]
+        inside += np.all(
+            (low.min(axis=1) <= ends[0] + 1e-6) & (ends[0] <= high.min(axis=1) + 1e-6)
+        ) and np.all((low.max(axis=1) <= ends[1] + 1e-6) & (ends[1] <= high.max(axis=1) + 1e-6))
     assert inside / REPEATS >= 0.85  # of all six ends at once; nominal 0.95, 40 repeats
 
 
@@ -360,7 +409,11 @@ def test_a_lead_is_claimed_where_there_is_one_and_not_in_a_tie(ratio):
     for seed in range(REPEATS):
         rng = np.random.default_rng(300 + seed)
         a, b, c = corners(np.zeros(3), np.ones(3)).T
-        y = (a + ratio * b + 0.2 * c)[:, None] + rng.gamma(2.0, 0.3, 8) + 0.1 * rng.normal(size=(8, 8))
+        y = (
+            (a + ratio * b + 0.2 * c)[:, None]
+            + rng.gamma(2.0, 0.3, 8)
+            + 0.1 * rng.normal(size=(8, 8))
+        )
         lead = pair_band(y, 3, seed=seed).lead
         claimed += bool(np.any([np.all(np.delete(lead[i], i) > 0.0) for i in range(3)]))
     assert claimed / REPEATS <= 0.1 if ratio == 1.0 else claimed / REPEATS >= 0.8

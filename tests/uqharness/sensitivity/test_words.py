@@ -15,9 +15,18 @@ def result(ranges, lead, shrink_low=0.4) -> MethodResult:
     indices = {n: PairRange(Index(a, a, a), Index(b, b, b)) for n, (a, b) in ranges.items()}
     d = len(ranges)
     ends = {"shrink_min": 0.5, "shrink_max": 0.6, "shrink_low": shrink_low, "shrink_high": 0.7}
-    return MethodResult("proposed", 1, indices, True, "s", {
-        "lead": np.array(lead), "area": 12.345, **{k: np.full(d, v) for k, v in ends.items()},
-    })  # fmt: skip
+    return MethodResult(
+        "proposed",
+        1,
+        indices,
+        True,
+        "s",
+        {
+            "lead": np.array(lead),
+            "area": 12.345,
+            **{k: np.full(d, v) for k, v in ends.items()},
+        },
+    )
 
 
 def test_a_clear_lead_is_certain():
@@ -28,7 +37,9 @@ def test_a_clear_lead_is_certain():
     assert text.startswith("cross_track_m: reduce b first. The p-box is 12.3 m wide")
     assert "shrink by 50 to 60 % (40 to 70 % with sampling error)" in text
     assert "Certain: it holds at every corner of the other coefficients" in text
-    assert "3 of 20 aleatory samples are left out" in words(clear, "cross_track_m", rank(clear, 3), 3, 20)
+    assert "3 of 20 aleatory samples are left out" in words(
+        clear, "cross_track_m", rank(clear, 3), 3, 20
+    )
 
 
 @pytest.mark.parametrize(
@@ -42,7 +53,12 @@ def test_a_clear_lead_is_certain():
 def test_rivals_by_ranges_and_by_sampling(ranges, lead, by_ranges, by_sampling):
     made = result(ranges, lead)
     found = rank(made)
-    assert (found.first, found.by_ranges, found.by_sampling, found.certain) == ("b", by_ranges, by_sampling, False)
+    assert (found.first, found.by_ranges, found.by_sampling, found.certain) == (
+        "b",
+        by_ranges,
+        by_sampling,
+        False,
+    )
     assert "Not certain: " in words(made, "m", found, 0, 20)
 
 
@@ -62,6 +78,8 @@ def test_an_undefined_result_ranks_nothing():
     assert words(nothing, "speed", rank(nothing), 0, 5) == "speed: undefined: no width"
 
 
-@pytest.mark.parametrize(("metric", "unit"), [("excursions_roll", "per flight"), ("V_sd_mps", "m/s"), ("h_sd_m", "m")])
+@pytest.mark.parametrize(
+    ("metric", "unit"), [("excursions_roll", "per flight"), ("V_sd_mps", "m/s"), ("h_sd_m", "m")]
+)
 def test_units(metric, unit):
     assert unit_of(metric) == unit

@@ -44,7 +44,9 @@ def test_thrust_map(throttle, V):
     )
     rho = out["atmosphere/rho-slugs_ft3"] * 515.378818
     assert out["propulsion/rpm"] == pytest.approx(sixdof.rpm(throttle), rel=1e-9)
-    assert out["propulsion/thrust-N"] == pytest.approx(sixdof.thrust(throttle, V, rho), rel=1e-3, abs=1e-3)
+    assert out["propulsion/thrust-N"] == pytest.approx(
+        sixdof.thrust(throttle, V, rho), rel=1e-3, abs=1e-3
+    )
     assert rho == pytest.approx(1.225, rel=1e-4)
 
 
@@ -59,9 +61,14 @@ def test_totals_are_the_independent_coefficients():
     out = outputs(names=names)
     V = np.sqrt(22.0**2 + 1.0 + 0.8**2)
     expected = sixdof.coefficients(
-        sixdof.TABLE_2_6, np.arctan2(0.8, 22.0), np.arcsin(1.0 / V), 0.4 * 3.66 / (2 * V), -0.2 * 0.53 / (2 * V),
-        0.1 * 3.66 / (2 * V), np.array([1.5, -2.0, 3.0]),
-    )  # fmt: skip
+        sixdof.TABLE_2_6,
+        np.arctan2(0.8, 22.0),
+        np.arcsin(1.0 / V),
+        0.4 * 3.66 / (2 * V),
+        -0.2 * 0.53 / (2 * V),
+        0.1 * 3.66 / (2 * V),
+        np.array([1.5, -2.0, 3.0]),
+    )
     assert [out[name] for name in names] == pytest.approx(list(expected), rel=1e-6, abs=1e-9)
 
 
@@ -70,9 +77,22 @@ def test_totals_are_the_independent_coefficients():
 def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_else(index, level):
     name = COEFFICIENTS[index]
     lower, upper = -0.004 - 0.001 * index, 0.007 + 0.001 * index
-    others = {f"uq/{other}/{bound}": 0.0 for other in COEFFICIENTS if other != name for bound in ("lower", "upper")}
+    others = {
+        f"uq/{other}/{bound}": 0.0
+        for other in COEFFICIENTS
+        if other != name
+        for bound in ("lower", "upper")
+    }
     plain = outputs()
-    moved = outputs({"uq/active": 1.0, f"uq/{name}/lower": lower, f"uq/{name}/upper": upper, f"uq/{name}/level": level, **others})
+    moved = outputs(
+        {
+            "uq/active": 1.0,
+            f"uq/{name}/lower": lower,
+            f"uq/{name}/upper": upper,
+            f"uq/{name}/level": level,
+            **others,
+        }
+    )
     delta = lower + level * (upper - lower)
     # JSBSim's own feet: its metre has ten digits, and the claim is about the delta, not about the metre.
     qS = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"]
@@ -121,8 +141,12 @@ def without_plugin(folder: Path) -> None:
     xml = folder / "espaaro.xml"
     text = xml.read_text()
     text = re.sub(r'\s*<system file="model-form"/>[^\n]*', "", text)
-    text, count = re.subn(r'\s*<function name="uq/(?:force|moment)/.">.*?</function>', "", text, flags=re.S)
-    text, at_cg = re.subn(r'\s*<function name="uq/force/." apply_at_cg="true">.*?</function>', "", text, flags=re.S)
+    text, count = re.subn(
+        r'\s*<function name="uq/(?:force|moment)/.">.*?</function>', "", text, flags=re.S
+    )
+    text, at_cg = re.subn(
+        r'\s*<function name="uq/force/." apply_at_cg="true">.*?</function>', "", text, flags=re.S
+    )
     assert count + at_cg == 6
     xml.write_text(text)
 
@@ -132,14 +156,23 @@ def test_inactive_plugin_is_bit_identical_to_none(copy):
     without_plugin(copy)
     assert "uq/" not in re.sub(r"<!--.*?-->", "", (copy / "espaaro.xml").read_text(), flags=re.S)
     assert np.array_equal(with_plugin, fly(copy, 1000))
-    assert not np.array_equal(with_plugin, fly(PROJECT_ROOT / "aircraft" / "espaaro", 1000, uq__active=1.0, uq__CX__level=1.0))
+    assert not np.array_equal(
+        with_plugin,
+        fly(PROJECT_ROOT / "aircraft" / "espaaro", 1000, uq__active=1.0, uq__CX__level=1.0),
+    )
 
 
 @pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
 def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
     """A frame late they were 0.25 % off while the speed changed, which an estimator took for damping that goes with alpha."""
     fdm = open_aircraft(find_aircraft(name))
-    fdm["ic/h-sl-ft"], fdm["ic/vt-fps"], fdm["ic/p-rad_sec"], fdm["ic/q-rad_sec"], fdm["ic/r-rad_sec"] = (
+    (
+        fdm["ic/h-sl-ft"],
+        fdm["ic/vt-fps"],
+        fdm["ic/p-rad_sec"],
+        fdm["ic/q-rad_sec"],
+        fdm["ic/r-rad_sec"],
+    ) = (
         900.0,
         72.0,
         0.3,
@@ -153,7 +186,11 @@ def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
         fdm.run()
         assert abs(fdm["velocities/vt-fps"] / before - 1.0) > 1e-5
         for axis, length in (("p", "bw"), ("q", "cbarw"), ("r", "bw")):
-            expected = fdm[f"velocities/{axis}-rad_sec"] * fdm[f"metrics/{length}-ft"] / (2.0 * fdm["velocities/vt-fps"])
+            expected = (
+                fdm[f"velocities/{axis}-rad_sec"]
+                * fdm[f"metrics/{length}-ft"]
+                / (2.0 * fdm["velocities/vt-fps"])
+            )
             assert fdm[f"aero/{axis}_hat"] == pytest.approx(expected, rel=1e-12)
 
 
@@ -164,7 +201,9 @@ def test_command_styles():
             fdm[name.replace("__", "/").replace("_", "-")] = value
         fdm["ic/u-fps"], fdm["ic/h-sl-ft"] = 72.0, 1000.0
         engine.run_ic(fdm)
-        return [fdm[f"fcs/{s}-pos-deg"] for s in ("elevator", "aileron", "rudder")] + [fdm["fcs/throttle-pos-pct"]]
+        return [fdm[f"fcs/{s}-pos-deg"] for s in ("elevator", "aileron", "rudder")] + [
+            fdm["fcs/throttle-pos-pct"]
+        ]
 
     degrees = {
         "fcs__elevator_cmd_deg": 2.0,
@@ -179,8 +218,12 @@ def test_command_styles():
         "fcs__throttle_cmd_norm": 0.4,
     }
     assert surfaces(**degrees, **norms) == pytest.approx([2.0, -3.0, 4.0, 55.0])
-    assert surfaces(**degrees, **norms, ap__input_norm=1.0) == pytest.approx([10.0, -5.0, 2.0, 40.0])
-    assert surfaces(fcs__elevator_cmd_deg=40.0, fcs__throttle_cmd_pct=130.0)[::3] == pytest.approx([25.0, 100.0])
+    assert surfaces(**degrees, **norms, ap__input_norm=1.0) == pytest.approx(
+        [10.0, -5.0, 2.0, 40.0]
+    )
+    assert surfaces(fcs__elevator_cmd_deg=40.0, fcs__throttle_cmd_pct=130.0)[::3] == pytest.approx(
+        [25.0, 100.0]
+    )
 
 
 def test_actuator_lags_and_is_rate_limited():
@@ -194,7 +237,9 @@ def test_actuator_lags_and_is_rate_limited():
         fdm.run()
         small.append(fdm["fcs/elevator-pos-deg"] - start)
     # First order at 25 1/s: 63 % after 0.04 s.
-    assert np.interp(1 - np.exp(-1), small, 0.01 * np.arange(1, 21)) == pytest.approx(0.04, abs=0.006)
+    assert np.interp(1 - np.exp(-1), small, 0.01 * np.arange(1, 21)) == pytest.approx(
+        0.04, abs=0.006
+    )
     fdm["fcs/elevator-cmd-deg"] = start + 20.0
     fdm.run()
     before = fdm["fcs/elevator-pos-deg"]

@@ -18,7 +18,9 @@ def test_the_identity_of_a_self_contained_aircraft_is_that_of_its_folder() -> No
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.suffix in {".xml", ".toml"} and path.is_file():
-            digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+            digest.update(
+                path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
+            )
     assert identity(find_aircraft("espaaro")) == digest.hexdigest()
 
 
@@ -34,10 +36,17 @@ def test_files_are_walked_in_one_order_by_parts(tmp_path: Path) -> None:
         path = tmp_path / "plane" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("<a/>")
-    assert [name for name, _ in walk(tmp_path / "plane")] == ["a/b/c.xml", "a/z.xml", "a.xml", "b.xml"]
+    assert [name for name, _ in walk(tmp_path / "plane")] == [
+        "a/b/c.xml",
+        "a/z.xml",
+        "a.xml",
+        "b.xml",
+    ]
 
 
-def test_a_copy_has_the_same_identity_and_a_changed_byte_another(folder: Path, tmp_path: Path) -> None:
+def test_a_copy_has_the_same_identity_and_a_changed_byte_another(
+    folder: Path, tmp_path: Path
+) -> None:
     before, seen = identity(find_aircraft(folder)), signature(folder)
     copy_folder(folder, tmp_path / "other" / "plane")
     assert identity(find_aircraft(tmp_path / "other" / "plane")) == before
@@ -52,7 +61,9 @@ def test_what_jsbsim_may_open_is_what_the_xml_refers_to(folder: Path) -> None:
     assert "espaaro.xml" in before
     (folder / "unused.xml").write_text("<system name='x'/>")
     text = (folder / "espaaro.xml").read_text()
-    (folder / "espaaro.xml").write_text(text.replace("</fdm_config>", '<system file="used"/></fdm_config>'))
+    (folder / "espaaro.xml").write_text(
+        text.replace("</fdm_config>", '<system file="used"/></fdm_config>')
+    )
     (folder / "Systems").mkdir(exist_ok=True)
     (folder / "Systems" / "used.xml").write_text("<system name='x'/>")
     assert set(opened(find_aircraft(folder)).own) - before == {"Systems/used.xml"}

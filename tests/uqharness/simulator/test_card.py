@@ -21,7 +21,10 @@ from uqharness.simulator.signals import position_factor, sources
 
 def with_elevator(**keys) -> Aircraft:
     stock = find_aircraft("c172x")
-    inputs = {**stock.card.inputs, "elevator": InputCard(property="fcs/elevator-cmd-norm", unit="norm", **keys)}
+    inputs = {
+        **stock.card.inputs,
+        "elevator": InputCard(property="fcs/elevator-cmd-norm", unit="norm", **keys),
+    }
     return dataclasses.replace(stock, card=stock.card.model_copy(update={"inputs": inputs}))
 
 
@@ -46,7 +49,10 @@ def test_a_throw_makes_degrees_of_norms_both_ways():
 def test_a_positions_unit_is_told_by_its_name(position, throw, factor):
     card = InputCard(property="fcs/x-cmd-norm", unit="norm", throw_deg=throw, position=position)
     assert position_factor(card) == pytest.approx(factor)
-    assert position_factor(InputCard(property="fcs/x-cmd-deg", unit="deg", position="fcs/x-pos-rad")) == 1.0
+    assert (
+        position_factor(InputCard(property="fcs/x-cmd-deg", unit="deg", position="fcs/x-pos-rad"))
+        == 1.0
+    )
 
 
 def test_a_throw_of_nothing_is_refused():
@@ -57,16 +63,25 @@ def test_a_throw_of_nothing_is_refused():
 def rows(rates: list[float], positions: list[float] | None) -> list[dict[str, float]]:
     named = positions or [None] * 3
     return [
-        {"velocities/q-rad_sec": q, **({} if p is None else {"fcs/elevator-pos-deg": p})} for q, p in zip(rates, named, strict=True)
+        {"velocities/q-rad_sec": q, **({} if p is None else {"fcs/elevator-pos-deg": p})}
+        for q, p in zip(rates, named, strict=True)
     ]
 
 
 def test_sense_and_throw_are_read_from_the_answer():
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-20.0, 0.0, 20.0])) == ControlFacts(1, 20.0, "fcs/elevator-pos-deg")
+    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
+        1, 20.0, "fcs/elevator-pos-deg"
+    )
     # Commands and surfaces that count the other way; an uneven throw, a surface that never rested, a command that does nothing.
-    assert _facts("elevator", rows([-0.2, 0.0, 0.2], [-20.0, 0.0, 20.0])) == ControlFacts(-1, 20.0, "fcs/elevator-pos-deg")
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [20.0, 0.0, -20.0])) == ControlFacts(1, 20.0, None)
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-28.0, 0.0, 23.0])) == ControlFacts(1, 25.5, None)
+    assert _facts("elevator", rows([-0.2, 0.0, 0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
+        -1, 20.0, "fcs/elevator-pos-deg"
+    )
+    assert _facts("elevator", rows([0.2, 0.0, -0.2], [20.0, 0.0, -20.0])) == ControlFacts(
+        1, 20.0, None
+    )
+    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-28.0, 0.0, 23.0])) == ControlFacts(
+        1, 25.5, None
+    )
     assert _facts("elevator", rows([0.2, 0.0, -0.2], None)) == ControlFacts(1, None, None)
     assert _facts("elevator", rows([0.1, 0.1, 0.1], [-20.0, 0.0, 20.0])).sense == 0
 
@@ -115,11 +130,17 @@ def test_what_logs_read_too_is_refused_in_the_same_words(tmp_path, more, message
 
 
 def test_what_logs_read_too_is_the_one_readers(tmp_path):
-    text = SOUND + "channel = 3\nservo_pwm = [[1000, -1], [2000, 1]]\n[reference]\nb_m = 2\n[mixing.vtail]\n"
+    text = (
+        SOUND
+        + "channel = 3\nservo_pwm = [[1000, -1], [2000, 1]]\n[reference]\nb_m = 2\n[mixing.vtail]\n"
+    )
     for side in ("left", "right"):
         text += f"{side} = {{ channel = {len(side)}, servo_pwm = [[1000, -1], [2000, 1]] }}\n"
     text += "[sensors]\nposition_m = { accelerometer = [0.1, 0, 0] }\nnoise_std = { V_mps = 1 }\n"
-    card, read = parse_card(text, tmp_path / "airframe.toml"), airframe_card.parse_card(text, tmp_path / "airframe.toml")
+    card, read = (
+        parse_card(text, tmp_path / "airframe.toml"),
+        airframe_card.parse_card(text, tmp_path / "airframe.toml"),
+    )
     assert (card.reference, card.sensors) == (read.reference, read.sensors)
     assert card.reference == Reference(b_m=2.0)
     assert card.sensors.position_m["accelerometer"] == (0.1, 0.0, 0.0)
@@ -131,4 +152,7 @@ def test_what_logs_read_too_is_the_one_readers(tmp_path):
 
 def test_facts_are_json():
     facts = AircraftFacts(1.0, 2.0, 3.0, 1, {"elevator": ControlFacts(1, 20.0, None)})
-    assert json.loads(json.dumps(dataclasses.asdict(facts)))["controls"]["elevator"]["throw_deg"] == 20.0
+    assert (
+        json.loads(json.dumps(dataclasses.asdict(facts)))["controls"]["elevator"]["throw_deg"]
+        == 20.0
+    )

@@ -13,7 +13,10 @@ from uqharness.simulator.card_changes import DECIMALS, sensors_from_cg
 @pytest.mark.parametrize(
     ("card", "expected"),
     [
-        ("# mine\n[sensors]\nnoise_std = { q_radps = 0.1 }  # that\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
+        (
+            "# mine\n[sensors]\nnoise_std = { q_radps = 0.1 }  # that\n",
+            {"accelerometer": [-0.02, 0.0, 0.0]},
+        ),
         (
             "[sensors.position_m]\nvane = [1.0, 0.5, 0]\n",
             {"accelerometer": [-0.02, 0.0, 0.0], "vane": [0.98, 0.5, 0.0]},
@@ -37,7 +40,9 @@ def test_sensors_stay_in_the_airframe_and_remarks_in_the_card(tmp_path, card, ex
 
 def test_there_and_back_is_the_same_and_rounding_is_to_its_places(tmp_path):
     path = tmp_path / "airframe.toml"
-    path.write_text("[sensors]\nposition_m = { accelerometer = [0.1, 0.0, -0.2], gps = [0.3, 0.1, 0.0] }\n")
+    path.write_text(
+        "[sensors]\nposition_m = { accelerometer = [0.1, 0.0, -0.2], gps = [0.3, 0.1, 0.0] }\n"
+    )
     before = tomllib.loads(path.read_text())
     sensors_from_cg(path, 0.0123456, "there")
     moved = tomllib.loads(path.read_text())["sensors"]["position_m"]

@@ -13,7 +13,11 @@ from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.simulator.control_system import RATES_FREE, RATES_HELD, Rest
 from uqharness.simulator.forced_state import BodyState, apply_controls, body_velocity, forced
 
-ACCELERATIONS = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2", "accelerations/qdot-rad_sec2")
+ACCELERATIONS = (
+    "accelerations/udot-ft_sec2",
+    "accelerations/wdot-ft_sec2",
+    "accelerations/qdot-rad_sec2",
+)
 F22_ALPHA = 0.08
 
 
@@ -25,9 +29,18 @@ def placed(name, V_mps, alpha_rad, **controls):
 
 
 def test_what_forces_feel_of_the_control_system():
-    assert set(control_system.felt(find_aircraft("c172p"))) >= {"fcs/elevator-pos-rad", "fcs/rudder-pos-rad", "fcs/flap-pos-deg"}
+    assert set(control_system.felt(find_aircraft("c172p"))) >= {
+        "fcs/elevator-pos-rad",
+        "fcs/rudder-pos-rad",
+        "fcs/flap-pos-deg",
+    }
     f22 = set(control_system.felt(find_aircraft("f22")))
-    assert {"fcs/throttle-pos-norm", "fcs/throttle-pos-norm[1]", "fcs/tvc-pos-rad", "fcs/elevator-pos-rad"} <= f22
+    assert {
+        "fcs/throttle-pos-norm",
+        "fcs/throttle-pos-norm[1]",
+        "fcs/tvc-pos-rad",
+        "fcs/elevator-pos-rad",
+    } <= f22
     # What only another component reads is no force.
     assert "fcs/stick-filter" not in f22
     assert "fcs/pitch-rate-integrator" not in f22
@@ -44,7 +57,13 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     rest = control_system.rest_of(aircraft, fdm, free=True)
     moving = control_system.moving(fdm, rest)
     assert moving in rest.watched
-    names = ("velocities/u-fps", "velocities/w-fps", "attitude/theta-rad", "position/h-sl-ft", "propulsion/total-fuel-lbs")
+    names = (
+        "velocities/u-fps",
+        "velocities/w-fps",
+        "attitude/theta-rad",
+        "position/h-sl-ft",
+        "propulsion/total-fuel-lbs",
+    )
     first, state = fdm["fcs/throttle-pos-norm"], [fdm[n] for n in names]
     assert control_system.bring_to_rest(fdm, rest) == ""
     assert control_system.moving(fdm, rest) == ""
@@ -54,8 +73,15 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     # JSBSim alone, nothing frozen, twelve seconds at that command: the throttle ends where it rested.
     free = open_aircraft(aircraft)
     apply_controls(free, aircraft, {"throttle": 0.5})
-    free["ic/lat-geod-deg"], free["ic/h-sl-ft"], free["ic/theta-rad"] = 45.0, 3000.0 / FT_M, F22_ALPHA
-    free["ic/u-fps"], free["ic/w-fps"] = 129.2 / FT_M * math.cos(F22_ALPHA), 129.2 / FT_M * math.sin(F22_ALPHA)
+    free["ic/lat-geod-deg"], free["ic/h-sl-ft"], free["ic/theta-rad"] = (
+        45.0,
+        3000.0 / FT_M,
+        F22_ALPHA,
+    )
+    free["ic/u-fps"], free["ic/w-fps"] = (
+        129.2 / FT_M * math.cos(F22_ALPHA),
+        129.2 / FT_M * math.sin(F22_ALPHA),
+    )
     engine.run_ic(free)
     while free.get_sim_time() < 12.0:
         free.run()
@@ -69,7 +95,9 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
 
 
 def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_them_held():
-    aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
+    aircraft, fdm = placed(
+        "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5
+    )
     rest = control_system.rest_of(aircraft, fdm, free=True)
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
     assert control_system.bring_to_rest(fdm, rest) == ""
@@ -86,7 +114,9 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
 
 
 def test_a_ramp_is_told():
-    aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.002, throttle=0.5)
+    aircraft, fdm = placed(
+        "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.002, throttle=0.5
+    )
     said = control_system.bring_to_rest(fdm, control_system.rest_of(aircraft, fdm))
     assert "does not come to rest: fcs/rudder-pos-rad still changes by" in said
 

@@ -14,7 +14,11 @@ from uqharness.simulator.gate import DEEPEST, leads_out, passed, tag_end
 def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
     raw = b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c file="/etc"/></output><input/><c/>\n</a>\n'
     found = passed(raw, "a.xml")
-    assert [(tag, line) for tag, line in found.taken_out] == [("output", 2), ("output", 4), ("input", 5)]
+    assert [(tag, line) for tag, line in found.taken_out] == [
+        ("output", 2),
+        ("output", 4),
+        ("input", 5),
+    ]
     assert len(found.content) == len(raw)
     assert found.content.count(b"\n") == raw.count(b"\n")
     assert b"<b><output>kept</output></b>" in found.content
@@ -44,7 +48,14 @@ def test_entities_do_not_multiply() -> None:
 def test_every_stock_file_passes() -> None:
     stock = engine.default_root()
     roots = {passed(path.read_bytes(), path.name).root for path in stock.rglob("*.xml")}
-    assert {"fdm_config", "system", "runscript", "turbine_engine", "propeller", "initialize"} <= roots
+    assert {
+        "fdm_config",
+        "system",
+        "runscript",
+        "turbine_engine",
+        "propeller",
+        "initialize",
+    } <= roots
 
 
 @pytest.mark.parametrize("name", ["engine", "a/b.xml", "Engines/prop", "..hidden", "a..b", ""])
@@ -53,7 +64,20 @@ def test_names_within_the_aircraft(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["/etc/passwd", "~/x", "../x", "a/../../x", "a/..", "C:\\x", "C:x", "\\\\host\\share", "..\\x", "a\\..\\x", "a\0b"]
+    "name",
+    [
+        "/etc/passwd",
+        "~/x",
+        "../x",
+        "a/../../x",
+        "a/..",
+        "C:\\x",
+        "C:x",
+        "\\\\host\\share",
+        "..\\x",
+        "a\\..\\x",
+        "a\0b",
+    ],
 )
 def test_names_that_lead_out_on_some_system(name):
     assert leads_out(name)
@@ -91,8 +115,13 @@ def test_a_quote_that_never_ends_is_looked_through_once():
 
 
 def test_references_are_named_as_jsbsim_opens_them():
-    found = passed(b'<fdm_config>\n<system file="mine"/>\n<engine file=" b.xml "/></fdm_config>', "a.xml")
-    assert [(r.tag, r.name, r.line) for r in found.references] == [("system", "mine.xml", 2), ("engine", "b.xml", 3)]
+    found = passed(
+        b'<fdm_config>\n<system file="mine"/>\n<engine file=" b.xml "/></fdm_config>', "a.xml"
+    )
+    assert [(r.tag, r.name, r.line) for r in found.references] == [
+        ("system", "mine.xml", 2),
+        ("engine", "b.xml", 3),
+    ]
     assert found.root == "fdm_config"
     with pytest.raises(BadInputError, match=r"a\.xml:1: .*longer than a file's name may be"):
         passed(b'<a><system file="' + b"x" * 300 + b'"/></a>', "a.xml")

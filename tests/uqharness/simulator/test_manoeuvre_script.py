@@ -12,7 +12,9 @@ from uqharness.simulator.mission import read_script
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
 def test_scripts_are_as_the_plans_say(plan):
-    assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == script(plan)
+    assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == script(
+        plan
+    )
 
 
 def test_a_script_names_every_manoeuvre_and_ends_after_the_last():
@@ -22,7 +24,9 @@ def test_a_script_names_every_manoeuvre_and_ends_after_the_last():
 
 
 def test_a_manoeuvre_number_that_is_none_is_refused(tmp_path):
-    text = script(PLANS[0]).replace('name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"')
+    text = script(PLANS[0]).replace(
+        'name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"'
+    )
     path = tmp_path / "bad.xml"
     path.write_text(text)
     with pytest.raises(BadInputError, match="flight/manoeuvre is set to 'x'"):

@@ -38,10 +38,16 @@ def missions(tmp_path_factory):
     ("which", "wanted"),
     [
         ("metric", {"inertia/mass-slugs": 1.6}),
-        ("metric", {"inertia/iyy-slugs_ft2": 7.0, "inertia/ixz-slugs_ft2": 0.5, "metrics/cbarw-ft": 2.0}),
+        (
+            "metric",
+            {"inertia/iyy-slugs_ft2": 7.0, "inertia/ixz-slugs_ft2": 0.5, "metrics/cbarw-ft": 2.0},
+        ),
         ("metric", {"inertia/cg-x-in": 1.5, "inertia/ixy-slugs_ft2": 0.1}),
         ("imperial", {"inertia/weight-lbs": 2400.0, "inertia/cg-x-in": 42.0}),
-        ("imperial", {"inertia/mass-slugs": 75.0, "inertia/iyy-slugs_ft2": 1500.0, "metrics/bw-ft": 35.0}),
+        (
+            "imperial",
+            {"inertia/mass-slugs": 75.0, "inertia/iyy-slugs_ft2": 1500.0, "metrics/bw-ft": 35.0},
+        ),
     ],
 )
 def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, which, wanted):
@@ -53,7 +59,12 @@ def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, which, 
         assert changed[name] == pytest.approx(value, rel=1e-8)
         assert nominal[name] != pytest.approx(value, rel=1e-3)
     if which == "metric":
-        for name in ("inertia/mass-slugs", "inertia/ixx-slugs_ft2", "inertia/izz-slugs_ft2", "metrics/bw-ft"):
+        for name in (
+            "inertia/mass-slugs",
+            "inertia/ixx-slugs_ft2",
+            "inertia/izz-slugs_ft2",
+            "metrics/bw-ft",
+        ):
             assert name in wanted or changed[name] == nominal[name]
     # The next flight of the same mission is the nominal one again.
     again = mission.open()
@@ -82,7 +93,11 @@ def test_it_flies_as_a_hand_edited_file_does(tmp_path):
         engine.run_ic(fdm)
         assert {name: fdm[name] for name in by_name} == pytest.approx(by_name, rel=1e-4)
         by_name = {name: fdm[name] for name in by_name}
-    mine, theirs, nominal = fly(replace(SPEC, properties=by_name)), fly(replace(SPEC, aircraft=edited)), fly(SPEC)
+    mine, theirs, nominal = (
+        fly(replace(SPEC, properties=by_name)),
+        fly(replace(SPEC, aircraft=edited)),
+        fly(SPEC),
+    )
     for name in ("alpha_rad", "altitude", "speed"):
         assert mine.signals[name] == pytest.approx(theirs.signals[name], rel=1e-6, abs=1e-8)
     assert np.abs(mine.signals["alpha_rad"] - nominal.signals["alpha_rad"]).max() > 1e-3
@@ -93,7 +108,10 @@ def test_it_flies_as_a_hand_edited_file_does(tmp_path):
     [
         ({"inertia/mass-slugs": 0.0}, "must be a positive number"),
         ({"inertia/iyy-slugs_ft2": float("nan")}, "must be a positive number"),
-        ({"inertia/mass-slugs": 1.5, "inertia/weight-lbs": 50.0}, r"espaaro.xml:\d+: two of the properties"),
+        (
+            {"inertia/mass-slugs": 1.5, "inertia/weight-lbs": 50.0},
+            r"espaaro.xml:\d+: two of the properties",
+        ),
         ({"inertia/weight-lbs": 50.0, "aero/CX": 1.0}, "the model computes it"),
     ],
 )
@@ -107,5 +125,7 @@ def test_an_unknown_unit_or_a_missing_element_is_named_with_its_line(tmp_path):
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
     xml = folder / "espaaro.xml"
     xml.write_text(xml.read_text().replace('<chord unit="M">0.53</chord>', ""))
-    with pytest.raises(BadInputError, match=r"espaaro.xml:\d+: property metrics/cbarw-ft comes from <chord>"):
+    with pytest.raises(
+        BadInputError, match=r"espaaro.xml:\d+: property metrics/cbarw-ft comes from <chord>"
+    ):
         fly(replace(SPEC, aircraft=folder, properties={"metrics/cbarw-ft": 2.0}))

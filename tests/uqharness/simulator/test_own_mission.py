@@ -9,18 +9,38 @@ import pytest
 
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.simulator import StartSection, copy_folder, find_aircraft, own_mission, write_own_mission
+from uqharness.simulator import (
+    StartSection,
+    copy_folder,
+    find_aircraft,
+    own_mission,
+    write_own_mission,
+)
 from uqharness.simulator.control_system import Rest
 from uqharness.simulator.own_mission import EXCURSION_DEG
 
 
 @pytest.mark.parametrize(
     ("name", "speed"),
-    [("c172p", 50), ("SGS", 25), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("c310", 60), ("737", 140)))],
+    [
+        ("c172p", 50),
+        ("SGS", 25),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("c310", 60), ("737", 140))),
+    ],
 )
 def test_any_aircraft_flies_doublets_of_a_few_degrees(name, speed, tmp_path, capsys):
     out = tmp_path / "flight.parquet"
-    words = ["fly", name, "--mission", "doublets", "--speed-mps", str(speed), "--out", str(out), "--json"]
+    words = [
+        "fly",
+        name,
+        "--mission",
+        "doublets",
+        "--speed-mps",
+        str(speed),
+        "--out",
+        str(out),
+        "--json",
+    ]
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out)["status"] == "ok"
     flight = pd.read_parquet(out)
@@ -52,9 +72,17 @@ def test_steady_stays_and_3211_has_four_steps(tmp_path):
 def test_an_aircraft_whose_commands_are_rates_is_refused_in_words(tmp_path, monkeypatch):
     folder = tmp_path / "aircraft" / "x24b"
     copy_folder(find_aircraft("x24b").folder, folder)
-    aircraft, start, trimmed = find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000), own_mission.write_steady_start
+    aircraft, start, trimmed = (
+        find_aircraft(folder),
+        StartSection(V_mps=196.1, altitude_m=3000),
+        own_mission.write_steady_start,
+    )
     assert write_own_mission(aircraft, start, "doublets")[1]
-    monkeypatch.setattr(own_mission, "write_steady_start", lambda *asked: replace(trimmed(*asked), rest=Rest((), free=True)))
+    monkeypatch.setattr(
+        own_mission,
+        "write_steady_start",
+        lambda *asked: replace(trimmed(*asked), rest=Rest((), free=True)),
+    )
     with pytest.raises(BadInputError, match="answer a command with a body rate"):
         write_own_mission(aircraft, start, "doublets")
     assert write_own_mission(aircraft, start, "steady")[1] == []
@@ -65,7 +93,19 @@ def test_noise_and_dataflash_for_an_aircraft_that_instrument_gave_a_card(tmp_pat
     mine = tmp_path / "mine"
     assert main(["instrument", "c172p", "--out", str(mine), "--no-check"]) == 0
     out = tmp_path / "flight.bin"
-    words = ["fly", str(mine), "--mission", "doublets", "--speed-mps", "50", "--noise", "--seed", "3", "--out", str(out)]
+    words = [
+        "fly",
+        str(mine),
+        "--mission",
+        "doublets",
+        "--speed-mps",
+        "50",
+        "--noise",
+        "--seed",
+        "3",
+        "--out",
+        str(out),
+    ]
     assert main(words) == 0
     assert out.stat().st_size > 10_000
     quiet, noisy = tmp_path / "quiet.csv", tmp_path / "noisy.csv"

@@ -33,7 +33,9 @@ def ends(monkeypatch: pytest.MonkeyPatch, ended: Ended) -> list[tuple[object, ..
     return asked
 
 
-def test_a_model_that_loads_is_loaded_once_and_remembered(cache: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_model_that_loads_is_loaded_once_and_remembered(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+):
     asked = ends(monkeypatch, Ended(0, {}, "", ""))
     preflight.ensure_loadable(AIRCRAFT, "content")
     preflight.ensure_loadable(AIRCRAFT, "content")
@@ -57,7 +59,9 @@ def test_a_model_that_loads_is_loaded_once_and_remembered(cache: Path, monkeypat
         (Ended(0, {"refused": "no <mass_balance>"}, "", ""), "espaaro: no <mass_balance>"),
     ],
 )
-def test_one_that_does_not_is_named_and_not_remembered(cache: Path, monkeypatch: pytest.MonkeyPatch, ended: Ended, said: str):
+def test_one_that_does_not_is_named_and_not_remembered(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, ended: Ended, said: str
+):
     asked = ends(monkeypatch, ended)
     for _ in range(2):
         with pytest.raises(BadInputError, match=said):
@@ -71,6 +75,8 @@ def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tm
     folder = tmp_path / "empty"
     folder.mkdir()
     (folder / "empty.xml").write_text("<fdm_config name='empty' version='2.0'/>")
-    empty = preflight._Unread(folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path)
+    empty = preflight._Unread(
+        folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path
+    )
     with pytest.raises(BadInputError, match="empty"):
         preflight.ensure_loadable(empty, "empty")

@@ -31,11 +31,27 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
     engine.renew_forces(fdm)
     assert not settling.settled(fdm)
     assert fdm["propulsion/engine/thrust-lbs"] <= 0.0  # what JSBSim's own way leaves
-    state = [fdm[n] for n in ("velocities/u-fps", "attitude/theta-rad", "position/h-sl-ft", "propulsion/total-fuel-lbs")]
+    state = [
+        fdm[n]
+        for n in (
+            "velocities/u-fps",
+            "attitude/theta-rad",
+            "position/h-sl-ft",
+            "propulsion/total-fuel-lbs",
+        )
+    ]
     engine.settle_engines(fdm)
     assert settling.settled(fdm)
     assert fdm.get_sim_time() == 0.0
-    kept = [fdm[n] for n in ("velocities/u-fps", "attitude/theta-rad", "position/h-sl-ft", "propulsion/total-fuel-lbs")]
+    kept = [
+        fdm[n]
+        for n in (
+            "velocities/u-fps",
+            "attitude/theta-rad",
+            "position/h-sl-ft",
+            "propulsion/total-fuel-lbs",
+        )
+    ]
     assert kept == pytest.approx(state, rel=1e-12, abs=1e-12)
     thrust = fdm["propulsion/engine/thrust-lbs"]
     assert thrust > 100.0
@@ -49,7 +65,10 @@ def flown_free(name, V_mps, alpha_rad, duration_s):
     """Thrust [N] and drag [N] of JSBSim alone at full throttle, nothing of the motion held and nothing settled by us."""
     fdm = open_aircraft(find_aircraft(name))
     fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-rad"] = 45.0, 200.0 / FT_M, alpha_rad
-    fdm["ic/u-fps"], fdm["ic/w-fps"] = V_mps / FT_M * math.cos(alpha_rad), V_mps / FT_M * math.sin(alpha_rad)
+    fdm["ic/u-fps"], fdm["ic/w-fps"] = (
+        V_mps / FT_M * math.cos(alpha_rad),
+        V_mps / FT_M * math.sin(alpha_rad),
+    )
     engine.run_ic(fdm)
     drag = -LBF_N * fdm["forces/fwx-aero-lbs"]
     fdm["propulsion/set-running"] = -1.0
@@ -71,7 +90,9 @@ def test_the_thrust_is_that_of_jsbsim_flown_free():
 
     def settled_N(throttle):
         state = BodyState(u, v, w, 0.0, angle, 0.0)
-        _, out = force_state(find_aircraft("c310"), state, {"throttle": throttle}, 200.0, None, names)
+        _, out = force_state(
+            find_aircraft("c310"), state, {"throttle": throttle}, 200.0, None, names
+        )
         return LBF_N * sum(out.values())
 
     assert settled_N(1.0) == pytest.approx(free_N, rel=0.02)

@@ -23,7 +23,11 @@ def test_only_what_is_opened_is_laid_out_and_as_it_passed(folder: Path, tmp_path
     aircraft = find_aircraft(folder)
     made = stage(aircraft, tmp_path / "root")
     files = opened(aircraft)
-    there = {p.relative_to(made.folder).as_posix(): p.read_bytes() for p in made.folder.rglob("*") if p.is_file()}
+    there = {
+        p.relative_to(made.folder).as_posix(): p.read_bytes()
+        for p in made.folder.rglob("*")
+        if p.is_file()
+    }
     assert there == {name: file.content for name, file in files.own.items()}
     assert made.xml.is_file()
     assert "unused.xml" not in there
@@ -49,9 +53,13 @@ def test_a_second_root_may_be_edited(folder: Path, tmp_path: Path) -> None:
     assert all(at.is_relative_to(tmp_path / "second") for at, _ in second.shown)
 
 
-def test_what_was_taken_out_is_said_once(folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_taken_out_is_said_once(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     xml = folder / "espaaro.xml"
-    xml.write_text(xml.read_text().replace("</fdm_config>", "<output name='x' type='CSV'/></fdm_config>"))
+    xml.write_text(
+        xml.read_text().replace("</fdm_config>", "<output name='x' type='CSV'/></fdm_config>")
+    )
     with caplog.at_level(logging.INFO, "uqharness"):
         made = stage(find_aircraft(folder), tmp_path / "one")
         stage(find_aircraft(folder), tmp_path / "two")

@@ -75,17 +75,27 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     assert frame["cross_track_max_m"].gt(0.01).all()
     assert (frame["excursions_15m"] == 0).all()
     metrics = set(read_table(folder / "out" / "pbox.parquet").to_pandas()["metric"])
-    assert {"heading_median_deg", "load_factor_max", "altitude_max_m", "cross_track_max_m"} <= metrics
+    assert {
+        "heading_median_deg",
+        "load_factor_max",
+        "altitude_max_m",
+        "cross_track_max_m",
+    } <= metrics
     report = write_report(folder / "out")
     assert problems(report.path.read_text(encoding="utf-8")) == []
-    assert "No path was commanded: errors are deviations from the state in which scoring began." in report.verdict
+    assert (
+        "No path was commanded: errors are deviations from the state in which scoring began."
+        in report.verdict
+    )
     assert any("heading" in path.name for path in report.figures)
 
 
 @pytest.mark.parametrize("wind_mps", [0.0, 4.0])
 def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
     _, spec = flown
-    calm = spec.aleatory.model_copy(update={"turbulence": ("none",), "wind_mps": (wind_mps,), "flights": 1})
+    calm = spec.aleatory.model_copy(
+        update={"turbulence": ("none",), "wind_mps": (wind_mps,), "flights": 1}
+    )
     mission = find_mission(spec, flown[0] / "out")
     (case,) = build_cases(replace(spec, aleatory=calm), mission)
     result = fly(replace(case.flight, duration_s=10.0))
@@ -101,7 +111,14 @@ def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
 def test_the_mission_is_two_files_that_fly_without_the_harness(flown, tmp_path, capsys):
     folder, _ = flown
     out = folder / "out"
-    command = ["fly", str(out / "aircraft" / "c172p"), "--script", str(out / "steady-mission.xml"), "--duration-s", "5"]
+    command = [
+        "fly",
+        str(out / "aircraft" / "c172p"),
+        "--script",
+        str(out / "steady-mission.xml"),
+        "--duration-s",
+        "5",
+    ]
     assert main([*command, "--out", str(tmp_path / "x.csv"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["status"] == "ok"
     record = pd.read_csv(tmp_path / "x.csv")
@@ -127,19 +144,34 @@ def test_the_copy_is_made_once_and_mended_when_it_is_broken(flown):
     [
         ('"steady"', '"scripts/loiter.xml"', "belong together"),
         ("[start]\nV_mps = 55\naltitude_m = 200\nheading_deg = 30\n", "", "belong together"),
-        ("V_mps = 55", "V_mps = -1", r"campaign.toml:8: \[start\] V_mps.*greater than 0.*received -1"),
+        (
+            "V_mps = 55",
+            "V_mps = -1",
+            r"campaign.toml:8: \[start\] V_mps.*greater than 0.*received -1",
+        ),
         ("V_mps = 55", "V_kt = 55", r"campaign.toml:8: \[start\] V_kt: unknown key"),
-        pytest.param("V_mps = 55", "V_mps = 140", "no steady flight at 140 m/s.*uqharness modes c172p", marks=pytest.mark.slow),
+        pytest.param(
+            "V_mps = 55",
+            "V_mps = 140",
+            "no steady flight at 140 m/s.*uqharness modes c172p",
+            marks=pytest.mark.slow,
+        ),
         ("altitude_m = 200", "altitude_m = 2000", "low-altitude model"),
         ("sensor_noise = false", "sensor_noise = true", "sensor_noise = false"),
-        ("sensor_noise = false", 'sensor_noise = false\nturbulence_source = "jsbsim"', 'turbulence_source = "spec"'),
+        (
+            "sensor_noise = false",
+            'sensor_noise = false\nturbulence_source = "jsbsim"',
+            'turbulence_source = "spec"',
+        ),
         ('method = "none"', 'method = "corners"', "uq/.*does not exist"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):
     assert CAMPAIGN.count(old) == 1
     with pytest.raises(BadInputError, match=message):
-        run_campaign(read_campaign(write(tmp_path, CAMPAIGN.replace(old, new))), tmp_path / "out", workers=1)
+        run_campaign(
+            read_campaign(write(tmp_path, CAMPAIGN.replace(old, new))), tmp_path / "out", workers=1
+        )
 
 
 def test_the_folder_of_another_start_is_refused(flown):
@@ -153,7 +185,20 @@ def test_the_folder_of_another_start_is_refused(flown):
 @pytest.mark.slow
 def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
     mine = tmp_path / "my-c172"
-    assert main(["instrument", "c172p", "--out", str(mine), "--constant", "CX=0.01,Cm=0.01", "--no-check"]) == 0
+    assert (
+        main(
+            [
+                "instrument",
+                "c172p",
+                "--out",
+                str(mine),
+                "--constant",
+                "CX=0.01,Cm=0.01",
+                "--no-check",
+            ]
+        )
+        == 0
+    )
     text = CAMPAIGN.replace('"c172p"', '"my-c172"').replace("flights = 2", "flights = 1")
     text = text.replace("wind_mps = [0, 4]", "wind_mps = 3").replace(
         'method = "none"', 'method = "corners"\ncoefficients = ["CX", "Cm"]'

@@ -25,7 +25,9 @@ def flight(thrust_g):
 def test_too_little_thrust_is_told_with_the_deceleration_and_the_speed_that_it_reaches():
     said = thrust_reason(60.0, 0.0, flight(0.1), flight(0.0))
     deceleration = G * (0.1 * 1.5**2 - 0.1)
-    assert said.startswith(f"deceleration {deceleration:.2g} m/s^2 at full throttle: 100 N of thrust at 60 m/s; try V <= ")
+    assert said.startswith(
+        f"deceleration {deceleration:.2g} m/s^2 at full throttle: 100 N of thrust at 60 m/s; try V <= "
+    )
     speed = float(said.split("<= ")[1].split()[0])
     assert 36.0 <= speed <= 40.0
 
@@ -45,7 +47,9 @@ def test_where_nothing_fits_the_path_that_does_is_told():
     said = thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None)
     assert "no speed from" in said
     assert "try a path of <= -11.46 deg" in said  # 0.2 rad are 11.459 deg
-    assert "try a path of >= 11.46 deg" in thrust_reason(40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan))
+    assert "try a path of >= 11.46 deg" in thrust_reason(
+        40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan)
+    )
 
 
 @pytest.mark.slow
@@ -71,12 +75,17 @@ def test_a_stock_aircraft_that_is_too_fast_is_told_and_flies_at_the_speed_advise
 # The tanks of JSBSim's X15 are empty.
 @pytest.mark.parametrize("name", ["SGS", "Shuttle", "X15"])
 def test_a_glider_finds_its_own_path(name):
-    trim = find_trim(find_aircraft(name), SteadyCondition({"SGS": 25.0, "Shuttle": 200.0, "X15": 160.0}[name], 1000.0))
+    trim = find_trim(
+        find_aircraft(name),
+        SteadyCondition({"SGS": 25.0, "Shuttle": 200.0, "X15": 160.0}[name], 1000.0),
+    )
     assert trim.converged
     assert trim.condition.climb_rad < 0.0
     # Steady: drag over lift is the tangent of the path, and the path is that of the velocity.
     north, east, down = trim.velocity_ned_mps
-    assert math.atan2(-down, math.hypot(north, east)) == pytest.approx(trim.condition.climb_rad, abs=1e-9)
+    assert math.atan2(-down, math.hypot(north, east)) == pytest.approx(
+        trim.condition.climb_rad, abs=1e-9
+    )
 
 
 @pytest.mark.slow

@@ -69,11 +69,16 @@ def test_eigenvalues(trimmed):
     assert abs(found["spiral"] - expected["spiral"]) < 1e-4
 
 
-@pytest.mark.parametrize(("name", "mode"), [("Cn_beta", "dutch_roll"), ("Cm_q", "short_period"), ("Cl_p", "roll")])
+@pytest.mark.parametrize(
+    ("name", "mode"), [("Cn_beta", "dutch_roll"), ("Cm_q", "short_period"), ("Cl_p", "roll")]
+)
 def test_a_coefficient_wrong_by_five_percent_fails_the_figures(name, mode):
     aircraft = find_aircraft("espaaro")
     wrong = SteadyCondition(22.2, properties={f"aero/{name}": 1.05 * sixdof.TABLE_2_6[name]})
-    found = {m.name: complex(m.real, m.imag) for m in modes(linearise(aircraft, find_trim(aircraft, wrong)))}
+    found = {
+        m.name: complex(m.real, m.imag)
+        for m in modes(linearise(aircraft, find_trim(aircraft, wrong)))
+    }
     expected = MODES[22.2][mode]
     assert abs(found[mode] - expected) > 0.01 * abs(expected)
 
@@ -84,18 +89,23 @@ def eigenvalues(airframe: sixdof.Airframe, V: float):
 
     def state(x):
         alpha, beta = x[0], x[1]
-        velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+        velocity = V * np.array(
+            [np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)]
+        )
         theta = pitch_for_climb(alpha, beta, 0.0, 0.0)
         return np.concatenate([velocity, np.zeros(3), [0.0, theta, 0.0], np.zeros(3)]), x[2:]
 
-    x = fsolve(lambda x: sixdof.derivative(airframe, *state(x))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 55.0])
+    x = fsolve(
+        lambda x: sixdof.derivative(airframe, *state(x))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 55.0]
+    )
     centre, controls = state(x)
     jacobian = np.empty((12, 12))
     for column in range(12):
         step = np.zeros(12)
         step[column] = 1e-5
         jacobian[:, column] = (
-            sixdof.derivative(airframe, centre + step, controls) - sixdof.derivative(airframe, centre - step, controls)
+            sixdof.derivative(airframe, centre + step, controls)
+            - sixdof.derivative(airframe, centre - step, controls)
         ) / 2e-5
     kept = [0, 1, 2, 3, 4, 5, 6, 7]
     return np.linalg.eigvals(jacobian[np.ix_(kept, kept)])
@@ -103,9 +113,13 @@ def eigenvalues(airframe: sixdof.Airframe, V: float):
 
 def test_modes_of_a_changed_model_agree_with_the_independent_equations():
     rng = np.random.default_rng(3)
-    changed = {key: value * rng.uniform(0.7, 1.3) for key, value in sixdof.TABLE_2_6.items()} | {"CZ_q": -3.0}
+    changed = {key: value * rng.uniform(0.7, 1.3) for key, value in sixdof.TABLE_2_6.items()} | {
+        "CZ_q": -3.0
+    }
     aircraft = find_aircraft("espaaro")
-    condition = SteadyCondition(21.0, properties={f"aero/{key}": value for key, value in changed.items()})
+    condition = SteadyCondition(
+        21.0, properties={f"aero/{key}": value for key, value in changed.items()}
+    )
     model = linearise(aircraft, find_trim(aircraft, condition))
     reference = eigenvalues(sixdof.Airframe(coefficients=changed), 21.0)
     for value in np.linalg.eigvals(model.A):
@@ -114,11 +128,18 @@ def test_modes_of_a_changed_model_agree_with_the_independent_equations():
 
 @pytest.mark.parametrize(
     ("bank_deg", "climb_deg", "height", "wind"),
-    [(0, 0, 500.0, (0, 0, 0)), (30, 0, 100.0, (3, -2, 0)), (-45, 2, 100.0, (0, 7, 0)), (0, 5, 1500.0, (-5, 0, 0))],
+    [
+        (0, 0, 500.0, (0, 0, 0)),
+        (30, 0, 100.0, (3, -2, 0)),
+        (-45, 2, 100.0, (0, 7, 0)),
+        (0, 5, 1500.0, (-5, 0, 0)),
+    ],
 )
 def test_trim_for_any_bank_climb_height_and_wind(bank_deg, climb_deg, height, wind):
     aircraft = find_aircraft("espaaro")
-    condition = SteadyCondition(22.2, height, math.radians(climb_deg), math.radians(bank_deg), 0.7, wind)
+    condition = SteadyCondition(
+        22.2, height, math.radians(climb_deg), math.radians(bank_deg), 0.7, wind
+    )
     trim = find_trim(aircraft, condition)
     assert trim.converged, trim.reason
     air = np.array(trim.velocity_ned_mps) - np.array(wind)
@@ -126,7 +147,9 @@ def test_trim_for_any_bank_climb_height_and_wind(bank_deg, climb_deg, height, wi
     assert math.asin(-air[2] / 22.2) == pytest.approx(condition.climb_rad, abs=1e-6)
     if bank_deg:
         # A coordinated level turn: tan(bank) = V turn / g, to the few percent that thrust's lift and pitch take.
-        assert trim.turn_rate_radps == pytest.approx(9.806 * math.tan(condition.bank_rad) / 22.2, rel=0.03)
+        assert trim.turn_rate_radps == pytest.approx(
+            9.806 * math.tan(condition.bank_rad) / 22.2, rel=0.03
+        )
 
 
 def test_a_trim_that_does_not_exist_is_a_reported_result():
@@ -138,9 +161,17 @@ def test_a_trim_that_does_not_exist_is_a_reported_result():
 @pytest.mark.parametrize("bank_deg", few([0, 30, 60, -60, 75], 2))
 def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
     aircraft = find_aircraft("espaaro")
-    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg))))
-    named = [value for m in modes(model) for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))]
-    assert np.sort_complex(np.array(named)) == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9)
+    model = linearise(
+        aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg)))
+    )
+    named = [
+        value
+        for m in modes(model)
+        for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))
+    ]
+    assert np.sort_complex(np.array(named)) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9
+    )
 
 
 def test_a_stock_aircraft_with_piston_engine_and_propeller_trims():
@@ -168,8 +199,16 @@ def test_wind_moves_the_path_and_not_the_trim(capsys):
 def test_modes_command_json(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= answer["trim"].keys()
-    assert [mode["name"] for mode in answer["modes"]] == ["short_period", "phugoid", "dutch_roll", "roll", "spiral"]
+    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= answer[
+        "trim"
+    ].keys()
+    assert [mode["name"] for mode in answer["modes"]] == [
+        "short_period",
+        "phugoid",
+        "dutch_roll",
+        "roll",
+        "spiral",
+    ]
     assert answer["modes"][0].keys() == {"name", "real", "imag", "wn_radps", "zeta"}
 
 
@@ -192,7 +231,10 @@ def test_an_aircraft_whose_rudder_follows_its_ailerons_flies_straight_with_a_lit
     assert trim.turn_rate_radps == 0.0
     # JSBSim from there, nothing held: with that bank nothing turns it, with wings level something does.
     level = replace(trim.state, phi=0.0)
-    turning = [abs(force_state(aircraft, state, trim.controls, 200.0)[0]).max() for state in (trim.state, level)]
+    turning = [
+        abs(force_state(aircraft, state, trim.controls, 200.0)[0]).max()
+        for state in (trim.state, level)
+    ]
     assert turning[0] < 1e-6
     assert turning[1] > 0.05
 
@@ -203,7 +245,10 @@ def test_a_trim_is_steady_with_its_filters_at_rest_and_not_in_their_first_frame(
     trim = find_trim(aircraft, SteadyCondition(V_mps, 200.0))
     assert trim.converged, trim.reason
     assert trim.rest is not None
-    rested, first = (np.max(np.abs(force_state(aircraft, trim.state, trim.controls, 200.0, rest=r)[0])) for r in (trim.rest, None))
+    rested, first = (
+        np.max(np.abs(force_state(aircraft, trim.state, trim.controls, 200.0, rest=r)[0]))
+        for r in (trim.rest, None)
+    )
     assert rested < 1e-6
     assert first > 1e-4
     # What flies on from there pitches with less than this in the first tenth of a second.
@@ -223,7 +268,10 @@ def test_modes_of_an_aircraft_whose_control_system_was_brought_to_rest():
     more = dict(trim.controls) | {"elevator": trim.controls["elevator"] + 0.01}
 
     def moment(rest):
-        return (force_state(aircraft, trim.state, u, 200.0, rest=rest)[0][4] for u in (more, trim.controls))
+        return (
+            force_state(aircraft, trim.state, u, 200.0, rest=rest)[0][4]
+            for u in (more, trim.controls)
+        )
 
     ended, first = ((a - b) / 0.01 for a, b in (moment(trim.rest), moment(None)))
     assert model.B[4, column] == pytest.approx(ended, rel=0.02)
@@ -237,13 +285,17 @@ def test_an_aircraft_whose_control_laws_integrate_trims():
     assert trim.converged, trim.reason
     assert trim.rest.free
     # A rate command of zero on each axis: the law finds the surfaces.
-    assert [trim.controls[name] for name in ("elevator", "aileron", "rudder")] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert [trim.controls[name] for name in ("elevator", "aileron", "rudder")] == pytest.approx(
+        [0.0, 0.0, 0.0], abs=1e-6
+    )
     fdm, _ = forced(aircraft, trim.state, trim.controls, 200.0, None, trim.rest)
     assert abs(fdm["fcs/elevator-pos-norm"]) > 0.05
     start = [fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")]
     while fdm.get_sim_time() < 1.0:
         fdm.run()
-    assert [fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")] == pytest.approx(start, rel=1e-4, abs=1e-4)
+    assert [
+        fdm[n] for n in ("velocities/vt-fps", "aero/alpha-rad", "attitude/phi-rad")
+    ] == pytest.approx(start, rel=1e-4, abs=1e-4)
     model = linearise(aircraft, trim)
     assert np.isfinite(model.A).all()
     assert np.isnan(model.B).all()

@@ -10,7 +10,12 @@ from uqharness.statistics.pbox import Sample, pbox
 
 
 def box(*corners, unknown=0):
-    return pbox([Sample(str(number), np.asarray(values, float), unknown) for number, values in enumerate(corners)])
+    return pbox(
+        [
+            Sample(str(number), np.asarray(values, float), unknown)
+            for number, values in enumerate(corners)
+        ]
+    )
 
 
 def test_the_area_of_a_single_flight_is_its_mean_distance():

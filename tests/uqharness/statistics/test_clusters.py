@@ -20,7 +20,9 @@ def counts(kind: str, size: float, flights: int, events: int) -> np.ndarray:
     elif kind == "geometric clusters":
         share = 2.0 / (size + 1.0)
         number = rng.poisson(mean * share, shape)
-        found = number + np.where(number > 0, rng.negative_binomial(np.maximum(number, 1), share), 0)
+        found = number + np.where(
+            number > 0, rng.negative_binomial(np.maximum(number, 1), share), 0
+        )
     else:
         found = rng.poisson(rng.gamma(mean / (size - 1.0), size - 1.0, shape))
     found = found.astype(float)
@@ -51,7 +53,10 @@ def test_the_observed_ratio_is_no_limit():
 
 def test_clusters_are_rarely_called_larger_than_they_are():
     for kind, size in (("clusters", 2.0), ("geometric clusters", 2.0), ("uneven flights", 2.0)):
-        assert np.mean(dispersion_limits(counts(kind, size, 500, 100), ERROR / 64)[0] > size + 1e-9) <= 0.01
+        assert (
+            np.mean(dispersion_limits(counts(kind, size, 500, 100), ERROR / 64)[0] > size + 1e-9)
+            <= 0.01
+        )
 
 
 def test_without_a_count_nothing_is_known():
@@ -67,7 +72,9 @@ def test_so_many_quiet_flights_bring_the_limit_down(dispersion, anytime):
     needed = quiet_flights(0.1, dispersion, 0.025, anytime)
     none = np.zeros(1)
     limits = [
-        upper_limits(np.array([float(n)]), none, none + dispersion, 0.025, dispersion if anytime else None)[0]
+        upper_limits(
+            np.array([float(n)]), none, none + dispersion, 0.025, dispersion if anytime else None
+        )[0]
         for n in (needed, 0.95 * needed)
     ]
     assert limits[0] <= 0.1 + 1e-9 < limits[1]

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.statistics.common_air import MIN_AIRS, RESAMPLES, _distances, _multiplicities, common_air_half_width, is_enough
+from uqharness.statistics.common_air import (
+    MIN_AIRS,
+    RESAMPLES,
+    _distances,
+    _multiplicities,
+    common_air_half_width,
+    is_enough,
+)
 from uqharness.statistics.pbox import Sample, band_half_width, pbox
 
 
@@ -49,12 +56,16 @@ def test_corners_that_err_together_have_a_narrower_band():
     together, alone = common_air_half_width(values, 0.95), common_air_half_width(values[:1], 0.95)
     assert alone < together < 0.9 * band_half_width(100, 16, 0.95)
     assert half_width(pbox(samples(values))) == pytest.approx(together)
-    assert half_width(pbox(samples(values, airs=False))) == pytest.approx(band_half_width(100, 16, 0.95), abs=1e-9)
+    assert half_width(pbox(samples(values, airs=False))) == pytest.approx(
+        band_half_width(100, 16, 0.95), abs=1e-9
+    )
 
 
 def test_the_same_corner_twice_costs_nothing():
     values = flown(1, 100)
-    assert common_air_half_width(np.repeat(values, 5, axis=0), 0.95) == common_air_half_width(values, 0.95)
+    assert common_air_half_width(np.repeat(values, 5, axis=0), 0.95) == common_air_half_width(
+        values, 0.95
+    )
 
 
 def test_independent_corners_are_never_wider_than_bonferroni():
@@ -82,9 +93,18 @@ def test_the_order_of_flights_does_not_matter_and_lost_ones_are_kept():
     for k, row in enumerate(values):
         order = rng.permutation(60)
         known = order[np.isfinite(row[order])]
-        made.append(Sample(str(k), row[known], 60 - known.size, np.concatenate([known, np.setdiff1d(order, known)])))
+        made.append(
+            Sample(
+                str(k),
+                row[known],
+                60 - known.size,
+                np.concatenate([known, np.setdiff1d(order, known)]),
+            )
+        )
     box = pbox(made)
-    assert half_width(box) == pytest.approx(min(band_half_width(60, 4, 0.95), common_air_half_width(values, 0.95)), abs=1e-9)
+    assert half_width(box) == pytest.approx(
+        min(band_half_width(60, 4, 0.95), common_air_half_width(values, 0.95)), abs=1e-9
+    )
 
 
 def test_a_quantile_that_few_resamples_reach_is_not_asked_for():

@@ -26,7 +26,9 @@ def test_the_chance_that_one_more_sample_leaves_the_envelope():
     """Walks as draws from one law: at a fixed value the next one lies outside in 2/(m + 1) of studies, in no more."""
     generator = np.random.default_rng(4)
     curves = generator.random((4000, 17))
-    outside = (curves[:, 16] > curves[:, :16].max(axis=1)) | (curves[:, 16] < curves[:, :16].min(axis=1))
+    outside = (curves[:, 16] > curves[:, :16].max(axis=1)) | (
+        curves[:, 16] < curves[:, :16].min(axis=1)
+    )
     samples = [generator.normal(generator.normal(), 1.0, 50) for _ in range(16)]
     found = growth(samples, seed=1)
     assert [item.samples for item in found] == [2, 4, 8, 16]

@@ -48,7 +48,9 @@ def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
     """Shares of campaigns that said yes and no; each corner of one cell is a campaign of its own."""
     generator = np.random.default_rng(seed)
     found = decide(draw(generator, np.full(campaigns, truth), flights, dispersion), asked)
-    return np.mean([answer == YES for answer in found.answers]), np.mean([answer == NO for answer in found.answers])
+    return np.mean([answer == YES for answer in found.answers]), np.mean(
+        [answer == NO for answer in found.answers]
+    )
 
 
 @pytest.mark.parametrize("dispersion", few([1.0, 2.0, 3.0, 8.0], 2))
@@ -66,7 +68,9 @@ def test_many_corners_a_little_below_do_not_add_up_to_a_no():
     """What the mean of the evidence is for: 16 corners at once, wrong no more often than one."""
     generator = np.random.default_rng(11)
     asked = question(dispersion=2.0)
-    found = [decide(draw(generator, np.full(16, 0.0999), 150, 2.0), asked, 30).cell for _ in range(120)]
+    found = [
+        decide(draw(generator, np.full(16, 0.0999), 150, 2.0), asked, 30).cell for _ in range(120)
+    ]
     assert found.count(NO) / 120 <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / 120)
 
 
@@ -115,7 +119,10 @@ def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, savi
 def test_how_close_to_the_information_limit():
     """Without an excursion independent flights need ln(2/error)/0.1 h at least, half the error being kept for aborted ones."""
     quiet = np.zeros((CORNERS, MOST))
-    hours = [decide(quiet, question(error=error, dispersion=1.0), 1).flights.max() for error in (0.05, 0.05 / 24)]
+    hours = [
+        decide(quiet, question(error=error, dispersion=1.0), 1).flights.max()
+        for error in (0.05, 0.05 / 24)
+    ]
     limits = [np.log(2.0 / error) / 0.1 for error in (0.05, 0.05 / 24)]
     assert all(limit <= needed <= 1.25 * limit for needed, limit in zip(hours, limits, strict=True))
 

@@ -74,7 +74,10 @@ def test_uniform_samples_give_their_closed_form():
 
 def test_thinning_keeps_rows_exact_and_both_ends():
     values = np.random.default_rng(1).normal(size=5000)
-    full, thin = pbox([sample("a", values)], max_points=10_000), pbox([sample("a", values)], max_points=50)
+    full, thin = (
+        pbox([sample("a", values)], max_points=10_000),
+        pbox([sample("a", values)], max_points=50),
+    )
     assert thin.value.size == 50
     assert (thin.value[0], thin.value[-1]) == (values.min(), values.max())
     at = np.searchsorted(full.value, thin.value)
@@ -86,7 +89,9 @@ def test_half_width_is_at_most_dkw_and_close_to_it_for_many_flights():
         for corners in (1, 64):
             dkw = math.sqrt(math.log(2 * corners / 0.05) / (2 * flights))
             assert 0 < band_half_width(flights, corners, 0.95) <= min(1.0, dkw) + 1e-12
-    assert band_half_width(500, 64, 0.95) == pytest.approx(math.sqrt(math.log(2560) / 1000), rel=0.01)
+    assert band_half_width(500, 64, 0.95) == pytest.approx(
+        math.sqrt(math.log(2560) / 1000), rel=0.01
+    )
     assert band_half_width(0, 64, 0.95) == 1.0
 
 
@@ -96,12 +101,16 @@ def test_the_band_covers_the_true_envelope_of_all_corners():
     shifts = np.linspace(0.0, 0.35, 8)
     flights, campaigns, covered = 25, 400, 0
     for _ in range(campaigns):
-        common = generator.random(flights)  # the same air for every corner: dependent, as in a campaign
+        common = generator.random(
+            flights
+        )  # the same air for every corner: dependent, as in a campaign
         box = pbox([sample(str(shift), common + shift) for shift in shifts])
         low, high = np.clip(box.value - shifts[-1], 0, 1), np.clip(box.value, 0, 1)
         # Between rows the distribution moves on while the step does not: compare at a row and just before the next.
         before = np.append(np.clip(box.value[1:], 0, 1), 1.0)
-        covered += bool(np.all(box.band_lower <= low + 1e-12) and np.all(box.band_upper >= high - 1e-12))
+        covered += bool(
+            np.all(box.band_lower <= low + 1e-12) and np.all(box.band_upper >= high - 1e-12)
+        )
         assert np.all(before >= high)
     assert covered / campaigns >= 0.95 - 2 * math.sqrt(0.05 * 0.95 / campaigns)
 
@@ -115,12 +124,23 @@ def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail(camp
     for _ in range(campaigns):
         common = generator.random(flights)
         known = [common[common < 0.5] + shift for shift in shifts]
-        boxes = [pbox([sample(str(s), values, unknown) for s, values, unknown in zip(shifts, known, lost, strict=True)])
-                 for lost in ([flights - values.size for values in known], [0] * 4)]  # fmt: skip
+        boxes = [
+            pbox(
+                [
+                    sample(str(s), values, unknown)
+                    for s, values, unknown in zip(shifts, known, lost, strict=True)
+                ]
+            )
+            for lost in ([flights - values.size for values in known], [0] * 4)
+        ]
         inside = []
         for box in boxes:
             low, high = np.clip(box.value - shifts[-1], 0, 1), np.clip(box.value, 0, 1)
-            inside.append(bool(np.all(box.band_lower <= low + 1e-12) and np.all(box.band_upper >= high - 1e-12)))
+            inside.append(
+                bool(
+                    np.all(box.band_lower <= low + 1e-12) and np.all(box.band_upper >= high - 1e-12)
+                )
+            )
         covered += inside[0]
         dropped += inside[1]
     assert covered / campaigns >= 0.95
@@ -173,7 +193,10 @@ def test_poisson_limits_cover():
     generator = np.random.default_rng(5)
     for rate in (0.02, 0.5, 3.0):
         counts = generator.poisson(rate * 10.0, size=2000)
-        inside = [low <= rate <= high for low, high in (poisson_limits(int(count), 10.0) for count in counts)]
+        inside = [
+            low <= rate <= high
+            for low, high in (poisson_limits(int(count), 10.0) for count in counts)
+        ]
         assert np.mean(inside) >= 0.95 - 0.01
 
 
@@ -192,8 +215,10 @@ def test_rates_bound_failed_flights_from_above():
 
 
 def test_best_and_worst():
-    rates = [excursion_rate(name, counts, failed, 1.0, 3) for name, counts, failed in
-             (("a", [1], 0), ("b", [0], 1), ("c", [0, 0], 0))]  # fmt: skip
+    rates = [
+        excursion_rate(name, counts, failed, 1.0, 3)
+        for name, counts, failed in (("a", [1], 0), ("b", [0], 1), ("c", [0, 0], 0))
+    ]
     best, worst = best_and_worst(rates)
     assert (best.epistemic_id, worst.epistemic_id) == ("b", "a")
     assert best.rate == 0.0

@@ -6,14 +6,23 @@ import numpy as np
 import pytest
 
 from uqharness.statistics.pbox import poisson_limits
-from uqharness.statistics.rates import bet_logs, log_e_above, log_e_below, lower_limits, observed_dispersion, upper_limits
+from uqharness.statistics.rates import (
+    bet_logs,
+    log_e_above,
+    log_e_below,
+    lower_limits,
+    observed_dispersion,
+    upper_limits,
+)
 
 
 def clustered(generator, mean, dispersion, shape):
     """Counts of that mean and Var/mean: Poisson, negative binomial, or all-or-nothing clusters of one size."""
     if dispersion == 1.0:
         return generator.poisson(mean, shape).astype(float)
-    return generator.negative_binomial(mean / (dispersion - 1.0), 1.0 / dispersion, shape).astype(float)
+    return generator.negative_binomial(mean / (dispersion - 1.0), 1.0 / dispersion, shape).astype(
+        float
+    )
 
 
 def blocks(generator, mean, size, shape):
@@ -28,17 +37,24 @@ def test_without_an_excursion_the_upper_limit_is_its_closed_form():
         (found,) = upper_limits(np.array([flights]), np.zeros(1), np.array([dispersion]), 0.05)
         assert found == pytest.approx(dispersion * q / (1.0 - q), rel=1e-6)
     # For independent excursions that is what Poisson's exact limit says, but for what flights of one hour add.
-    assert upper_limits(np.array([500]), np.zeros(1), np.ones(1), 0.05)[0] * 500 == pytest.approx(2.9957, rel=0.005)
+    assert upper_limits(np.array([500]), np.zeros(1), np.ones(1), 0.05)[0] * 500 == pytest.approx(
+        2.9957, rel=0.005
+    )
 
 
 def test_the_convexity_bound_holds_for_every_distribution_and_is_reached_by_one():
     """E exp(-s X) <= 1 - mu (1 - exp(-s kappa))/kappa, kappa = E X^2/E X: random distributions, and {0, kappa} with equality."""
     generator = np.random.default_rng(3)
     for _ in range(200):
-        values, weights = generator.integers(0, 30, 6).astype(float), generator.dirichlet(np.ones(6))
+        values, weights = (
+            generator.integers(0, 30, 6).astype(float),
+            generator.dirichlet(np.ones(6)),
+        )
         mean, kappa = weights @ values, (weights @ values**2) / (weights @ values)
         for s in (0.05, 0.5, 3.0):
-            assert weights @ np.exp(-s * values) <= 1.0 + mean * np.expm1(-s * kappa) / kappa + 1e-12
+            assert (
+                weights @ np.exp(-s * values) <= 1.0 + mean * np.expm1(-s * kappa) / kappa + 1e-12
+            )
     assert 0.9 + 0.1 * np.exp(-0.5 * 7) == pytest.approx(1.0 + 0.7 * np.expm1(-0.5 * 7) / 7)
 
 
@@ -83,10 +99,14 @@ def test_poisson_limits_do_not_cover_clustered_excursions():
     """The counter-case, and why the flight is the unit."""
     generator = np.random.default_rng(6)
     counts = blocks(generator, 0.5, 5, (600, 40)).sum(axis=1)
-    inside = [low <= 0.5 <= high for low, high in (poisson_limits(int(count), 40.0) for count in counts)]
+    inside = [
+        low <= 0.5 <= high for low, high in (poisson_limits(int(count), 40.0) for count in counts)
+    ]
     assert np.mean(inside) < 0.8
     # Nor do limits that allow for less dispersion than there is.
-    few = upper_limits(np.full(600, 10.0), blocks(generator, 0.5, 8, (600, 10)).sum(axis=1), np.ones(600), 0.05)
+    few = upper_limits(
+        np.full(600, 10.0), blocks(generator, 0.5, 8, (600, 10)).sum(axis=1), np.ones(600), 0.05
+    )
     assert np.mean(few >= 0.5) < 0.9
 
 
@@ -95,9 +115,13 @@ def test_the_worst_of_64_is_covered_without_paying_for_64():
     generator = np.random.default_rng(7)
     rates = np.linspace(0.0, 1.0, 64) ** 4
     campaigns, flights = 120, 30
-    air = generator.gamma(2.0, 0.5, (campaigns, 1, flights))  # the same gusty flights for every corner
+    air = generator.gamma(
+        2.0, 0.5, (campaigns, 1, flights)
+    )  # the same gusty flights for every corner
     counts = generator.poisson(rates[:, None] * air).astype(float)
-    upper = upper_limits(np.full((campaigns, 64), 30.0), counts.sum(axis=2), np.full((campaigns, 64), 1.5), 0.05)
+    upper = upper_limits(
+        np.full((campaigns, 64), 30.0), counts.sum(axis=2), np.full((campaigns, 64), 1.5), 0.05
+    )
     assert np.mean(upper.max(axis=1) >= 1.0) >= 0.95
     lower = np.array([lower_limits(campaign, 0.05 / 64).max() for campaign in counts[:60]])
     assert np.mean(lower <= 1.0) >= 0.95
@@ -131,13 +155,18 @@ def limits_of(counts, missing, dispersion, assumed=None):
 
 def test_time_not_flown_costs_what_it_is_worth():
     """Two excursions in 50 flights, one of them aborted halfway: hardly more than whole flights say."""
-    whole, ended = (upper_limits([50.0], [2.0], [2.0], 0.025, None, [missing])[0] for missing in (0.0, 0.5))
+    whole, ended = (
+        upper_limits([50.0], [2.0], [2.0], 0.025, None, [missing])[0] for missing in (0.0, 0.5)
+    )
     assert whole < ended < 1.05 * whole
     # All flights ended as they began: no time was flown, no limit can be told.
     assert upper_limits([50.0], [50.0], [1.0], 0.025, None, [50.0])[0] == np.inf
 
 
-@pytest.mark.parametrize(("rate", "abort", "cluster"), [(0.0, 0.05, 1), (0.3, 0.1, 1), (0.0, 0.6, 1), (0.4, 0.3, 4), (5.0, 0.5, 2)])
+@pytest.mark.parametrize(
+    ("rate", "abort", "cluster"),
+    [(0.0, 0.05, 1), (0.3, 0.1, 1), (0.0, 0.6, 1), (0.4, 0.3, 4), (5.0, 0.5, 2)],
+)
 def test_limits_per_time_flown_cover_the_truth_and_are_finite(rate, abort, cluster):
     counts, missing, truth = ended_early(np.random.default_rng(8), 1500, 80, rate, abort, cluster)
     for assumed in (None, float(cluster)):
@@ -158,5 +187,9 @@ def test_evidence_with_flights_that_end_early_has_a_mean_of_one_at_most():
         counts, missing, truth = ended_early(np.random.default_rng(9), 20_000, 30, rate, abort)
         ended = np.where(missing > 0.0, counts, 0.0).max(axis=1)
         flights = np.full(20_000, 30.0)
-        found = np.exp(log_e_below(flights, counts.sum(axis=1), truth, np.maximum(ended, 1.0), 1.0, missing.sum(axis=1)))
+        found = np.exp(
+            log_e_below(
+                flights, counts.sum(axis=1), truth, np.maximum(ended, 1.0), 1.0, missing.sum(axis=1)
+            )
+        )
         assert found.mean() <= 1.0 + 4.0 * found.std() / np.sqrt(found.size)

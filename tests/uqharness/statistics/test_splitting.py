@@ -8,8 +8,25 @@ import math
 import numpy as np
 import pytest
 
-from campaigns.rare_events.closed_form import EACH, REARM, STEPS, THRESHOLD, Careless, Crossings, coverage, exact
-from uqharness.statistics.splitting import Levels, Occupancy, Seen, interval, more_levels, pilot, run
+from campaigns.rare_events.closed_form import (
+    EACH,
+    REARM,
+    STEPS,
+    THRESHOLD,
+    Careless,
+    Crossings,
+    coverage,
+    exact,
+)
+from uqharness.statistics.splitting import (
+    Levels,
+    Occupancy,
+    Seen,
+    interval,
+    more_levels,
+    pilot,
+    run,
+)
 
 REPEATS = 20
 
@@ -22,7 +39,13 @@ class Scripted:
     """Paths whose scores are given: one root each; remembers who was followed."""
 
     def __init__(self, scores, ended=()):
-        self.scores, self.ended, self.followed, self.step, self.who = scores, ended, [], -1, list(range(len(scores[0])))
+        self.scores, self.ended, self.followed, self.step, self.who = (
+            scores,
+            ended,
+            [],
+            -1,
+            list(range(len(scores[0]))),
+        )
 
     def advance(self):
         self.step += 1
@@ -68,7 +91,9 @@ def test_weights_of_paths_that_rise_fall_and_end():
     scores = [[0.0], [7.0], [7.0], [3.0], [0.0]]
     one = Scripted(scores)
     found = run(one, 1, Levels((2.0, 6.0)), 1)
-    assert [len(parents) for parents, _ in one.followed] == [9, 3], "where nothing changes nobody is followed"
+    assert [len(parents) for parents, _ in one.followed] == [9, 3], (
+        "where nothing changes nobody is followed"
+    )
     assert sorted(one.followed[0][1]) == [0, 1, 1, 2, 2, 2, 2, 2, 2]
     assert found.most == 9
     # Everything ends in an event at the last checkpoint: nine paths of a ninth.
@@ -83,7 +108,9 @@ def test_weights_of_paths_that_rise_fall_and_end():
 
 
 def test_roots_are_counted_apart():
-    found = run(Scripted([[0.0, 0.0, 0.0], [7.0, 0.0, 3.0], [9.5, 0.0, 3.0]]), 3, Levels((2.0, 6.0)), 1)
+    found = run(
+        Scripted([[0.0, 0.0, 0.0], [7.0, 0.0, 3.0], [9.5, 0.0, 3.0]]), 3, Levels((2.0, 6.0)), 1
+    )
     np.testing.assert_allclose(found.probability_by_root[:, 0], [1.0, 0.0, 0.0])
     np.testing.assert_allclose(found.events_by_root.mean(axis=0), found.events)
 
@@ -91,7 +118,9 @@ def test_roots_are_counted_apart():
 def test_plain_paths_give_the_first_levels():
     grid = np.arange(0.0, 8.0)
     plain = Occupancy(grid, 0.3 * 3.0**-grid, np.full(8, 1000.0))
-    levels = pilot(lambda number: pytest.fail("no round is needed"), 10, 1, grid, 4.5, 0.3 / 9.0, plain)
+    levels = pilot(
+        lambda number: pytest.fail("no round is needed"), 10, 1, grid, 4.5, 0.3 / 9.0, plain
+    )
     np.testing.assert_allclose(levels.scores, [2.0, 3.0, 4.0])
 
 

@@ -21,8 +21,17 @@ TWO_CORNERS = (
     fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")].replace("duration_s = 150", "duration_s = 900")
     + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n'
 )
-EFFECT = {"name": "rolling moment due to elevator", "value": 0.0003, "std": 1e-6, "unit": "1/deg", "withdrawn": False}
-GAP = {"p_radps": {"rms_before": 0.004, "rms_after": 0.001, "noise_rms": 0.001}, "V_mps": {"rms_before": None, "noise_rms": 0.5}}
+EFFECT = {
+    "name": "rolling moment due to elevator",
+    "value": 0.0003,
+    "std": 1e-6,
+    "unit": "1/deg",
+    "withdrawn": False,
+}
+GAP = {
+    "p_radps": {"rms_before": 0.004, "rms_after": 0.001, "noise_rms": 0.001},
+    "V_mps": {"rms_before": None, "noise_rms": 0.5},
+}
 FOUND = {"verdict": "effects-found", "effects": [EFFECT], "gap": {"test": {"channels": GAP}}}
 
 
@@ -34,7 +43,10 @@ def quiet(spec):
 def bad_corner(spec):
     """Many excursions at the upper corner, none at the lower."""
     result = quiet(spec)
-    return replace(result, metrics=result.metrics | {"excursions_15m": 9.0 if fakes.level_sum(spec) > 2.9 else 0.0})
+    return replace(
+        result,
+        metrics=result.metrics | {"excursions_15m": 9.0 if fakes.level_sum(spec) > 2.9 else 0.0},
+    )
 
 
 def everywhere(spec):
@@ -49,13 +61,21 @@ def windy(spec):
 def some(spec):
     """About the acceptable rate."""
     result = quiet(spec)
-    return replace(result, metrics=result.metrics | {"excursions_15m": float(spec.seed_turbulence % 2)})
+    return replace(
+        result, metrics=result.metrics | {"excursions_15m": float(spec.seed_turbulence % 2)}
+    )
 
 
 def ends_early(spec):
     """Flies half of its time and loses control, without an excursion."""
     result = quiet(spec)
-    return replace(result, status="diverged", reason="the state was no longer finite", metrics={}, flown_s=spec.duration_s / 2.0)
+    return replace(
+        result,
+        status="diverged",
+        reason="the state was no longer finite",
+        metrics={},
+        flown_s=spec.duration_s / 2.0,
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -68,14 +88,18 @@ def clustered(*asked):
 
 
 def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"moderate"'):
-    text = TWO_CORNERS.replace("flights = 3", f"flights = {flights}").replace("wind_mps = 3", f"wind_mps = {winds}")
+    text = TWO_CORNERS.replace("flights = 3", f"flights = {flights}").replace(
+        "wind_mps = 3", f"wind_mps = {winds}"
+    )
     text = text.replace('turbulence = "moderate"', f"turbulence = {air}")
     for name, fly in (("campaign-before", before), ("campaign-after", after)):
         if fly is not None:
             spec = read_campaign(fakes.campaign_file(tmp_path, text))
             mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
             run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
-    return answer_of(read_flown(tmp_path, after is not None), None if after is None else FOUND, [], no)
+    return answer_of(
+        read_flown(tmp_path, after is not None), None if after is None else FOUND, [], no
+    )
 
 
 def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
@@ -94,7 +118,9 @@ def test_a_worse_model_is_a_no(tmp_path):
     assert (found.level, found.answer[:9]) == ("bad", "No in 3 m")
     assert "worst corner: 36/h (" in found.why
     # The lower corner has none, so a better model may change it.
-    assert "a better model may change the no in 3 m/s moderate: the best corner has 0/h." in found.next
+    assert (
+        "a better model may change the no in 3 m/s moderate: the best corner has 0/h." in found.next
+    )
 
 
 def test_a_no_at_every_corner_is_told_apart_from_one_that_a_better_model_may_change(tmp_path):
@@ -129,9 +155,13 @@ def test_aborted_flights_are_no_yes(tmp_path):
 
 def test_conditions_are_grouped_by_answer_and_compared_with_those_before(tmp_path):
     found = answered(tmp_path, everywhere, windy, winds="[1, 3, 7]")
-    assert found.answer.startswith("Yes in 1 and 3 m/s, no in 7 m/s wind with moderate turbulence (95 % confidence).")
+    assert found.answer.startswith(
+        "Yes in 1 and 3 m/s, no in 7 m/s wind with moderate turbulence (95 % confidence)."
+    )
     assert found.level == "warn"
-    assert found.answer.endswith(" Before refinement: no in 1 and 3 m/s wind with moderate turbulence.")
+    assert found.answer.endswith(
+        " Before refinement: no in 1 and 3 m/s wind with moderate turbulence."
+    )
     same = answered(tmp_path / "same", windy, windy)
     assert "Before refinement" not in same.answer
     assert same.lacked.endswith(", same answers.")
@@ -155,14 +185,23 @@ def test_conditions_of_several_turbulences_are_named_by_it(tmp_path):
     assert " in 3 m/s moderate, " in found.why
 
 
-def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advice(tmp_path, monkeypatch):
+def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advice(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr("uqharness.campaign.statements.carried", clustered)
     found = answered(tmp_path, quiet)
-    assert (found.level, found.answer[:52]) == ("warn", "Inconclusive (clusters beyond the carried limit) in ")
+    assert (found.level, found.answer[:52]) == (
+        "warn",
+        "Inconclusive (clusters beyond the carried limit) in ",
+    )
     assert found.next == (
         "Next: raise [metrics] dispersion for 3 m/s moderate: clusters beyond the carried limit, which more hours do not change."
     )
-    (said, *_) = [text for text, _ in performance(read_flown(tmp_path, both=False)) if "at every corner?" in text]
+    (said, *_) = [
+        text
+        for text, _ in performance(read_flown(tmp_path, both=False))
+        if "at every corner?" in text
+    ]
     assert "Inconclusive (clusters beyond the carried limit): " in said
     assert "too few flight hours" not in said
 
@@ -184,7 +223,13 @@ def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
 def test_lines_fit_two_rows_of_a_terminal(tmp_path):
     question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
     found = answered(tmp_path, windy, windy, winds="[3, 7, 12]")
-    assert max(len(line) for line in (f"{question} {found.answer}", found.why, found.lacked, found.next)) <= 160
+    assert (
+        max(
+            len(line)
+            for line in (f"{question} {found.answer}", found.why, found.lacked, found.next)
+        )
+        <= 160
+    )
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
@@ -192,9 +237,16 @@ def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
     assert answer_of({}, nothing, []).lacked == "The model lacked nothing that these flights show."
     withdrawn = FOUND | {"verdict": "unexplained", "effects": [EFFECT | {"withdrawn": True}]}
     assert "no effect of the catalogue explains" in answer_of({}, withdrawn, []).lacked
-    assert "These stages answered no: validate-before" in answered(tmp_path, quiet, no=["validate-before"]).next
+    assert (
+        "These stages answered no: validate-before"
+        in answered(tmp_path, quiet, no=["validate-before"]).next
+    )
 
 
 def test_without_a_campaign_there_is_no_rate_and_the_worst_finding_is_why():
     found = answer_of({}, None, [("Fits.", "good"), ("Does not hold.", "bad"), ("Beware.", "warn")])
-    assert (found.level, found.answer, found.why) == ("warn", "No excursion rate: no campaign was flown.", "Does not hold.")
+    assert (found.level, found.answer, found.why) == (
+        "warn",
+        "No excursion rate: no campaign was flown.",
+        "Does not hold.",
+    )

@@ -111,11 +111,18 @@ def study(tmp_path, monkeypatch):
 
     monkeypatch.setattr(chain_run, "_call", call)
     monkeypatch.setattr(chain_run, "_refuse_other_model", lambda form, folder: None)
-    monkeypatch.setattr("uqharness.cli.study.write_report", lambda folder: Report(folder / "report.html", (), Page("", "", ())))
+    monkeypatch.setattr(
+        "uqharness.cli.study.write_report",
+        lambda folder: Report(folder / "report.html", (), Page("", "", ())),
+    )
     # The stages are made up, so that there is nothing to conclude from.
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
     monkeypatch.setattr(chain_run, "read_flown", lambda out, both: {})
-    monkeypatch.setattr(chain_run, "read_document", lambda path, shape: {"effects": [], "verdict": "no-missing-effect"})
+    monkeypatch.setattr(
+        chain_run,
+        "read_document",
+        lambda path, shape: {"effects": [], "verdict": "no-missing-effect"},
+    )
 
     def run(text=None, file="study.toml", out="out"):
         if text is not None:
@@ -153,10 +160,18 @@ def test_all_stages_run_once_and_study_json_tells(study, tmp_path):
         (lambda folder: (folder / "two.bin").write_text("other"), TWO_ON),
         (lambda folder: (folder / "three.bin").write_text("other"), THREE_ON),
         (lambda folder: (folder / "plane" / "more.toml").write_text("x = 1"), " ".join(ALL)),
-        (lambda folder: (folder / "out" / "bounds-before" / "model-form.json").unlink(), "bounds-before"),
-        (lambda folder: (folder / "out" / "bounds-before" / "model-form.json").write_text("edited"), "bounds-before"),
+        (
+            lambda folder: (folder / "out" / "bounds-before" / "model-form.json").unlink(),
+            "bounds-before",
+        ),
+        (
+            lambda folder: (folder / "out" / "bounds-before" / "model-form.json").write_text(
+                "edited"
+            ),
+            "bounds-before",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_depends_on_a_change_is_done_again_and_nothing_else(study, tmp_path, change, again):
     run, ran, _ = study
     run()
@@ -168,11 +183,15 @@ def test_what_depends_on_a_change_is_done_again_and_nothing_else(study, tmp_path
 @pytest.mark.parametrize(
     ("old", "new", "again"),
     [
-        ("flights = 3", "flights = 4", "campaign-before sensitivity-before campaign-after sensitivity-after"),
+        (
+            "flights = 3",
+            "flights = 4",
+            "campaign-before sensitivity-before campaign-after sensitivity-after",
+        ),
         ("checks = true", "order = 1", TWO_ON.removeprefix("import-two ")),
         ('question = "Does it hold?"', 'question = "Will it?"', ""),
     ],
-)  # fmt: skip
+)
 def test_an_edited_file_runs_what_its_settings_bear_on(study, old, new, again):
     run, ran, _ = study
     run()
@@ -212,7 +231,9 @@ def test_a_folder_that_is_not_the_studys_is_not_removed(study, tmp_path):
     (tmp_path / "out" / "refine").mkdir()
     (tmp_path / "out" / "refine" / "thesis.tex").write_text("years")
     fail.clear()
-    with pytest.raises(BadInputError, match="refine: is there, and not from this study; move it away"):
+    with pytest.raises(
+        BadInputError, match="refine: is there, and not from this study; move it away"
+    ):
         run()
     assert (tmp_path / "out" / "refine" / "thesis.tex").exists()
 
@@ -239,7 +260,10 @@ def test_a_stage_that_answers_no_is_done_and_the_study_goes_on(study):
 def test_a_stage_that_cannot_use_its_input_stops_the_study_and_is_tried_again(study, tmp_path):
     run, ran, fail = study
     fail["bounds-before"] = BadInputError("two.parquet: too short")
-    with pytest.raises(BadInputError, match=r"stage bounds-before: two.parquet: too short\n  the stage alone: uqharness bounds"):
+    with pytest.raises(
+        BadInputError,
+        match=r"stage bounds-before: two.parquet: too short\n  the stage alone: uqharness bounds",
+    ):
         run()
     document = read_study(tmp_path / "out")
     assert document["state"] == "failed"
@@ -287,7 +311,10 @@ def test_a_folder_of_something_else_is_refused(study, tmp_path):
     run, ran, _ = study
     run()
     other = STUDY.replace("flights = 3", "flights = 5")
-    with pytest.raises(BadInputError, match=r'holds the study "mine" of .*study.toml, not "mine" of .*other.toml; choose'):
+    with pytest.raises(
+        BadInputError,
+        match=r'holds the study "mine" of .*study.toml, not "mine" of .*other.toml; choose',
+    ):
         run(other, file="other.toml")
     with pytest.raises(BadInputError, match='not "another" of'):
         run(STUDY.replace('"mine"', '"another"'))
@@ -295,7 +322,9 @@ def test_a_folder_of_something_else_is_refused(study, tmp_path):
     run(STUDY, file="moved.toml")  # the same content under another name
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("")
-    with pytest.raises(BadInputError, match=r"not empty and no study's folder \(it has thesis.tex\)"):
+    with pytest.raises(
+        BadInputError, match=r"not empty and no study's folder \(it has thesis.tex\)"
+    ):
         run(STUDY, out="full")
     (tmp_path / "out" / "study.json").write_text("{}")
     with pytest.raises(BadInputError, match="written by another version"):
@@ -363,7 +392,9 @@ def counted(folder):
 def kill_in_flight(tmp_path):
     """Start the study in a process of its own, kill -9 it once flights are counted, and return how many are."""
     words = [sys.executable, "-m", "uqharness.cli.main", *command(tmp_path)]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, cwd=PROJECT_ROOT)
+    process = subprocess.Popen(
+        words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, cwd=PROJECT_ROOT
+    )
     try:
         deadline = time.monotonic() + 120
         while counted(tmp_path / "out" / "campaign-before") < 5:
@@ -390,7 +421,9 @@ def test_a_study_killed_in_mid_campaign_goes_on_and_ends_as_if_undisturbed(tmp_p
     file = tmp_path / "out" / "campaign-before.toml"
     assert cli.main(["campaign", "run", str(file), "--out", str(alone), "--serial"]) == 0
     for name in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv"):
-        assert (alone / name).read_bytes() == (tmp_path / "out" / "campaign-before" / name).read_bytes()
+        assert (alone / name).read_bytes() == (
+            tmp_path / "out" / "campaign-before" / name
+        ).read_bytes()
     text = " ".join(sentence["text"] for sentence in document["verdict"])
     assert "at every corner? Inconclusive" in text
     assert "Median cross-track error" in text
@@ -401,7 +434,10 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(study, tmp_path, capsys):
     _, _, fail = study
     fail["identify"] = KeyboardInterrupt()
     assert cli.main(command(tmp_path)) == 130
-    assert f"{tmp_path / 'out'}: stopped; finished stages are kept, the same command resumes" in capsys.readouterr().err
+    assert (
+        f"{tmp_path / 'out'}: stopped; finished stages are kept, the same command resumes"
+        in capsys.readouterr().err
+    )
     fail.clear()
     assert cli.main(command(tmp_path)) == 0
     assert "It holds." in capsys.readouterr().out

@@ -87,13 +87,18 @@ def test_the_stages_of_a_whole_study_in_order(tmp_path):
     assert [stage.name for stage in stages] == names.split()
     for stage in stages:
         assert stage.command.startswith("uqharness ")
-        build_parser().parse_args(stage.argv)  # what would be told to a shell is what the command line takes
+        build_parser().parse_args(
+            stage.argv
+        )  # what would be told to a shell is what the command line takes
 
 
 def test_each_model_flies_with_bounds_of_its_own(tmp_path):
     stages = {stage.name: stage for stage in plan(read(tmp_path, STUDY), tmp_path / "out")}
     out = tmp_path / "out"
-    for when, model in (("before", out / "identify" / "aircraft"), ("after", out / "refine" / "aircraft" / "aircraft")):
+    for when, model in (
+        ("before", out / "identify" / "aircraft"),
+        ("after", out / "refine" / "aircraft" / "aircraft"),
+    ):
         campaign = stages[f"campaign-{when}"]
         assert campaign.belongs == (out / f"bounds-{when}" / "model-form.json", model)
         assert stages[f"bounds-{when}"].argv[1] == str(model)
@@ -114,7 +119,10 @@ def test_a_study_of_parts(tmp_path):
     walks = only | {"epistemic": {"method": "walk", "samples": 3}}
     assert stages(tomlkit.dumps(walks)) == ["campaign-before"]
     compared = STUDY.replace("[bounds]", '[compare]\nflights = ["three"]\n\n[bounds]')
-    assert [n for n in stages(compared) if n.startswith("compare")] == ["compare-three-before", "compare-three-after"]
+    assert [n for n in stages(compared) if n.startswith("compare")] == [
+        "compare-three-before",
+        "compare-three-after",
+    ]
 
 
 def test_an_aircraft_without_the_plugin_gets_it_first(tmp_path):
@@ -125,16 +133,27 @@ def test_an_aircraft_without_the_plugin_gets_it_first(tmp_path):
         "epistemic": {"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.01}},
     }
     stages = plan(read(tmp_path, tomlkit.dumps(sections)), tmp_path / "out")
-    assert [stage.name for stage in stages] == ["instrument", "campaign-before", "sensitivity-before"]
+    assert [stage.name for stage in stages] == [
+        "instrument",
+        "campaign-before",
+        "sensitivity-before",
+    ]
     assert stages[1].writes[1]["campaign"]["aircraft"] == "instrument/c172x"
 
 
 def test_options_reach_the_commands(tmp_path):
     text = (
         STUDY.replace('aircraft = "espaaro"\n', 'aircraft = "espaaro"\nservos = "ideal"\n', 1)
-        .replace('flights = "one"', 'flights = "one"\nparams = ["aero/Cm_q", "aero/Cm_de"]\nbiases = []')
-        .replace("validate_on", 'roll_terms = true\nchecks = false\nstates = { CX = ["V", "alpha"] }\nvalidate_on')
-        .replace("seed = 2", 'seed = 2\nturbulence = "light"\nnoise = false\nset = { "aero/Cm_q" = -10 }')
+        .replace(
+            'flights = "one"', 'flights = "one"\nparams = ["aero/Cm_q", "aero/Cm_de"]\nbiases = []'
+        )
+        .replace(
+            "validate_on",
+            'roll_terms = true\nchecks = false\nstates = { CX = ["V", "alpha"] }\nvalidate_on',
+        )
+        .replace(
+            "seed = 2", 'seed = 2\nturbulence = "light"\nnoise = false\nset = { "aero/Cm_q" = -10 }'
+        )
     )
     stages = {stage.name: stage.command for stage in plan(read(tmp_path, text), tmp_path / "out")}
     for part in ("--params aero/Cm_q,aero/Cm_de", "--biases none", "--servos ideal"):
@@ -152,41 +171,121 @@ def test_options_reach_the_commands(tmp_path):
     [
         ('name = "mine"', 'nmae = "mine"', ["[study] nmae: unknown key", "did you mean name?"]),
         ('name = "mine"', 'name = "my study"', ["[study] name", 'received "my study"']),
-        ('question = "Does it hold?"', "question = 3", ["[study] question", "string", "received 3"]),
-        ('aircraft = "espaaro"\n', 'aircraft = "espaaroo"\n', ["[study] aircraft", "'espaaroo' not found", "espaaro_truth"]),
+        (
+            'question = "Does it hold?"',
+            "question = 3",
+            ["[study] question", "string", "received 3"],
+        ),
+        (
+            'aircraft = "espaaro"\n',
+            'aircraft = "espaaroo"\n',
+            ["[study] aircraft", "'espaaroo' not found", "espaaro_truth"],
+        ),
         ("[identify]", "[identfy]", ["[identfy]: unknown section", "did you mean identify?"]),
         ("seed = 2", "sede = 2", ["[[fly]] number 2 sede: unknown key", "did you mean seed?"]),
-        ("seed = 2", 'seed = 2\nturbulence = "heavy"', ["[[fly]] number 2 turbulence", "'light'", 'received "heavy"']),
+        (
+            "seed = 2",
+            'seed = 2\nturbulence = "heavy"',
+            ["[[fly]] number 2 turbulence", "'light'", 'received "heavy"'],
+        ),
         ("seed = 2", "seed = -2", ["[[fly]] number 2 seed", "received -2"]),
         ("seed = 2", 'script = "x.xml"\nseed = 2', ["not valid TOML"]),
-        ('file = "three.bin"', 'fiel = "three.bin"', ["[[logs]] number 1 fiel: unknown key", "did you mean file?"]),
-        ('file = "three.bin"', 'file = "gone.bin"', ["[[logs]] file", '"gone.bin" is no file beside study.toml']),
-        ('file = "three.bin"', 'file = "three.bin"\nmap = "m.toml"', ["[[logs]] map", '"m.toml" is no file']),
+        (
+            'file = "three.bin"',
+            'fiel = "three.bin"',
+            ["[[logs]] number 1 fiel: unknown key", "did you mean file?"],
+        ),
+        (
+            'file = "three.bin"',
+            'file = "gone.bin"',
+            ["[[logs]] file", '"gone.bin" is no file beside study.toml'],
+        ),
+        (
+            'file = "three.bin"',
+            'file = "three.bin"\nmap = "m.toml"',
+            ["[[logs]] map", '"m.toml" is no file'],
+        ),
         ('name = "two"', 'name = "one"', ['[[fly]] name = "one": another flight has this name']),
         ('flights = "one"', "flights = []", ["[identify] flights"]),
-        ('flights = "one"', 'flights = "four"', ['[identify] flights: no flight is named "four"', "have: one, two, three"]),
-        ('flights = "one"', 'flights = ["one", "one"]', ['[identify] flights: "one" is named twice']),
-        ('flights = "one"', 'flights = "one"\nmethod = "guess"', ["[identify] method", "'auto'", 'received "guess"']),
+        (
+            'flights = "one"',
+            'flights = "four"',
+            ['[identify] flights: no flight is named "four"', "have: one, two, three"],
+        ),
+        (
+            'flights = "one"',
+            'flights = ["one", "one"]',
+            ['[identify] flights: "one" is named twice'],
+        ),
+        (
+            'flights = "one"',
+            'flights = "one"\nmethod = "guess"',
+            ["[identify] method", "'auto'", 'received "guess"'],
+        ),
         ('validate_on = ["three"]', 'validate_on = ["two"]', ['"two" is also in [bounds] flights']),
-        ('validate_on = ["three"]', 'validate_on = ["one"]', ['"one" is also in [identify] flights']),
-        ('flights = ["two"]', 'flights = ["one"]', ['"one" is also in [identify] flights', "too small for bounds"]),
-        ('test = ["three"]', 'test = ["one"]', ['"one" is also in [refine] train', "must not choose"]),
-        ('test = ["three"]', 'test = ["three"]\neffects = "own.toml"', ["[refine] effects", '"own.toml" is no file']),
-        ("validate_on", "confidence = 95\nvalidate_on", ["[bounds] confidence", "less than 1", "received 95"]),
+        (
+            'validate_on = ["three"]',
+            'validate_on = ["one"]',
+            ['"one" is also in [identify] flights'],
+        ),
+        (
+            'flights = ["two"]',
+            'flights = ["one"]',
+            ['"one" is also in [identify] flights', "too small for bounds"],
+        ),
+        (
+            'test = ["three"]',
+            'test = ["one"]',
+            ['"one" is also in [refine] train', "must not choose"],
+        ),
+        (
+            'test = ["three"]',
+            'test = ["three"]\neffects = "own.toml"',
+            ["[refine] effects", '"own.toml" is no file'],
+        ),
+        (
+            "validate_on",
+            "confidence = 95\nvalidate_on",
+            ["[bounds] confidence", "less than 1", "received 95"],
+        ),
         ("validate_on", "order = 7\nvalidate_on", ["[bounds] order", "received 7"]),
         ("validate_on", 'states = { CW = ["V"] }\nvalidate_on', ["[bounds] states"]),
-        ("validate_on", 'states = { CX = ["speed"] }\nvalidate_on', ["[bounds] states", "unknown state speed", "alpha"]),
+        (
+            "validate_on",
+            'states = { CX = ["speed"] }\nvalidate_on',
+            ["[bounds] states", "unknown state speed", "alpha"],
+        ),
         ("validate_on", 'terms = { CX = ["1", "V^"] }\nvalidate_on', ["[bounds] terms"]),
-        ('flights = "one"', 'flights = "one"\nbiases = ["w"]', ["[identify] biases", "unknown channel w", "alpha"]),
-        ('mission = "loiter"', 'mission = "loyter"', ["[campaign] mission", "'loyter' not found", "loiter"]),
-        ('mission = "loiter"', 'mission = "loiter"\naircraft = "espaaro"', ["[campaign] aircraft", "leave it out"]),
+        (
+            'flights = "one"',
+            'flights = "one"\nbiases = ["w"]',
+            ["[identify] biases", "unknown channel w", "alpha"],
+        ),
+        (
+            'mission = "loiter"',
+            'mission = "loyter"',
+            ["[campaign] mission", "'loyter' not found", "loiter"],
+        ),
+        (
+            'mission = "loiter"',
+            'mission = "loiter"\naircraft = "espaaro"',
+            ["[campaign] aircraft", "leave it out"],
+        ),
         ("seed = 7", "sede = 7", ["[campaign] sede: unknown key", "did you mean seed?"]),
         ("flights = 3", "flights = 0", ["[aleatory] flights", "received 0"]),
-        ('method = "corners"', 'method = "corners"\nbounds = { CX = 1 }', ["[epistemic] bounds", "leave out one"]),
+        (
+            'method = "corners"',
+            'method = "corners"\nbounds = { CX = 1 }',
+            ["[epistemic] bounds", "leave out one"],
+        ),
         ('method = "corners"', 'method = "sobol"', ["[epistemic] method", 'received "sobol"']),
-        ('method = "corners"', 'method = "corners"\n[epistemic.parameters]\nfit = "f"', ["parameters", "flies two"]),
+        (
+            'method = "corners"',
+            'method = "corners"\n[epistemic.parameters]\nfit = "f"',
+            ["parameters", "flies two"],
+        ),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, fragments):
     assert old in STUDY
     text = STUDY.replace(old, new, 1)
@@ -205,7 +304,9 @@ def test_the_line_is_that_of_the_right_table(tmp_path):
     assert f"study.toml:{line}: [[fly]] number 2 seed" in refusal(tmp_path, text)
     text = STUDY.replace("[identify]", '[[logs]]\nname = "spare"\nfile = "three.bin"\n\n[identify]')
     line = line_of(text, 'name = "spare"')
-    assert f'study.toml:{line}: [[logs]] name = "spare": no section uses this flight' in refusal(tmp_path, text)
+    assert f'study.toml:{line}: [[logs]] name = "spare": no section uses this flight' in refusal(
+        tmp_path, text
+    )
 
 
 def test_bounds_are_not_made_from_a_flight_that_refinement_trains_on(tmp_path):
@@ -217,7 +318,9 @@ def test_bounds_are_not_made_from_a_flight_that_refinement_trains_on(tmp_path):
 
 
 def test_every_mistake_is_told_at_once(tmp_path):
-    message = refusal(tmp_path, STUDY.replace("seed = 1", "sede = 1").replace("[identify]", "[identfy]"))
+    message = refusal(
+        tmp_path, STUDY.replace("seed = 1", "sede = 1").replace("[identify]", "[identfy]")
+    )
     assert "sede" in message
     assert "identfy" in message
 

@@ -58,13 +58,25 @@ def test_the_hardest_condition_and_the_smallest_radius_are_drawn(asked):
     assert hardest([]) is None
 
 
-def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_without_deltas(tmp_path, asked):
+def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_without_deltas(
+    tmp_path, asked
+):
     found = fly_tracks(tmp_path, {"before": asked}, workers=1)
     assert (found["wind_mps"], found["turbulence"], found["radius_m"]) == (9.0, "light", 4.0)
     table = pd.read_parquet(tmp_path / TRACKS)
-    assert list(table) == ["when", "model", "epistemic_id", "time_s", "north_m", "east_m", "distance_m"]
+    assert list(table) == [
+        "when",
+        "model",
+        "epistemic_id",
+        "time_s",
+        "north_m",
+        "east_m",
+        "distance_m",
+    ]
     largest = {model: rows["distance_m"].abs().max() for model, rows in table.groupby("model")}
-    rows = asked.frame[(asked.frame["wind_mps"] == 9.0) & (asked.frame["aleatory_id"] == found["aleatory_id"])]
+    rows = asked.frame[
+        (asked.frame["wind_mps"] == 9.0) & (asked.frame["aleatory_id"] == found["aleatory_id"])
+    ]
     scored = rows.set_index("epistemic_id")["cross_track_max_m"]
     worst = asked.statement.worst.epistemic_id
     # The campaign scored the same flight at 10 Hz, the track has every other row.
@@ -76,6 +88,14 @@ def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_with
 
 def test_flights_that_cannot_be_drawn_are_told_with_their_reason(tmp_path, asked):
     nothing = Asked(asked.folder, asked.frame.drop(columns="cross_track_max_m"), asked.statement)
-    assert "has a distance from its path" in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
-    assert "has a distance" in fly_tracks(tmp_path, {"before": Asked(asked.folder, asked.frame, None)}, workers=1)["reason"]
+    assert (
+        "has a distance from its path"
+        in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
+    )
+    assert (
+        "has a distance"
+        in fly_tracks(tmp_path, {"before": Asked(asked.folder, asked.frame, None)}, workers=1)[
+            "reason"
+        ]
+    )
     assert not (tmp_path / TRACKS).exists()

@@ -39,29 +39,40 @@ def narrow(spec):
     result = wide(spec)
     much = 1.0 + fakes.level_sum(spec) + spec.wind_mps
     little = 4.0 + 0.1 * (fakes.level_sum(spec) - 3.0) + spec.wind_mps
-    return replace(result, metrics={k: v * little / much if "_median_" in k else v for k, v in result.metrics.items()})
+    return replace(
+        result,
+        metrics={k: v * little / much if "_median_" in k else v for k, v in result.metrics.items()},
+    )
 
 
 def failing(spec):
     if fakes.level_sum(spec) > 3.5:
-        return FlightResult("diverged", "the state was no longer finite at 61.0 s", 61.0, {}, {}, {})
+        return FlightResult(
+            "diverged", "the state was no longer finite at 61.0 s", 61.0, {}, {}, {}
+        )
     return wide(spec)
 
 
 def often(spec):
     result = wide(spec)
-    return replace(result, metrics=result.metrics | {"excursions_15m": 9.0, "extrapolated_share": 0.3})
+    return replace(
+        result, metrics=result.metrics | {"excursions_15m": 9.0, "extrapolated_share": 0.3}
+    )
 
 
 def flown(tmp_path, before, after=None, winds="3"):
     """The two campaigns of a study, flown by made-up flight functions, judged."""
-    text = FOUR_CORNERS.replace("flights = 3", "flights = 8").replace("wind_mps = 3", f"wind_mps = {winds}")
+    text = FOUR_CORNERS.replace("flights = 3", "flights = 8").replace(
+        "wind_mps = 3", f"wind_mps = {winds}"
+    )
     for name, fly in (("campaign-before", before), ("campaign-after", after)):
         if fly is not None:
             spec = read_campaign(fakes.campaign_file(tmp_path, text))
             mission = Mission(tmp_path / "plane", "a" * 64, tmp_path / "loiter.xml", "b" * 64)
             run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=fly, mission=mission)
-    return list(chain_performance.performance(chain_performance.read_flown(tmp_path, after is not None)))
+    return list(
+        chain_performance.performance(chain_performance.read_flown(tmp_path, after is not None))
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -87,25 +98,39 @@ def test_the_same_p_box_and_a_wider_one_are_not(tmp_path):
     text, level = about(flown(tmp_path / "same", wide, wide), "Median cross-track error")
     assert (level, "did NOT become narrower (" in text) == ("warn", True)
     text, level = about(flown(tmp_path / "wide", narrow, wide), "Median cross-track error")
-    assert (level, "did NOT become narrower, it is " in text, "% wider" in text) == ("warn", True, True)
+    assert (level, "did NOT become narrower, it is " in text, "% wider" in text) == (
+        "warn",
+        True,
+        True,
+    )
 
 
 def test_failed_flights_leave_the_p_box_open(tmp_path):
     found = flown(tmp_path / "mended", failing, wide)
     text, level = about(found, "Median cross-track error")
     assert level == ""
-    assert "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none" in text
+    assert (
+        "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none"
+        in text
+    )
     text, level = about(found, "Flights: ")
     assert level == "warn"
     assert "32 before (8 failed, control lost in 0), 32 after (0 failed, control lost in 0)" in text
     for name, before in (("still", failing), ("worse", wide)):
         text, level = about(flown(tmp_path / name, before, failing), "Median cross-track error")
-        assert (level, "after refinement has no finite width: 8 of 32 flights" in text) == ("warn", True)
+        assert (level, "after refinement has no finite width: 8 of 32 flights" in text) == (
+            "warn",
+            True,
+        )
 
 
 def test_the_answer_is_that_of_the_last_campaign(tmp_path):
     text, level = about(flown(tmp_path / "a", wide, often), "beyond 15 m")
-    assert (level, "at every corner? No: " in text, "Before refinement: inconclusive" in text) == ("bad", True, True)
+    assert (level, "at every corner? No: " in text, "Before refinement: inconclusive" in text) == (
+        "bad",
+        True,
+        True,
+    )
     text, level = about(flown(tmp_path / "b", often), "beyond 15 m")
     assert (level, "Before refinement" in text) == ("bad", False)
 
@@ -125,19 +150,29 @@ def test_several_conditions_are_counted_and_told(tmp_path):
     text, _ = about(found, "Of 2 conditions")
     assert "inconclusive in 2 (1 m/s moderate, 6 m/s moderate)" in text
     for wind in (1, 6):
-        assert about(found, f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m")[1] == "warn"
+        assert (
+            about(
+                found,
+                f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m",
+            )[1]
+            == "warn"
+        )
 
 
 def test_of_many_conditions_the_hardest_is_told(tmp_path):
     found = flown(tmp_path, wide, None, winds="[1, 2, 6, 4, 5]")
     assert "inconclusive in 5" in about(found, "Of 5 conditions")[0]
-    assert "6 m/s wind" in about(found, "beyond 15 m per flight hour at every corner? Inconclusive")[0]
+    assert (
+        "6 m/s wind" in about(found, "beyond 15 m per flight hour at every corner? Inconclusive")[0]
+    )
 
 
 def test_the_widest_part_is_named_from_the_table():
     common = {"condition": "3 m/s light", "metric": "cross_track_median_m"}
     rows = (("CX", ".1", ".2"), ("CY", ".4", ".75"), ("Cl", "", ""))
-    table = [common | {"coefficient": c, "share_min": low, "share_max": high} for c, low, high in rows]
+    table = [
+        common | {"coefficient": c, "share_min": low, "share_max": high} for c, low, high in rows
+    ]
     ((text, _),) = chain_performance._widest(table, Condition(3.0, "light"))
     assert "the bounds of CY (cross-track error, 40 to 75 % of the width)" in text
     assert list(chain_performance._widest(table, Condition(3.0, "severe"))) == []
@@ -152,9 +187,13 @@ def test_area_between_two_corners_is_the_distance_of_their_means():
 
 
 EFFECT = {
-    "name": "pitching moment due to roll rate squared", "value": 2.98, "std": 0.03, "unit": "1",
-    "property": "aero/Cm_p2", "withdrawn": False,
-}  # fmt: skip
+    "name": "pitching moment due to roll rate squared",
+    "value": 2.98,
+    "std": 0.03,
+    "unit": "1",
+    "property": "aero/Cm_p2",
+    "withdrawn": False,
+}
 
 
 def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
@@ -163,15 +202,23 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
         "V_mps": {"rms_before": 1.0, "rms_after": 1.0, "noise_rms": 1.0},
     }
     return {
-        "verdict": verdict, "effects": list(effects), "remaining": {"where": list(where)},
-        "gap": {"test": {"channels": channels}}, "train": ["a.parquet"], "test": ["c.parquet"],
-    }  # fmt: skip
+        "verdict": verdict,
+        "effects": list(effects),
+        "remaining": {"where": list(where)},
+        "gap": {"test": {"channels": channels}},
+        "train": ["a.parquet"],
+        "test": ["c.parquet"],
+    }
 
 
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
     (named, first), (gap, second) = chain_verdict._refined(refinement(after=0.25))
-    assert named == ("Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2).")
-    assert gap.startswith("On the hold-out flights (c) rms over noise went, from before to after: p_radps 4.00 to 1.00")
+    assert named == (
+        "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2)."
+    )
+    assert gap.startswith(
+        "On the hold-out flights (c) rms over noise went, from before to after: p_radps 4.00 to 1.00"
+    )
     assert (first, second) == ("good", "good")
     assert "V_mps" not in gap
 
@@ -179,9 +226,13 @@ def test_what_refinement_named_and_what_it_did_on_the_test_flight():
 def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
     *_, (_, level) = chain_verdict._refined(refinement(after=0.9))
     assert level == "warn"
-    (text, level), *_ = chain_verdict._refined(refinement("unexplained", (), where=[{"words": "something in Cl"}]))
+    (text, level), *_ = chain_verdict._refined(
+        refinement("unexplained", (), where=[{"words": "something in Cl"}])
+    )
     assert (text, level) == ("Refinement leaves something unexplained: something in Cl.", "bad")
-    (text, level), *_ = chain_verdict._refined(refinement("unexplained", [EFFECT | {"withdrawn": True}]))
+    (text, level), *_ = chain_verdict._refined(
+        refinement("unexplained", [EFFECT | {"withdrawn": True}])
+    )
     assert "did not shrink the gap on the test flights and was withdrawn" in text
     assert level == "bad"
     (text, level), *_ = chain_verdict._refined(refinement("no-missing-effect", ()))
@@ -190,14 +241,19 @@ def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
 
 def write_coverage(folder, when, share, width):
     (folder / f"validate-{when}").mkdir(parents=True)
-    rows = {c: {"0.95": share, "0.68": 0.7, "n_effective": 9.0, "mean_width": width} for c in ("CX", "Cl")}
+    rows = {
+        c: {"0.95": share, "0.68": 0.7, "n_effective": 9.0, "mean_width": width}
+        for c in ("CX", "Cl")
+    }
     (folder / f"validate-{when}" / "coverage.json").write_text(json.dumps({"coverage": rows}))
 
 
 def test_coverage_and_widths(tmp_path):
     write_coverage(tmp_path, "before", 0.95, 0.02)
     write_coverage(tmp_path, "after", 0.80, 0.01)
-    (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(tmp_path, ("c",), True)
+    (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(
+        tmp_path, ("c",), True
+    )
     assert (good, bad, narrower) == ("good", "bad", "")
     assert "those of CX, Cl do not hold" in after
     assert "do not hold" not in before
@@ -211,7 +267,11 @@ def test_coverage_and_widths(tmp_path):
 def test_a_flight_too_short_to_tell_is_said(tmp_path):
     write_coverage(tmp_path, "before", 0.95, 0.02)
     path = tmp_path / "validate-before" / "coverage.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"verdicts": {"CX": "holds", "Cl": "inconclusive"}}))
+    path.write_text(
+        json.dumps(
+            json.loads(path.read_text()) | {"verdicts": {"CX": "holds", "Cl": "inconclusive"}}
+        )
+    )
     ((text, level),) = chain_verdict._coverage(tmp_path, ("c",), False)
     assert text.endswith("too short a flight to tell of Cl.")
     assert level == "warn"
@@ -221,14 +281,20 @@ def test_widths_that_are_not_known_stay_undefined(tmp_path):
     write_coverage(tmp_path, "before", 0.95, 0.0)
     write_coverage(tmp_path, "after", 0.95, None)
     *_, (widths, level) = chain_verdict._coverage(tmp_path, ("c",), True)
-    assert (level, "CX, Cl undefined" in widths, "none is narrower" in widths) == ("warn", True, True)
+    assert (level, "CX, Cl undefined" in widths, "none is narrower" in widths) == (
+        "warn",
+        True,
+        True,
+    )
 
 
 def test_identification_that_did_not_converge_is_bad_news():
     fit = {
-        "parameters": {"a": {"status": "identified"}, "b": {"status": "not-identified"}}, "flights": ["x.parquet"],
-        "method": "output error", "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
-    }  # fmt: skip
+        "parameters": {"a": {"status": "identified"}, "b": {"status": "not-identified"}},
+        "flights": ["x.parquet"],
+        "method": "output error",
+        "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
+    }
     text, level = chain_verdict._identified(fit, 0)
     assert text == (
         "1 of 2 parameters were identified from x by output error; the largest residual is 2.00 times the noise (p_radps)."

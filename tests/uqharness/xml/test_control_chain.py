@@ -19,13 +19,21 @@ GIVEN = ("fcs/elevator-cmd-deg",)
 
 
 SPREAD = '<distributor type="exclusive"><case><property value="1">fcs/rate</property></case></distributor>'
-TRIM = '<pure_gain name="trim"><input>ap/on</input><output>fcs/elevator-pos-rad</output></pure_gain>'
+TRIM = (
+    '<pure_gain name="trim"><input>ap/on</input><output>fcs/elevator-pos-rad</output></pure_gain>'
+)
 
 
 def chain(
-    servo: str = SERVO, selector: str = SELECTOR, more: str = "", aero: str = "", gate: str = "", engines: bool = False,
-    wanted: str = "fcs/elevator-pos-deg", given: tuple[str, ...] = GIVEN,
-) -> ControlChain | None:  # fmt: skip
+    servo: str = SERVO,
+    selector: str = SELECTOR,
+    more: str = "",
+    aero: str = "",
+    gate: str = "",
+    engines: bool = False,
+    wanted: str = "fcs/elevator-pos-deg",
+    given: tuple[str, ...] = GIVEN,
+) -> ControlChain | None:
     """The chain of an aircraft whose elevator goes through a selector and a servo."""
     xml = f"""<fdm_config><flight_control name="fc">
 <property value="240">fcs/rate</property> <property value="0">ap/on</property> <property value="3">aero/Cm_q</property>
@@ -48,7 +56,13 @@ def test_it_has_the_components_and_constants_that_make_a_position_and_no_others(
     found = chain()
     assert found is not None
     assert found.reads == {"fcs/elevator-cmd-deg", "fcs/other", "fcs/rate", "ap/on", "ap/held"}
-    for part in ("<actuator", "<switch", 'execrate="2"', '<property value="240">fcs/rate</property>', "ap/on == 1\nap/held gt 0"):
+    for part in (
+        "<actuator",
+        "<switch",
+        'execrate="2"',
+        '<property value="240">fcs/rate</property>',
+        "ap/on == 1\nap/held gt 0",
+    ):
         assert part in found.xml
     # What nothing declares is there all the same.
     assert '<property value="0">ap/held</property>' in found.xml
@@ -57,7 +71,10 @@ def test_it_has_the_components_and_constants_that_make_a_position_and_no_others(
 
 
 def test_another_aerodynamics_makes_no_other_chain_and_another_servo_does() -> None:
-    assert text(aero='<function name="aero/more"><property>fcs/elevator-pos-deg</property></function>') == text()
+    assert (
+        text(aero='<function name="aero/more"><property>fcs/elevator-pos-deg</property></function>')
+        == text()
+    )
     assert text(servo=SERVO.replace(" 25 ", "25").replace("<!-- deg/s -->", "")) == text()
     assert text(servo=SERVO.replace("25", "26")) != text()
     assert text(selector=SELECTOR.replace("gt", "lt")) != text()
@@ -71,21 +88,39 @@ def test_another_aerodynamics_makes_no_other_chain_and_another_servo_does() -> N
         {"selector": SELECTOR.replace("fcs/other", "position/h-agl-ft")},
         {"gate": ' execute="gear/wow"'},
         # What JSBSim computes is no constant because an XML says so.
-        {"more": '<property value="0">attitude/phi-rad</property>', "servo": SERVO.replace("fcs/rate", "attitude/phi-rad")},
+        {
+            "more": '<property value="0">attitude/phi-rad</property>',
+            "servo": SERVO.replace("fcs/rate", "attitude/phi-rad"),
+        },
         # A function may read anything.
         {"aero": '<function name="fcs/other"><property>aero/alpha-rad</property></function>'},
-        {"aero": '<function name="aero/more" copyto="fcs/rate"><property>aero/alpha-rad</property></function>'},
+        {
+            "aero": '<function name="aero/more" copyto="fcs/rate"><property>aero/alpha-rad</property></function>'
+        },
         {"servo": SERVO.replace("fcs/rate", "/fdm/jsbsim/fcs/rate")},
         # Which of two values holds is JSBSim's affair.
         {"more": '<property value="100">fcs/rate</property>'},
         {"more": f"<channel>{SPREAD}</channel>"},
-        {"selector": '<fcs_function name="fcs/selected"><function><sum><random/></sum></function></fcs_function>'},
+        {
+            "selector": '<fcs_function name="fcs/selected"><function><sum><random/></sum></function></fcs_function>'
+        },
         {"selector": '<sensor name="fcs/selected"><input>fcs/elevator-cmd-deg</input></sensor>'},
     ],
     ids=[
-        "servo", "test", "value", "gate", "declared", "function", "copied", "absolute", "twice", "distributor", "random", "sensor",
+        "servo",
+        "test",
+        "value",
+        "gate",
+        "declared",
+        "function",
+        "copied",
+        "absolute",
+        "twice",
+        "distributor",
+        "random",
+        "sensor",
     ],
-)  # fmt: skip
+)
 def test_what_reads_or_may_read_the_motion_is_refused(changes: dict[str, str]) -> None:
     assert chain(**changes) is None
 
@@ -105,6 +140,9 @@ def test_an_engine_s_lever_goes_with_its_command() -> None:
     lever = {"wanted": "fcs/throttle-pos-norm", "given": ("fcs/throttle-cmd-norm",)}
     found = chain(engines=True, **lever)
     assert found is not None
-    assert '<pure_gain name="fcs/throttle-pos-norm"><input>fcs/throttle-cmd-norm</input></pure_gain>' in found.xml
+    assert (
+        '<pure_gain name="fcs/throttle-pos-norm"><input>fcs/throttle-cmd-norm</input></pure_gain>'
+        in found.xml
+    )
     assert chain(engines=True, wanted="fcs/throttle-pos-norm") is None
     assert chain(engines=True, wanted="fcs/mixture-pos-norm") is None

@@ -11,16 +11,26 @@ from uqharness.xml.expressions import Expression, call, function_lines, horner, 
 
 def test_an_operation_stands_on_one_line_with_its_arguments():
     sum_of = call("sum", prop("aero/alpha-rad"), value(0.1), value(2, "g"))
-    assert sum_of.line() == "<sum> <property>aero/alpha-rad</property> <value>0.1</value> <value>2</value> </sum>"
+    assert (
+        sum_of.line()
+        == "<sum> <property>aero/alpha-rad</property> <value>0.1</value> <value>2</value> </sum>"
+    )
     assert sum_of.lines() == [sum_of.line()]
 
 
 def test_a_long_one_has_its_arguments_on_lines_of_their_own():
     long = call("product", *(prop(f"aero/property-{k}") for k in range(6)))
-    assert long.lines() == ["<product>", *(f"  <property>aero/property-{k}</property>" for k in range(6)), "</product>"]
+    assert long.lines() == [
+        "<product>",
+        *(f"  <property>aero/property-{k}</property>" for k in range(6)),
+        "</product>",
+    ]
 
 
-@pytest.mark.parametrize(("number", "form", "text"), [(1 / 3, "", "0.3333333333333333"), (1 / 3, ".4g", "0.3333"), (-2, "g", "-2")])
+@pytest.mark.parametrize(
+    ("number", "form", "text"),
+    [(1 / 3, "", "0.3333333333333333"), (1 / 3, ".4g", "0.3333"), (-2, "g", "-2")],
+)
 def test_the_digits_of_a_number(number, form, text):
     assert value(number, form).text == text
 
@@ -44,7 +54,9 @@ def test_a_polynomial_without_terms_is_zero():
 
 
 def test_a_function_of_one_operation():
-    lines = function_lines("uq/a", "product", [prop("a").line(), value(2, "g").line()], at_cg=True, remark="of -- two")
+    lines = function_lines(
+        "uq/a", "product", [prop("a").line(), value(2, "g").line()], at_cg=True, remark="of -- two"
+    )
     assert lines == [
         '<function name="uq/a" apply_at_cg="true">',
         "  <!-- of - - two -->",
@@ -58,4 +70,7 @@ def test_a_function_of_one_operation():
 
 
 def test_blanks_between_tags_are_left_out_where_that_is_asked_for():
-    assert Expression("cos", "", (prop("a"),), tight=True).line() == "<cos><property>a</property></cos>"
+    assert (
+        Expression("cos", "", (prop("a"),), tight=True).line()
+        == "<cos><property>a</property></cos>"
+    )

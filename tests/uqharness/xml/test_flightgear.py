@@ -13,7 +13,9 @@ def test_the_protocol_is_an_input_of_comma_separated_lines():
     given = root.find("generic/input")
     assert given is not None
     assert (given.findtext("line_separator"), given.findtext("var_separator")) == ("newline", ",")
-    chunks = [(c.findtext("name"), c.findtext("type"), c.findtext("node")) for c in given.findall("chunk")]
+    chunks = [
+        (c.findtext("name"), c.findtext("type"), c.findtext("node")) for c in given.findall("chunk")
+    ]
     assert chunks == list(FIELDS)
     assert len({node for _, _, node in chunks}) == len(chunks) == 7
     assert all(kind == "double" for _, kind, _ in chunks)

@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 
 from uqharness.xml.document import parse_document
-from uqharness.xml.properties import computes, declaration, declarations, declare, declared_in, folder_declares, folder_names
+from uqharness.xml.properties import (
+    computes,
+    declaration,
+    declarations,
+    declare,
+    declared_in,
+    folder_declares,
+    folder_names,
+)
 
 XML = b"""<fdm_config>
   <!-- <property value="1">aero/commented</property> -->
@@ -40,7 +48,9 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "Systems").mkdir()
     (tmp_path / "Systems" / "a.xml").write_bytes(XML)
     (tmp_path / "broken.xml").write_text('<property value="1">aero/broken</property')
-    (tmp_path / "wide.xml").write_text('<property value="1">aero/wide</property>', encoding="utf-16")
+    (tmp_path / "wide.xml").write_text(
+        '<property value="1">aero/wide</property>', encoding="utf-16"
+    )
     (tmp_path / "other.txt").write_text('<property value="1">aero/text</property>')
     return tmp_path
 

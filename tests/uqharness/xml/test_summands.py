@@ -50,9 +50,15 @@ def function(name: str, value: float) -> str:
 def write(root: Path, aero: str) -> Path:
     folder = root / "aircraft" / "small"
     folder.mkdir(parents=True, exist_ok=True)
-    skeleton = SKELETON.replace("<aerodynamics>{aero}</aerodynamics>", "<aerodynamics/>") if "EMPTY" in aero else SKELETON
+    skeleton = (
+        SKELETON.replace("<aerodynamics>{aero}</aerodynamics>", "<aerodynamics/>")
+        if "EMPTY" in aero
+        else SKELETON
+    )
     aero = aero.replace("EMPTY", "")
-    text = skeleton.format(fcs="", aero=aero, ixz="<ixz unit='KG*M2'>0.4</ixz>", mass_attributes="", aerorp=-0.3)
+    text = skeleton.format(
+        fcs="", aero=aero, ixz="<ixz unit='KG*M2'>0.4</ixz>", mass_attributes="", aerorp=-0.3
+    )
     (folder / "small.xml").write_text(text)
     return folder
 
@@ -67,7 +73,13 @@ def added(folder: Path, reference: Reference | None = None) -> None:
 def steps(folder: Path, deltas: dict[str, float], count: int = 20):
     """Forces and moments of a banked, slipping flight whose last frame, and no other, has the deltas."""
     fdm = engine.open_fdm(Staging(folder.parent.parent, "small"), 0.01)
-    fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"], fdm["ic/p-rad_sec"] = 3000, 70, 9, 12, 0.3
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"], fdm["ic/p-rad_sec"] = (
+        3000,
+        70,
+        9,
+        12,
+        0.3,
+    )
     engine.run_ic(fdm)
     rows = []
     for k in range(count):
@@ -75,14 +87,22 @@ def steps(folder: Path, deltas: dict[str, float], count: int = 20):
             for name, value in deltas.items():
                 engine.set_property(fdm, f"d/{name}", value)
         fdm.run()
-        rows.append([fdm[n] for n in (*FORCES, *MOMENTS, "aero/qbar-psf", "aero/alpha-rad", "position/h-sl-ft")])
+        rows.append(
+            [
+                fdm[n]
+                for n in (*FORCES, *MOMENTS, "aero/qbar-psf", "aero/alpha-rad", "position/h-sl-ft")
+            ]
+        )
     return np.array(rows), [fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft")]
 
 
 @pytest.mark.parametrize(
-    ("forces", "moments"), [*itertools.product(AXES, ["body"]), *itertools.product(["stability"], MOMENT_AXES)]
+    ("forces", "moments"),
+    [*itertools.product(AXES, ["body"]), *itertools.product(["stability"], MOMENT_AXES)],
 )
-def test_a_delta_is_qS_and_lengths_in_body_axes_whatever_the_authors_axes(tmp_path, forces, moments):
+def test_a_delta_is_qS_and_lengths_in_body_axes_whatever_the_authors_axes(
+    tmp_path, forces, moments
+):
     own = [function(name, value) for name, value in (("a", 0.3), ("b", -0.2), ("c", 1.1))]
     turned = [function(name, value) for name, value in (("l", 0.05), ("m", -0.07))]
     folder = write(tmp_path, AXES[forces].format(*own) + MOMENT_AXES[moments].format(*turned))
@@ -113,7 +133,10 @@ def test_a_reference_of_its_own_takes_the_place_of_the_metrics(tmp_path):
 @pytest.mark.parametrize(
     ("aero", "message"),
     [
-        ('<axis name="X"/>\n<axis name="LIFT"/>', r"small\.xml:\d+: force axes are mixed.*LIFT.*wind.*X.*body"),
+        (
+            '<axis name="X"/>\n<axis name="LIFT"/>',
+            r"small\.xml:\d+: force axes are mixed.*LIFT.*wind.*X.*body",
+        ),
         ('<axis name="DRAG"/>\n<axis name="NORMAL"/>', r"mixed.*NORMAL.*axial"),
         ('<axis name="ROLL"/><axis name="YAW" frame="WIND"/>', r"moment axes are mixed.*YAW.*wind"),
         ('<axis name="lift"/>', r"axis 'lift' is unknown.*LIFT"),
@@ -156,13 +179,19 @@ INCLUDED = """<?xml version="1.0" encoding="ISO-8859-1"?>\r
 def test_an_included_file_keeps_encoding_tabs_line_ends_and_comments(tmp_path):
     folder = write(tmp_path, "")
     main = folder / "small.xml"
-    main.write_text(main.read_text().replace("<aerodynamics></aerodynamics>", '<aerodynamics file="parts/Aero"/>'))
+    main.write_text(
+        main.read_text().replace(
+            "<aerodynamics></aerodynamics>", '<aerodynamics file="parts/Aero"/>'
+        )
+    )
     (folder / "parts").mkdir()
     before = INCLUDED.encode("latin-1")
     (folder / "parts" / "Aero.xml").write_bytes(before)
     original = main.read_bytes()
     section = read_section(folder, "small.xml")
-    edit = add_system(add_deltas(SectionEdit(section), DELTAS, "d", remark="model form"), "model-form")
+    edit = add_system(
+        add_deltas(SectionEdit(section), DELTAS, "d", remark="model form"), "model-form"
+    )
     files = edit.files()
     assert set(files) == {main, folder / "parts" / "Aero.xml"}
     after = files[folder / "parts" / "Aero.xml"]
@@ -171,16 +200,24 @@ def test_an_included_file_keeps_encoding_tabs_line_ends_and_comments(tmp_path):
     author = [line for line in before.split(b"\r\n") if line != b'\t<axis name="DRAG"/>']
     remaining = iter(after.split(b"\r\n"))
     assert all(line in remaining for line in author)
-    assert b'\t\t<function name="d/force/LIFT" apply_at_cg="true">\r\n\t\t\t<!-- model form -->\r\n' in after
+    assert (
+        b'\t\t<function name="d/force/LIFT" apply_at_cg="true">\r\n\t\t\t<!-- model form -->\r\n'
+        in after
+    )
     assert b'\t<axis name="SIDE">\r\n\t\t<function' in after
     added_lines = files[main].splitlines(), original.splitlines()
-    assert [line for line in added_lines[0] if line not in added_lines[1]] == [b'  <system file="model-form"/>']
+    assert [line for line in added_lines[0] if line not in added_lines[1]] == [
+        b'  <system file="model-form"/>'
+    ]
 
 
 def test_insertion_into_a_line_leaves_the_line(tmp_path):
     document = parse_document(tmp_path / "a.xml", b"<a><b x='>'><c/></b> <d/></a>")
     b, d = document.root.children
-    text = apply(document, [append_child(document, d, ["<e/>"]), append_child(document, b, ["<f>", "  <g/>", "</f>"])])
+    text = apply(
+        document,
+        [append_child(document, d, ["<e/>"]), append_child(document, b, ["<f>", "  <g/>", "</f>"])],
+    )
     assert text == b"<a><b x='>'><c/>\n  <f>\n    <g/>\n  </f>\n</b> <d>\n  <e/>\n</d></a>"
 
 
@@ -194,7 +231,9 @@ def test_a_byte_order_mark_and_wide_characters_shift_nothing(tmp_path):
 def test_an_empty_section_takes_several_children(tmp_path):
     document = parse_document(tmp_path / "a.xml", b"<a>\n\t<b/>\n</a>")
     child = document.root.children[0]
-    text = apply(document, [append_child(document, child, ["<c/>"]), append_child(document, child, ["<d/>"])])
+    text = apply(
+        document, [append_child(document, child, ["<c/>"]), append_child(document, child, ["<d/>"])]
+    )
     assert text == b"<a>\n\t<b>\n\t\t<c/>\n\t\t<d/>\n\t</b>\n</a>"
 
 
@@ -215,7 +254,11 @@ def test_files_that_are_not_edited(tmp_path, raw, message):
 def test_a_file_of_one_long_line_is_read_and_edited_at_once(tmp_path):
     """Every element's indentation is looked up: that must not cost the whole line each time."""
     many = 20_000
-    text = "<fdm_config>" + '<property value="1">a/b</property>' * many + "<aerodynamics></aerodynamics></fdm_config>"
+    text = (
+        "<fdm_config>"
+        + '<property value="1">a/b</property>' * many
+        + "<aerodynamics></aerodynamics></fdm_config>"
+    )
     document = parse_document(tmp_path / "a.xml", text.encode())
     looked = 0
 

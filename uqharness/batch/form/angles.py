@@ -26,7 +26,11 @@ def without_angles(program: Program) -> Program:
     angles = {name.removeprefix(SINE) for name in program.slots if name.startswith(SINE)} - fed
     for section in program.sections:
         stored = section.function.stores
-        angles -= {name for name in angles if name in stored and not (SINE + name in stored and COSINE + name in stored)}
+        angles -= {
+            name
+            for name in angles
+            if name in stored and not (SINE + name in stored and COSINE + name in stored)
+        }
 
     def rule(builder: Builder, node: Node, arguments: list[Value]) -> Value:
         prefix = _PREFIXES[node.operation]
@@ -41,4 +45,9 @@ def without_angles(program: Program) -> Program:
 
     if not angles:
         return program
-    return replace(program, sections=tuple(replace(s, function=rebuilt(s.function, _PREFIXES, rule)) for s in program.sections))
+    return replace(
+        program,
+        sections=tuple(
+            replace(s, function=rebuilt(s.function, _PREFIXES, rule)) for s in program.sections
+        ),
+    )

@@ -67,7 +67,9 @@ def log2(x: Value) -> Value:
     middle = _times(_log_of(parts.f), c.LOG2_E_PARTS)
     value = quick_sum(parts.k, middle.high)
     near = parts.k.eq(0.0)
-    return _at_the_ends(x, near.choose(middle.high + middle.low, value.high + (value.low + middle.low)))
+    return _at_the_ends(
+        x, near.choose(middle.high + middle.low, value.high + (value.low + middle.low))
+    )
 
 
 def log10(x: Value) -> Value:
@@ -77,7 +79,12 @@ def log10(x: Value) -> Value:
     high, low = c.LOG10_2_PARTS
     value = quick_sum(parts.k * high, middle.high)
     near = parts.k.eq(0.0)
-    return _at_the_ends(x, near.choose(middle.high + middle.low, value.high + (value.low + (parts.k * low + middle.low))))
+    return _at_the_ends(
+        x,
+        near.choose(
+            middle.high + middle.low, value.high + (value.low + (parts.k * low + middle.low))
+        ),
+    )
 
 
 def power(x: Value, y: Value) -> Value:
@@ -129,9 +136,13 @@ def _power_at_the_ends(x: Value, y: Value, size: Value, value: Value) -> Value:
     value = b.op("or", x.ne(x), y.ne(y)).choose(x + y, value)
     endless = b.op("and", y_size.eq(math.inf), x.eq(x))
     grows = size.gt(1.0)
-    extreme = b.op("or", b.op("and", grows, up), b.op("and", size.lt(1.0), y.lt(0.0))).choose(math.inf, 0.0)
+    extreme = b.op("or", b.op("and", grows, up), b.op("and", size.lt(1.0), y.lt(0.0))).choose(
+        math.inf, 0.0
+    )
     value = endless.choose(extreme, value)
-    value = b.op("and", b.op("and", x.lt(0.0), size.lt(math.inf)), b.op("not", whole)).choose(math.nan, value)
+    value = b.op("and", b.op("and", x.lt(0.0), size.lt(math.inf)), b.op("not", whole)).choose(
+        math.nan, value
+    )
     value = odd.choose(flipped(value, sign_bit(x)), value)
     is_one = b.op("or", y.eq(0.0), x.eq(1.0))
     return b.op("or", is_one, b.op("and", size.eq(1.0), y_size.eq(math.inf))).choose(1.0, value)
@@ -166,7 +177,9 @@ def _scaled(x: Value) -> _Scaled:
     # The exponent's 12 bits put into the low bits of 2^52 give a double without a conversion; negative ones through an offset.
     offset = b.op("ishr", b.op("iadd", shifted, b.integer(1024 << 52)), b.integer(52))
     k = b.op("double", b.op("ior", offset, b.op("bits", b.constant(2.0**52)))) - (2.0**52 + 1024.0)
-    mantissa = b.op("iadd", b.op("iand", shifted, b.integer((1 << 52) - 1)), b.integer(_ROOT_HALF_BITS))
+    mantissa = b.op(
+        "iadd", b.op("iand", shifted, b.integer((1 << 52) - 1)), b.integer(_ROOT_HALF_BITS)
+    )
     return _Scaled(tiny.choose(k - 54.0, k), b.op("double", mantissa) - 1.0)
 
 

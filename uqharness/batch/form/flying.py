@@ -45,7 +45,14 @@ class Flyer(Protocol):
     def program(self) -> Program:
         """What is flown."""
 
-    def fly(self, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None = None, stride: int = 1) -> np.ndarray:
+    def fly(
+        self,
+        state: np.ndarray,
+        first_frame: int,
+        frames: int,
+        streams: Feeds | None = None,
+        stride: int = 1,
+    ) -> np.ndarray:
         """Fly frames ``first_frame`` and on (from 1), ``state`` in place; the records of frames that ``stride`` divides."""
 
 
@@ -57,11 +64,20 @@ class Call:
     records: np.ndarray
 
 
-def checked(program: Program, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None, stride: int) -> Call:
+def checked(
+    program: Program,
+    state: np.ndarray,
+    first_frame: int,
+    frames: int,
+    streams: Feeds | None,
+    stride: int,
+) -> Call:
     """The call's feeds and an array for its records. Raises ValueError for arrays of other shapes, rows that are not there,
     streams without numbers."""
     if state.ndim != 3 or state.shape[1:] != (len(program.slots), BLOCK):
-        raise ValueError(f"the state has shape (blocks, {len(program.slots)}, {BLOCK}); received {state.shape}")
+        raise ValueError(
+            f"the state has shape (blocks, {len(program.slots)}, {BLOCK}); received {state.shape}"
+        )
     if state.dtype != np.float64 or not state.flags.c_contiguous or not state.flags.writeable:
         raise ValueError("the state is an array of doubles in one piece that can be written")
     if first_frame < 1 or frames < 0 or stride < 1:
@@ -75,7 +91,9 @@ def checked(program: Program, state: np.ndarray, first_frame: int, frames: int, 
             f"streams {', '.join(sorted(wanted)) or 'none'} are needed; received {', '.join(sorted(streams)) or 'none'}"
         )
     lanes, last = state.shape[0] * BLOCK, first_frame + frames - 1
-    feeds = tuple(_checked_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams)
+    feeds = tuple(
+        _checked_feed(s, Feed(*streams[s.name]), lanes, first_frame, last) for s in program.streams
+    )
     times = last // stride - (first_frame - 1) // stride
     return Call(feeds, np.empty((len(program.records), lanes, times)))
 
@@ -83,12 +101,23 @@ def checked(program: Program, state: np.ndarray, first_frame: int, frames: int, 
 def _checked_feed(stream: Stream, feed: Feed, lanes: int, first: int, last: int) -> Feed:
     name, columns = stream.name, len(stream.columns)
     array = feed.array
-    if array.ndim != 2 or array.shape[1] != columns or array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise ValueError(f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received {array.shape}")
+    if (
+        array.ndim != 2
+        or array.shape[1] != columns
+        or array.dtype != np.float64
+        or not array.flags.c_contiguous
+    ):
+        raise ValueError(
+            f"stream {name}: doubles of shape (rows, {columns}) in one piece are needed; received {array.shape}"
+        )
     given = np.asarray(feed.offsets)
     if given.ndim != 1 or not 0 < len(given) <= lanes or given.dtype.kind not in "iu":
-        raise ValueError(f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received {given.shape}")
-    offsets = np.ascontiguousarray(np.concatenate([given, np.full(lanes - len(given), given[-1])]).astype(np.int64))
+        raise ValueError(
+            f"stream {name}: a whole offset for each of up to {lanes} lanes is needed; received {given.shape}"
+        )
+    offsets = np.ascontiguousarray(
+        np.concatenate([given, np.full(lanes - len(given), given[-1])]).astype(np.int64)
+    )
     rows = len(array) - int(offsets.max()) if feed.rows is None else feed.rows
     if offsets.min() < 0 or rows < 0 or int(offsets.max()) + rows > len(array):
         raise ValueError(
@@ -121,14 +150,22 @@ def unblocked(array: np.ndarray, lanes: int) -> list[np.ndarray]:
     return list(array.transpose(1, 0, 2).reshape(array.shape[1], array.shape[0] * BLOCK)[:, :lanes])
 
 
-def begun(program: Program, lanes: int, values: Mapping[str, np.ndarray | float] | None = None) -> np.ndarray:
+def begun(
+    program: Program, lanes: int, values: Mapping[str, np.ndarray | float] | None = None
+) -> np.ndarray:
     """The state before the first frame: the program's values, those of ``values`` in their place, numbers or one for each lane.
     Raises ValueError for a slot that the program does not have."""
     values = values or {}
     strange = [name for name in values if name not in program.slots]
     if strange:
         raise ValueError(f"the program has no slot {', '.join(strange)}")
-    return blocked([np.asarray(values.get(name, first), dtype=np.float64) for name, first in program.slots.items()], lanes)
+    return blocked(
+        [
+            np.asarray(values.get(name, first), dtype=np.float64)
+            for name, first in program.slots.items()
+        ],
+        lanes,
+    )
 
 
 def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row: int) -> Feed:
@@ -142,7 +179,9 @@ def shared(pieces: Mapping[Any, np.ndarray], keys: Sequence[Hashable], first_row
 def stepped(flyer: Flyer, values: Mapping[str, np.ndarray], lanes: int) -> dict[str, np.ndarray]:
     """Every slot of a program behind one frame that begins with ``values``; those that the program does not have are left out."""
     program = flyer.program
-    state = begun(program, lanes, {name: value for name, value in values.items() if name in program.slots})
+    state = begun(
+        program, lanes, {name: value for name, value in values.items() if name in program.slots}
+    )
     flyer.fly(state, 1, 1)
     return dict(zip(program.slots, unblocked(state, lanes), strict=True))
 
@@ -167,4 +206,6 @@ def chosen(state: np.ndarray, lanes: Sequence[int] | np.ndarray) -> np.ndarray:
     """The state of some lanes, in that order: how lanes that have ended are left out."""
     picked = np.asarray(lanes, dtype=np.int64)
     full = np.concatenate([picked, np.full(-len(picked) % BLOCK, picked[-1])])
-    return np.ascontiguousarray(state[full // BLOCK, :, full % BLOCK].reshape(-1, BLOCK, state.shape[1]).transpose(0, 2, 1))
+    return np.ascontiguousarray(
+        state[full // BLOCK, :, full % BLOCK].reshape(-1, BLOCK, state.shape[1]).transpose(0, 2, 1)
+    )

@@ -37,7 +37,14 @@ class Interpreter:
     def _sections(self) -> list[tuple[Section, _Plan]]:
         return [(section, self._plan(section.function)) for section in self.program.sections]
 
-    def fly(self, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None = None, stride: int = 1) -> np.ndarray:
+    def fly(
+        self,
+        state: np.ndarray,
+        first_frame: int,
+        frames: int,
+        streams: Feeds | None = None,
+        stride: int = 1,
+    ) -> np.ndarray:
         """See ``form.flying.Flyer``. Raises ValueError for arguments that do not fit."""
         call = checked(self.program, state, first_frame, frames, streams, stride)
         held = np.ascontiguousarray(state.transpose(1, 0, 2)).reshape(state.shape[1], -1)
@@ -52,7 +59,9 @@ class Interpreter:
                 for section, plan in self._sections:
                     self._section(section, plan, frame, held)
                 if frame % stride == 0:
-                    call.records[:, :, frame // stride - (first_frame - 1) // stride - 1] = held[recorded]
+                    call.records[:, :, frame // stride - (first_frame - 1) // stride - 1] = held[
+                        recorded
+                    ]
         state[:] = held.reshape(state.shape[1], -1, BLOCK).transpose(1, 0, 2)
         return call.records
 
@@ -81,7 +90,10 @@ class Interpreter:
         for place, compute, arguments in plan.calls:
             values[place] = compute(*[values[i] for i in arguments])
         # A load is a view of its row: all stores are made before the first is written.
-        made = [values[place].copy() if isinstance(values[place], np.ndarray) else values[place] for place, _ in plan.stores]
+        made = [
+            values[place].copy() if isinstance(values[place], np.ndarray) else values[place]
+            for place, _ in plan.stores
+        ]
         for (_, row), value in zip(plan.stores, made, strict=True):
             held[row] = value if mask is None else np.where(mask, value, held[row])
 
@@ -99,11 +111,21 @@ class Interpreter:
                 compute = OPERATIONS[node.operation].compute
                 assert compute is not None
                 calls.append((index, compute, node.arguments))
-        return _Plan(values, loads, calls, [(index, self._rows[name]) for name, index in function.stores.items()])
+        return _Plan(
+            values,
+            loads,
+            calls,
+            [(index, self._rows[name]) for name, index in function.stores.items()],
+        )
 
 
 def run_program(
-    program: Program, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None = None, stride: int = 1
+    program: Program,
+    state: np.ndarray,
+    first_frame: int,
+    frames: int,
+    streams: Feeds | None = None,
+    stride: int = 1,
 ) -> np.ndarray:
     """Fly by numpy, ``state`` in place; the records."""
     return Interpreter(program).fly(state, first_frame, frames, streams, stride)

@@ -194,7 +194,11 @@ class Builder:
         """A node of another builder in this one, made of this one's values for its arguments."""
         if node.operation == "const":
             assert node.value is not None
-            return self.table(node.value) if isinstance(node.value, tuple) else self.constant(node.value, node.kind)
+            return (
+                self.table(node.value)
+                if isinstance(node.value, tuple)
+                else self.constant(node.value, node.kind)
+            )
         if node.operation == "input":
             return self.input(node.name)
         if node.operation == "load":
@@ -210,9 +214,13 @@ class Builder:
         nodes = [self.nodes[i] for i in arguments]
         meaning = OPERATIONS[operation]
         if tuple([node.kind for node in nodes]) != meaning.kinds:
-            raise ValueError(f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}")
+            raise ValueError(
+                f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(n.kind for n in nodes)}"
+            )
         if meaning.compute is not None and None not in [node.value for node in nodes]:
-            made = self.constant(computed(operation, [known(node) for node in nodes]).item(), meaning.result).index
+            made = self.constant(
+                computed(operation, [known(node) for node in nodes]).item(), meaning.result
+            ).index
         else:
             simpler = self._simpler(operation, arguments, nodes)
             made = len(self.nodes) if simpler is None else simpler
@@ -221,19 +229,29 @@ class Builder:
         self._known[key] = made
         return made
 
-    def finish(self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None) -> Function:
+    def finish(
+        self, outputs: Mapping[str, Value], stores: Mapping[str, Value] | None = None
+    ) -> Function:
         """The function that computes ``outputs`` and the stored slots; what they do not need is left out."""
         stores = self.state if stores is None else stores
-        return _compact(self.nodes, {name: v.index for name, v in outputs.items()}, {name: v.index for name, v in stores.items()})
+        return _compact(
+            self.nodes,
+            {name: v.index for name, v in outputs.items()},
+            {name: v.index for name, v in stores.items()},
+        )
 
-    def _leaf(self, key: tuple[Any, ...], operation: str, kind: str, value: Known | None, name: str = "") -> Value:
+    def _leaf(
+        self, key: tuple[Any, ...], operation: str, kind: str, value: Known | None, name: str = ""
+    ) -> Value:
         index = self._known.get(key)
         if index is None:
             index = self._known[key] = len(self.nodes)
             self.nodes.append(Node(operation, kind, (), value, name))
         return Value(self, index)
 
-    def _simpler(self, operation: str, arguments: tuple[int, ...], nodes: Sequence[Node]) -> int | None:
+    def _simpler(
+        self, operation: str, arguments: tuple[int, ...], nodes: Sequence[Node]
+    ) -> int | None:
         """The node of the same value by less work, bit for bit; None if there is none."""
         first, last = arguments[0], arguments[-1]
         begins, ends = nodes[0].value, nodes[-1].value
@@ -242,7 +260,9 @@ class Builder:
                 return arguments[1] if begins else arguments[2]
             return arguments[1] if arguments[1] == arguments[2] else None
         if operation in ("and", "or") and (begins is not None or ends is not None):
-            value, known_one, other = (begins, first, last) if begins is not None else (ends, last, first)
+            value, known_one, other = (
+                (begins, first, last) if begins is not None else (ends, last, first)
+            )
             return other if bool(value) == (operation == "and") else known_one
         if operation in ("neg", "not") and nodes[0].operation == operation:
             return nodes[0].arguments[0]
@@ -251,7 +271,9 @@ class Builder:
                 return last if begins == 1.0 else self._place("neg", (last,))
             return None
         assert isinstance(ends, float)
-        if (operation in ("mul", "div") and ends == 1.0) or (operation == "sub" and _same(ends, 0.0)):
+        if (operation in ("mul", "div") and ends == 1.0) or (
+            operation == "sub" and _same(ends, 0.0)
+        ):
             return first
         if operation == "mul" and ends == -1.0:
             return self._place("neg", (first,))
@@ -263,8 +285,10 @@ class Builder:
 
 
 def rebuilt(
-    function: Function, operations: Collection[str], rule: Callable[[Builder, Node, list[Value]], Value]
-) -> Function:  # fmt: skip
+    function: Function,
+    operations: Collection[str],
+    rule: Callable[[Builder, Node, list[Value]], Value],
+) -> Function:
     """The function with each of these ``operations`` made by ``rule`` in a new builder; all else stays."""
     if not any(node.operation in operations for node in function.nodes):
         return function
@@ -272,17 +296,27 @@ def rebuilt(
     values: list[Value] = []
     for node in function.nodes:
         arguments = [values[i] for i in node.arguments]
-        values.append(rule(builder, node, arguments) if node.operation in operations else builder.again(node, arguments))
+        values.append(
+            rule(builder, node, arguments)
+            if node.operation in operations
+            else builder.again(node, arguments)
+        )
     outputs = {name: values[i] for name, i in function.outputs.items()}
     return builder.finish(outputs, {name: values[i] for name, i in function.stores.items()})
 
 
 def storing(function: Function, slots: Collection[str]) -> Function:
     """The function with the stores of these slots alone."""
-    return _compact(function.nodes, function.outputs, {name: i for name, i in function.stores.items() if name in slots})
+    return _compact(
+        function.nodes,
+        function.outputs,
+        {name: i for name, i in function.stores.items() if name in slots},
+    )
 
 
-def _compact(nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[str, int]) -> Function:
+def _compact(
+    nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[str, int]
+) -> Function:
     """Those of the nodes that outputs and stores need, in the same order."""
     needed = bytearray(len(nodes))
     open_nodes = [*outputs.values(), *stores.values()]
@@ -298,7 +332,9 @@ def _compact(nodes: Sequence[Node], outputs: Mapping[str, int], stores: Mapping[
         outputs, stores = ({name: place[i] for name, i in of.items()} for of in (outputs, stores))
     loads = [node.name for node in nodes if node.operation == "load"]
     inputs = tuple(node.name for node in nodes if node.operation == "input")
-    return Function(tuple(nodes), inputs, tuple(dict.fromkeys([*loads, *stores])), dict(outputs), dict(stores))
+    return Function(
+        tuple(nodes), inputs, tuple(dict.fromkeys([*loads, *stores])), dict(outputs), dict(stores)
+    )
 
 
 def slots_read(function: Function) -> dict[str, frozenset[str]]:
@@ -314,7 +350,9 @@ def slots_read(function: Function) -> dict[str, frozenset[str]]:
 
 
 def evaluate(
-    function: Function, inputs: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray] | None = None
+    function: Function,
+    inputs: Mapping[str, np.ndarray],
+    state: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Outputs and the state after the frame, computed by numpy over lanes; the reference for the compiled code."""
     lanes = max([np.size(a) for a in (*inputs.values(), *(state or {}).values())], default=1)
@@ -332,9 +370,17 @@ def evaluate(
             for i in node.arguments:
                 if last[i] == index:
                     values[i] = None
-    outputs = {name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()}
-    after = {slot: np.array(state[slot], dtype=np.float64) for slot in function.slots if state and slot in state}
-    after.update({name: np.broadcast_to(values[i], lanes).copy() for name, i in function.stores.items()})
+    outputs = {
+        name: np.broadcast_to(values[i], lanes).copy() for name, i in function.outputs.items()
+    }
+    after = {
+        slot: np.array(state[slot], dtype=np.float64)
+        for slot in function.slots
+        if state and slot in state
+    }
+    after.update(
+        {name: np.broadcast_to(values[i], lanes).copy() for name, i in function.stores.items()}
+    )
     return outputs, after
 
 
@@ -352,10 +398,17 @@ def _last_uses(function: Function) -> list[int]:
 def _moved(node: Node, place: Mapping[int, int]) -> Node:
     if not node.arguments:
         return node
-    return Node(node.operation, node.kind, tuple([place[i] for i in node.arguments]), node.value, node.name)
+    return Node(
+        node.operation, node.kind, tuple([place[i] for i in node.arguments]), node.value, node.name
+    )
 
 
-_MAKE: Mapping[str, Callable[..., Any]] = {F64: np.float64, I64: np.int64, I1: np.bool_, TABLE: np.array}
+_MAKE: Mapping[str, Callable[..., Any]] = {
+    F64: np.float64,
+    I64: np.int64,
+    I1: np.bool_,
+    TABLE: np.array,
+}
 
 
 def known(node: Node) -> Any:

@@ -41,7 +41,9 @@ _LEAST, _MOST = 2.0**-1074, sys.float_info.max
 def lower(function: Function) -> Function:
     """The function with every transcendental operation written out; what was constant becomes a constant."""
 
-    return rebuilt(function, TRANSCENDENTAL, lambda _, node, arguments: EXPANSIONS[node.operation](*arguments))
+    return rebuilt(
+        function, TRANSCENDENTAL, lambda _, node, arguments: EXPANSIONS[node.operation](*arguments)
+    )
 
 
 def sin(x: Value) -> Value:
@@ -121,7 +123,11 @@ def fmod(x: Value, y: Value) -> Value:
     rest = (ax - p) - error
     rest = rest.lt(0.0).choose(rest + ay, rest)
     rest = ax.lt(ay).choose(ax, rest)
-    allowed = b.op("and", b.op("and", ax.lt(math.inf), ay.gt(0.0)), b.op("or", q.lt(_QUOTIENT_LIMIT), ax.lt(ay)))
+    allowed = b.op(
+        "and",
+        b.op("and", ax.lt(math.inf), ay.gt(0.0)),
+        b.op("or", q.lt(_QUOTIENT_LIMIT), ax.lt(ay)),
+    )
     return allowed.choose(with_sign_of(b.op("abs", rest), x), math.nan)
 
 

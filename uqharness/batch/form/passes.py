@@ -29,8 +29,14 @@ _WORTH = 2
 
 def lowered(program: Program) -> Program:
     """The program with every transcendental operation written out (``form.maths.lower``)."""
-    sections = tuple(replace(section, function=lower(section.function)) for section in program.sections)
-    return replace(program, sections=sections, prelude=None if program.prelude is None else lower(program.prelude))
+    sections = tuple(
+        replace(section, function=lower(section.function)) for section in program.sections
+    )
+    return replace(
+        program,
+        sections=sections,
+        prelude=None if program.prelude is None else lower(program.prelude),
+    )
 
 
 def optimised(program: Program, keep: Collection[str] = (), stride: int = 1) -> Program:
@@ -44,7 +50,9 @@ def optimised(program: Program, keep: Collection[str] = (), stride: int = 1) -> 
     return trimmed(hoisted(joined(sunk(program, keep, stride))), keep)
 
 
-def for_what_follows(first: Program, second: Program, program: Program, keep: Collection[str]) -> tuple[Program, Program]:
+def for_what_follows(
+    first: Program, second: Program, program: Program, keep: Collection[str]
+) -> tuple[Program, Program]:
     """Two programs that each run one frame before ``program``, without what neither it nor ``keep`` needs; written out."""
     wanted = {*program.slots, *keep}
     later = lowered(alive(joined(second), wanted))
@@ -60,11 +68,17 @@ def joined(program: Program) -> Program:
     for section in (s for s in program.sections if s.function.stores):
         group = groups[-1] if groups else None
         mask = section.when.mask
-        if group is None or group[0].when != section.when or any(mask in other.function.stores for other in group):
+        if (
+            group is None
+            or group[0].when != section.when
+            or any(mask in other.function.stores for other in group)
+        ):
             groups.append([section])
         else:
             group.append(section)
-    return replace(program, sections=tuple(group[0] if len(group) == 1 else _one(group) for group in groups))
+    return replace(
+        program, sections=tuple(group[0] if len(group) == 1 else _one(group) for group in groups)
+    )
 
 
 def _one(sections: Sequence[Section]) -> Section:
@@ -75,7 +89,9 @@ def _one(sections: Sequence[Section]) -> Section:
             values.append(builder.again(node, [values[i] for i in node.arguments]))
         for slot, index in section.function.stores.items():
             builder.store(slot, values[index])
-    return Section(", ".join(section.name for section in sections), builder.finish({}), sections[0].when)
+    return Section(
+        ", ".join(section.name for section in sections), builder.finish({}), sections[0].when
+    )
 
 
 def alive(program: Program, keep: Collection[str] = ()) -> Program:
@@ -132,7 +148,10 @@ def hoisted(program: Program) -> Program:
     changing |= {slot for stream in program.streams for slot in stream.columns}
     before = Builder()
     places: dict[int, str] = {}
-    sections = tuple(replace(s, function=_hoisted(s.function, changing, before, places)) for s in program.sections)
+    sections = tuple(
+        replace(s, function=_hoisted(s.function, changing, before, places))
+        for s in program.sections
+    )
     if not places:
         return program
     prelude = before.finish({}, {name: Value(before, index) for index, name in places.items()})
@@ -140,7 +159,9 @@ def hoisted(program: Program) -> Program:
     return replace(program, sections=sections, slots=slots, prelude=prelude)
 
 
-def _hoisted(function: Function, changing: set[str], before: Builder, places: dict[int, str]) -> Function:
+def _hoisted(
+    function: Function, changing: set[str], before: Builder, places: dict[int, str]
+) -> Function:
     """The function with loads in the place of what is computed in ``before``; ``places`` are values of it and their slots."""
     fixed, effort = _fixed(function, changing)
     builder = Builder()
@@ -196,7 +217,9 @@ def trimmed(program: Program, keep: Collection[str] = ()) -> Program:
     for stream in program.streams:
         used |= dict.fromkeys((*stream.columns, *((stream.counter,) if stream.counter else ())))
     for section in program.sections:
-        used |= dict.fromkeys(((section.when.mask,) if section.when.mask else ()) + section.function.slots)
+        used |= dict.fromkeys(
+            ((section.when.mask,) if section.when.mask else ()) + section.function.slots
+        )
     used |= dict.fromkeys((*program.records, *keep))
     if program.prelude is not None:
         used |= dict.fromkeys(program.prelude.slots)

@@ -28,7 +28,9 @@ class Operation:
 
 def _shift(function: Callable[..., Any]) -> Callable[..., Any]:
     """A shift of the bits as unsigned numbers; the second argument is below 64."""
-    return lambda a, n: function(np.asarray(a).view(np.uint64), np.asarray(n).view(np.uint64)).view(np.int64)
+    return lambda a, n: function(np.asarray(a).view(np.uint64), np.asarray(n).view(np.uint64)).view(
+        np.int64
+    )
 
 
 def _bits(a: Any) -> Any:
@@ -52,7 +54,12 @@ _BINARY: Mapping[str, Callable[..., Any]] = {
     "min": lambda a, b: np.where(a < b, a, b),
     "max": lambda a, b: np.where(a > b, a, b),
 }
-_UNARY: Mapping[str, Callable[..., Any]] = {"neg": np.negative, "sqrt": np.sqrt, "abs": np.abs, "floor": np.floor}
+_UNARY: Mapping[str, Callable[..., Any]] = {
+    "neg": np.negative,
+    "sqrt": np.sqrt,
+    "abs": np.abs,
+    "floor": np.floor,
+}
 _COMPARE: Mapping[str, Callable[..., Any]] = {
     "lt": np.less,
     "le": np.less_equal,
@@ -73,7 +80,9 @@ _INTEGER: Mapping[str, Callable[..., Any]] = {
 _LOGIC: Mapping[str, Callable[..., Any]] = {"and": np.logical_and, "or": np.logical_or}
 
 TRANSCENDENTAL: Mapping[str, int] = {
-    **dict.fromkeys(("sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log2", "log10"), 1),
+    **dict.fromkeys(
+        ("sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log2", "log10"), 1
+    ),
     **dict.fromkeys(("atan2", "pow", "fmod"), 2),
 }
 """Names and numbers of arguments; ``form.maths.lower`` writes them out in the other operations."""

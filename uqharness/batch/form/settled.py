@@ -22,7 +22,12 @@ Known = MutableMapping[str, float | None]
 """Slots to their only value, None where they have several."""
 
 
-def settled(before: Sequence[Program], program: Program, varying: Collection[str], between: Sequence[Program] = ()) -> Program:
+def settled(
+    before: Sequence[Program],
+    program: Program,
+    varying: Collection[str],
+    between: Sequence[Program] = (),
+) -> Program:
     """``program`` with what is constant folded, when programs ``before`` have each run one frame.
 
     varying: slots that differ between lanes before the first of them. between: programs that run any number of frames before it.
@@ -116,6 +121,10 @@ def _folded(section: Section, known: Mapping[str, float | None]) -> Section | No
     for node in section.function.nodes:
         constant = known.get(node.name) if node.operation == "load" else None
         arguments = [values[i] for i in node.arguments]
-        values.append(builder.again(node, arguments) if constant is None else builder.constant(constant))
-    stores = {name: values[i] for name, i in section.function.stores.items() if known.get(name) is None}
+        values.append(
+            builder.again(node, arguments) if constant is None else builder.constant(constant)
+        )
+    stores = {
+        name: values[i] for name, i in section.function.stores.items() if known.get(name) is None
+    }
     return replace(section, function=builder.finish({}, stores), when=when)

@@ -38,11 +38,20 @@ def sunk(program: Program, keep: Collection[str] = (), stride: int = 1) -> Progr
         # The rarest first: what is left is then split again.
         moved: list[Section] = []
         for every in sorted(by_interval, reverse=True):
-            free = [name for name in by_interval[every] if not _needed_more_often(name, every, moved)]
-            parts = _split(section.function, free, every // section.when.every, len(slots)) if free else None
+            free = [
+                name for name in by_interval[every] if not _needed_more_often(name, every, moved)
+            ]
+            parts = (
+                _split(section.function, free, every // section.when.every, len(slots))
+                if free
+                else None
+            )
             if parts is not None:
                 section = replace(section, function=parts.left)
-                moved.insert(0, Section(f"{section.name}: in every {every}th", parts.moved, When(every=every)))
+                moved.insert(
+                    0,
+                    Section(f"{section.name}: in every {every}th", parts.moved, When(every=every)),
+                )
                 slots |= dict.fromkeys(parts.passed, 0.0)
         sections += [section, *moved]
     return replace(program, sections=tuple(sections), slots=slots)
@@ -64,11 +73,18 @@ def _intervals(program: Program, keep: frozenset[str], stride: int) -> dict[str,
     for name, (place, *others) in writers.items():
         when = program.sections[place].when
         read = readers.get(name, [])
-        if name in fixed or others or when != When(every=when.every) or any(r <= place for r in read):
+        if (
+            name in fixed
+            or others
+            or when != When(every=when.every)
+            or any(r <= place for r in read)
+        ):
             continue
         looks = [program.sections[r].when for r in read]
         if all(look.at is None for look in looks):
-            out[name] = math.gcd(*(look.every for look in looks), *((stride,) if name in program.records else ()))
+            out[name] = math.gcd(
+                *(look.every for look in looks), *((stride,) if name in program.records else ())
+            )
     return out
 
 
@@ -117,7 +133,11 @@ def _split(function: Function, names: Collection[str], turns: int, number: int) 
     left_stores |= {name: values[index] for index, name in passed.items()}
     moved, there = _rebuilt(function, cone, {**stored, **passed})
     first = left.finish({}, left_stores)
-    return _Parts(first, moved.finish({}, {name: there[index] for name, index in goes.items()}), tuple(passed.values()))
+    return _Parts(
+        first,
+        moved.finish({}, {name: there[index] for name, index in goes.items()}),
+        tuple(passed.values()),
+    )
 
 
 def _cone(function: Function, goals: Iterable[int], edge: Collection[int]) -> set[int]:
@@ -132,7 +152,9 @@ def _cone(function: Function, goals: Iterable[int], edge: Collection[int]) -> se
     return found
 
 
-def _rebuilt(function: Function, wanted: Collection[int], slots: Mapping[int, str]) -> tuple[Builder, dict[int, Value]]:
+def _rebuilt(
+    function: Function, wanted: Collection[int], slots: Mapping[int, str]
+) -> tuple[Builder, dict[int, Value]]:
     """Those nodes in a new builder, some of them loaded from slots."""
     builder = Builder()
     values: dict[int, Value] = {}

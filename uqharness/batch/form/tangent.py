@@ -45,18 +45,30 @@ def tangent(
         values.append(value)
         for direction, found in rates.items():
             if node.operation in ("input", "load"):
-                given = node.name in (inputs if node.operation == "input" else _moving(moving, direction, function.slots))
+                given = node.name in (
+                    inputs
+                    if node.operation == "input"
+                    else _moving(moving, direction, function.slots)
+                )
                 read = builder.input if node.operation == "input" else builder.load
                 found.append(read(rate_name(node.name, direction)) if given else None)
             else:
-                found.append(_rate(builder, node, arguments, [found[i] for i in node.arguments], value))
+                found.append(
+                    _rate(builder, node, arguments, [found[i] for i in node.arguments], value)
+                )
     outputs = {name: values[i] for name, i in function.outputs.items()}
     stores = {name: values[i] for name, i in function.stores.items()}
     for direction, found in rates.items():
         zero = builder.constant(0.0)
-        outputs |= {rate_name(name, direction): found[i] or zero for name, i in function.outputs.items()}
+        outputs |= {
+            rate_name(name, direction): found[i] or zero for name, i in function.outputs.items()
+        }
         moved = _moving(moving, direction, tuple(function.stores))
-        stores |= {rate_name(name, direction): found[i] or zero for name, i in function.stores.items() if name in moved}
+        stores |= {
+            rate_name(name, direction): found[i] or zero
+            for name, i in function.stores.items()
+            if name in moved
+        }
     return builder.finish(outputs, stores)
 
 
@@ -73,14 +85,22 @@ def tangent_program(program: Program, directions: Mapping[str, Mapping[str, floa
         strange = sorted(set(begins) - set(program.slots))
         if strange:
             raise ValueError(f"direction {direction}: the program has no slot {', '.join(strange)}")
-    moving = {direction: _reached(program, frozenset(begins)) for direction, begins in directions.items()}
+    moving = {
+        direction: _reached(program, frozenset(begins)) for direction, begins in directions.items()
+    }
     names = tuple(directions)
-    sections = tuple(replace(s, function=tangent(s.function, names, (), moving)) for s in program.sections)
+    sections = tuple(
+        replace(s, function=tangent(s.function, names, (), moving)) for s in program.sections
+    )
     slots = dict(program.slots)
     records = list(program.records)
     for direction, begins in directions.items():
         wanted = moving[direction] | frozenset(program.records)
-        slots |= {rate_name(name, direction): begins.get(name, 0.0) for name in program.slots if name in wanted}
+        slots |= {
+            rate_name(name, direction): begins.get(name, 0.0)
+            for name in program.slots
+            if name in wanted
+        }
         records += [rate_name(name, direction) for name in program.records]
     return replace(program, sections=sections, slots=slots, records=tuple(records))
 
@@ -96,13 +116,17 @@ def _reached(program: Program, begin: frozenset[str]) -> frozenset[str]:
         found = more
 
 
-def _moving(moving: Mapping[str, Collection[str]] | None, direction: str, every: Collection[str]) -> Collection[str]:
+def _moving(
+    moving: Mapping[str, Collection[str]] | None, direction: str, every: Collection[str]
+) -> Collection[str]:
     return every if moving is None else moving[direction]
 
 
 def _rate(b: Builder, node: Node, arguments: list[Value], rates: list[Rate], value: Value) -> Rate:
     if node.operation in ("bits", "double"):
-        raise ValueError(f"{node.operation} has no derivative; take the tangent before form.maths.lower")
+        raise ValueError(
+            f"{node.operation} has no derivative; take the tangent before form.maths.lower"
+        )
     if node.kind != F64 or all(r is None for r in rates):
         return None
     if node.operation == "select":
@@ -113,7 +137,10 @@ def _rate(b: Builder, node: Node, arguments: list[Value], rates: list[Rate], val
         return first.choose(rates[0] or 0.0, rates[1] or 0.0)
     if node.operation in ("floor", "lookup"):
         return None
-    parts = [_times(r, slope) for r, slope in zip(rates, _SLOPES[node.operation](b, arguments, value), strict=True)]
+    parts = [
+        _times(r, slope)
+        for r, slope in zip(rates, _SLOPES[node.operation](b, arguments, value), strict=True)
+    ]
     return _added(parts)
 
 

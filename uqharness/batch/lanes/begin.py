@@ -36,19 +36,37 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
     """Initialise. Raises BadInputError for a property that cannot be set, or that initialising has overwritten."""
     count = len(specs)
     loaded = _loaded(lanes, specs)
-    values = start_state({name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS})
+    values = start_state(
+        {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
+    )
     rows = [_given(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
     given = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     values |= given
-    values |= {name: np.array([one.static[name] for one in loaded]) for name in loaded[0].static if name not in given}
-    wind, blown = (np.array([getattr(one, which) for one in loaded]) for which in ("wind_fps", "blown_fps"))
-    noise = {s: Noise(s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2)
-             for s in dict.fromkeys(spec.seed_noise for spec in specs)}  # fmt: skip
-    for number, flyer in enumerate((*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))):
+    values |= {
+        name: np.array([one.static[name] for one in loaded])
+        for name in loaded[0].static
+        if name not in given
+    }
+    wind, blown = (
+        np.array([getattr(one, which) for one in loaded]) for which in ("wind_fps", "blown_fps")
+    )
+    noise = {
+        s: Noise(
+            s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2
+        )
+        for s in dict.fromkeys(spec.seed_noise for spec in specs)
+    }
+    for number, flyer in enumerate(
+        (*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))
+    ):
         if number == len(lanes.initialisers):
             settle(lanes.settlers, values, count)
         if number == 0:
-            values |= {name: speed for name, speed in zip(WIND, wind.T, strict=True) if name in flyer.program.slots}
+            values |= {
+                name: speed
+                for name, speed in zip(WIND, wind.T, strict=True)
+                if name in flyer.program.slots
+            }
         drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
         values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
         values |= stepped(flyer, values, count)
@@ -66,7 +84,9 @@ def settle(settlers: Sequence[tuple[str, Flyer]], values: dict[str, Array], coun
     """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives them."""
     for going, flyer in settlers:
         program = flyer.program
-        state = begun(program, count, {name: v for name, v in values.items() if name in program.slots})
+        state = begun(
+            program, count, {name: v for name, v in values.items() if name in program.slots}
+        )
         while slot(program, state, going, count).any():
             flyer.fly(state, 1, _TURNS)
         values |= {name: slot(program, state, name, count) for name in program.slots}
@@ -77,7 +97,11 @@ def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
     found: dict[tuple[object, ...], Loaded] = {}
     out = []
     for spec in specs:
-        own = tuple((n, v) for n, v in sorted(spec.properties.items()) if n.startswith("ic/") or n in CHANGEABLE)
+        own = tuple(
+            (n, v)
+            for n, v in sorted(spec.properties.items())
+            if n.startswith("ic/") or n in CHANGEABLE
+        )
         key = (spec.wind_mps, spec.wind_from_deg, spec.turbulence, own)
         if key not in found:
             found[key] = load_start(lanes, spec)
@@ -90,10 +114,15 @@ def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec) -> dict[str, fl
     blowing = (spec.wind_mps, spec.wind_from_deg, TURBULENCE_W20_KT[spec.turbulence])
     air = dict(zip(AIR_WIND, blowing, strict=True)) if lanes.air else {}
     asked = {**air, **first_levels(spec, lanes.dt_s), **spec.properties}
-    return {name: loaded.static.get(name, float(value)) for name, value in ((canonical(n), v) for n, v in asked.items())}
+    return {
+        name: loaded.static.get(name, float(value))
+        for name, value in ((canonical(n), v) for n, v in asked.items())
+    }
 
 
-def _require_kept(specs: Sequence[FlightSpec], given: Mapping[str, Array], values: Mapping[str, Array]) -> None:
+def _require_kept(
+    specs: Sequence[FlightSpec], given: Mapping[str, Array], values: Mapping[str, Array]
+) -> None:
     for name in specs[0].properties:
         if name.startswith("ic/") or name in CHANGEABLE:
             continue

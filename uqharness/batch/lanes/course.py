@@ -20,7 +20,15 @@ from uqharness.batch.lanes.mission import LaneMission
 from uqharness.batch.models.ground import POINT, TOUCHED
 from uqharness.batch.models.winds import COUNTER
 from uqharness.batch.translate.frame import TIME
-from uqharness.flight import ContactPoint, FlightSpec, Recorded, Split, in_signals, record_stride, row_counts
+from uqharness.flight import (
+    ContactPoint,
+    FlightSpec,
+    Recorded,
+    Split,
+    in_signals,
+    record_stride,
+    row_counts,
+)
 from uqharness.simulator import Source, StagedMission
 
 Array = NDArray[np.float64]
@@ -77,10 +85,14 @@ class Held:
     def branched(self, made: Ready, root: int, aleatory_id: int, level: int, branch: int) -> Held:
         """The same flight whose air and noise go on with streams of that key. Raises ValueError for a flight that has ended."""
         if not self.flying:
-            raise ValueError(f"the flight has ended ({self.end.status}): there is nothing to branch")
+            raise ValueError(
+                f"the flight has ended ({self.end.status}): there is nothing to branch"
+            )
         slots = list(made.lanes.program.slots)
         row = int(self.state[slots.index(COUNTER)]) if COUNTER in slots else 0
-        return replace(self, splits=(*self.splits, Split(self.frame, root, aleatory_id, level, branch, row)))
+        return replace(
+            self, splits=(*self.splits, Split(self.frame, root, aleatory_id, level, branch, row))
+        )
 
 
 class Course:
@@ -91,16 +103,25 @@ class Course:
         the same frame."""
         frames = {one.frame for one in held}
         if len(frames) != 1:
-            raise ValueError(f"flights of one course stand behind the same frame; received {sorted(frames)}")
+            raise ValueError(
+                f"flights of one course stand behind the same frame; received {sorted(frames)}"
+            )
         self._made, self.frame = made, frames.pop()
         self._held = list(held)
         self._parts: list[list[Array]] = [[one.records] for one in held]
         self._ends = [one.end for one in held]
         self._alive = np.array([k for k, one in enumerate(held) if one.flying], dtype=np.intp)
         if self._alive.size:
-            self._state = blocked(list(np.array([held[k].state for k in self._alive]).T), len(self._alive))
+            self._state = blocked(
+                list(np.array([held[k].state for k in self._alive]).T), len(self._alive)
+            )
         self._feeder = Feeder(
-            made.lanes, [one.spec for one in held], [one.air for one in held], None, self.frame, [one.splits for one in held]
+            made.lanes,
+            [one.spec for one in held],
+            [one.air for one in held],
+            None,
+            self.frame,
+            [one.splits for one in held],
         )
 
     @classmethod
@@ -110,14 +131,22 @@ class Course:
         started = begin(lanes, specs)
         burn, _ = row_counts(specs[0], lanes.dt_s * lanes.stride)
         airs = airs_of(lanes, specs, started.values)
-        state = begun(program, len(specs), {n: v for n, v in started.values.items() if n in program.slots})
+        state = begun(
+            program, len(specs), {n: v for n, v in started.values.items() if n in program.slots}
+        )
         columns = np.array(unblocked(state, len(specs))).T
         first = (
             _first_row(made, started.values, len(specs))[:, :, None]
             if burn == 0
             else np.empty((len(program.records), len(specs), 0))
         )
-        course = cls(made, [Held(spec, 0, columns[k], first[:, k], airs[k], (), End(), True) for k, spec in enumerate(specs)])
+        course = cls(
+            made,
+            [
+                Held(spec, 0, columns[k], first[:, k], airs[k], (), End(), True)
+                for k, spec in enumerate(specs)
+            ],
+        )
         course._feeder = Feeder(lanes, specs, airs, started.noise)
         return course
 
@@ -134,7 +163,9 @@ class Course:
         stride = record_stride(spec, lanes.dt_s)
         goal = self.last if frame is None else frame
         if goal < self.frame or goal > self.last or goal % stride:
-            raise ValueError(f"a frame from {self.frame} to {self.last} that {stride} divides is needed; received {goal}")
+            raise ValueError(
+                f"a frame from {self.frame} to {self.last} that {stride} divides is needed; received {goal}"
+            )
         burn, _ = row_counts(spec, lanes.dt_s * stride)
         chunk = max(1, _CHUNK // stride) * stride
         columns = {name: k for k, name in enumerate(program.records)}
@@ -148,8 +179,14 @@ class Course:
             going = []
             for place, lane in enumerate(self._alive):
                 here = records[:, place, :]
-                end, self._ends[lane] = _ended(here, columns, lanes.points) if ending[place] else (None, _going(here, columns))
-                self._parts[lane].append(here[:, skip : rows if end is None else max(skip, end)].copy())
+                end, self._ends[lane] = (
+                    _ended(here, columns, lanes.points)
+                    if ending[place]
+                    else (None, _going(here, columns))
+                )
+                self._parts[lane].append(
+                    here[:, skip : rows if end is None else max(skip, end)].copy()
+                )
                 if end is None:
                     going.append(place)
             if len(going) < self._alive.size and going:
@@ -169,12 +206,22 @@ class Course:
         place = {int(lane): k for k, lane in enumerate(self._alive)}
         ended = [lane for lane in lanes if lane not in place]
         if ended:
-            raise ValueError(f"lane {ended[0]} has ended ({self._ends[ended[0]].status}): it cannot be followed")
+            raise ValueError(
+                f"lane {ended[0]} has ended ({self._ends[ended[0]].status}): it cannot be followed"
+            )
         program = self._made.lanes.program
-        rows = np.zeros(len(self._alive)) if COUNTER not in program.slots else self.watched(COUNTER)[self._alive]
+        rows = (
+            np.zeros(len(self._alive))
+            if COUNTER not in program.slots
+            else self.watched(COUNTER)[self._alive]
+        )
         held = []
         for lane, key in zip(lanes, branches, strict=True):
-            split = () if key is None else (Split(self.frame, *key, turbulence_row=int(rows[place[lane]])),)
+            split = (
+                ()
+                if key is None
+                else (Split(self.frame, *key, turbulence_row=int(rows[place[lane]])),)
+            )
             held.append(replace(self._held[lane], splits=(*self._held[lane].splits, *split)))
         self._feeder = self._feeder.followed(lanes, self.frame, [one.splits for one in held])
         self._state = chosen(self._state, [place[lane] for lane in lanes])
@@ -184,7 +231,9 @@ class Course:
 
     def taken(self) -> list[Array]:
         """Each lane's rows (channels, rows) since the last call, in the order of the program's records; they are dropped here."""
-        found = [np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0] for parts in self._parts]
+        found = [
+            np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0] for parts in self._parts
+        ]
         self._parts = [[part[:, :0]] for part in found]
         return found
 
@@ -208,15 +257,23 @@ class Course:
     def held(self, lanes: Sequence[int] | None = None) -> list[Held]:
         """The flights of those lanes (all by default) as they stand."""
         wanted = range(len(self._held)) if lanes is None else lanes
-        columns = np.array(unblocked(self._state, len(self._alive))).T if self._alive.size else np.empty((0, 0))
+        columns = (
+            np.array(unblocked(self._state, len(self._alive))).T
+            if self._alive.size
+            else np.empty((0, 0))
+        )
         place = {int(lane): k for k, lane in enumerate(self._alive)}
         return [
             replace(
-                self._held[k], frame=self.frame, records=np.concatenate(self._parts[k], axis=1), end=self._ends[k],
-                flying=k in place, state=columns[place[k]].copy() if k in place else self._held[k].state,
+                self._held[k],
+                frame=self.frame,
+                records=np.concatenate(self._parts[k], axis=1),
+                end=self._ends[k],
+                flying=k in place,
+                state=columns[place[k]].copy() if k in place else self._held[k].state,
             )
             for k in wanted
-        ]  # fmt: skip
+        ]
 
     def recorded(self) -> list[Recorded]:
         """What was recorded of each flight so far, to be scored."""
@@ -224,7 +281,9 @@ class Course:
         return [_recorded(self._made, end, np.concatenate(parts, axis=1)) for end, parts in found]
 
 
-def _over(records: Array, columns: dict[str, int], points: Sequence[ContactPoint]) -> NDArray[np.bool_]:
+def _over(
+    records: Array, columns: dict[str, int], points: Sequence[ContactPoint]
+) -> NDArray[np.bool_]:
     """Rows (..., rows) of records (channels, ..., rows) in which a flight is over."""
     height, speed = records[columns[HEIGHT]], records[columns[SPEED]]
     over = np.asarray(~np.isfinite(height + speed) | (height <= 0.0))
@@ -235,7 +294,9 @@ def _going(records: Array, columns: dict[str, int]) -> End:
     return End(flown_s=float(records[columns[TIME], -1]))
 
 
-def _ended(records: Array, columns: dict[str, int], points: Sequence[ContactPoint]) -> tuple[int | None, End]:
+def _ended(
+    records: Array, columns: dict[str, int], points: Sequence[ContactPoint]
+) -> tuple[int | None, End]:
     """The row in which a lane's flight ended, None while it goes on, and how."""
     height, speed, time = (records[columns[name]] for name in (HEIGHT, SPEED, TIME))
     bad = ~np.isfinite(height + speed)
@@ -256,11 +317,20 @@ def _ended(records: Array, columns: dict[str, int], points: Sequence[ContactPoin
 def _first_row(made: Ready, values: dict[str, Array], lanes: int) -> Array:
     """Recorded properties before the first frame (channels, lanes)."""
     slots = made.lanes.program.slots
-    return np.stack([np.broadcast_to(values.get(name, np.array(slots[name])), lanes) for name in made.lanes.program.records])
+    return np.stack(
+        [
+            np.broadcast_to(values.get(name, np.array(slots[name])), lanes)
+            for name in made.lanes.program.records
+        ]
+    )
 
 
 def _recorded(made: Ready, end: End, records: Array) -> Recorded:
     index = {name: k for k, name in enumerate(made.lanes.program.records)}
-    properties = [s.property for s in made.table.values()] + [s.over for s in made.table.values() if s.over is not None]
-    rows = in_signals(np.ascontiguousarray(records[[index[name] for name in properties]].T), made.table)
+    properties = [s.property for s in made.table.values()] + [
+        s.over for s in made.table.values() if s.over is not None
+    ]
+    rows = in_signals(
+        np.ascontiguousarray(records[[index[name] for name in properties]].T), made.table
+    )
     return Recorded(list(made.table), rows, end.status, end.reason, end.flown_s)

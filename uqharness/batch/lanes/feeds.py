@@ -26,7 +26,14 @@ from uqharness.batch.lanes.streams import (
 from uqharness.batch.machine.target import Target, chosen_target
 from uqharness.batch.models.start import rounded
 from uqharness.batch.models.winds import COUNTER, NORMALS
-from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, LevelDriver, Split, TransientDriver, dryden_parameters
+from uqharness.flight import (
+    TURBULENCE_W20_KT,
+    FlightSpec,
+    LevelDriver,
+    Split,
+    TransientDriver,
+    dryden_parameters,
+)
 
 Array = NDArray[np.float64]
 
@@ -44,16 +51,24 @@ class Feeder:
     """
 
     def __init__(
-        self, lanes: LaneMission, specs: Sequence[FlightSpec], airs: Sequence[Air], begun: Mapping[int, Noise] | None = None,
-        frame: int = 0, splits: Sequence[Splits] | None = None, target: Target | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        lanes: LaneMission,
+        specs: Sequence[FlightSpec],
+        airs: Sequence[Air],
+        begun: Mapping[int, Noise] | None = None,
+        frame: int = 0,
+        splits: Sequence[Splits] | None = None,
+        target: Target | None = None,
+    ) -> None:
         self._branching, self._target = False, target or chosen_target()
         self._lanes, self._specs, self._airs, self._frame = lanes, specs, airs, frame
         self._splits = [()] * len(specs) if splits is None else splits
         self._program = lanes.program
         self._wanted = {stream.name for stream in self._program.streams}
         self._noise = noise_streams(lanes.flight.draws)
-        self._noises: dict[tuple[int, Splits], Noise] = {(seed, ()): noise for seed, noise in (begun or {}).items()}
+        self._noises: dict[tuple[int, Splits], Noise] = {
+            (seed, ()): noise for seed, noise in (begun or {}).items()
+        }
         self._series: dict[tuple[str, Hashable], Series] = {}
         self._windows: dict[Hashable, _Window] = {}
 
@@ -70,7 +85,10 @@ class Feeder:
             air = (spec.seed_turbulence, splits[place])
             if air in self._windows:
                 other._windows[air] = self._windows[air]
-            moving = ((LEVELS.name, (spec.levels, ())), (TRANSIENTS.name, (spec.transient, splits[place])))
+            moving = (
+                (LEVELS.name, (spec.levels, ())),
+                (TRANSIENTS.name, (spec.transient, splits[place])),
+            )
             for name in ((GUSTS.name, other._air(place)), *moving):
                 if name in self._series:
                     found = other._series[name] = self._series[name]
@@ -95,9 +113,13 @@ class Feeder:
         if self._noise:
             out |= self._noise_feeds(alive, frames)
         if GUSTS.name in self._wanted:
-            out[GUSTS.name] = self._fed(GUSTS.name, [self._air(k) for k in alive], frames, self._gusts)
+            out[GUSTS.name] = self._fed(
+                GUSTS.name, [self._air(k) for k in alive], frames, self._gusts
+            )
         if LEVELS.name in self._wanted:
-            out[LEVELS.name] = self._fed(LEVELS.name, [(self._specs[k].levels, ()) for k in alive], frames, self._levels)
+            out[LEVELS.name] = self._fed(
+                LEVELS.name, [(self._specs[k].levels, ()) for k in alive], frames, self._levels
+            )
         if TRANSIENTS.name in self._wanted:
             drivers = [(self._specs[k].transient, self._splits[k]) for k in alive]
             out[TRANSIENTS.name] = self._fed(TRANSIENTS.name, drivers, frames, self._levels)
@@ -112,7 +134,11 @@ class Feeder:
         out = {}
         for stream in self._noise:
             pieces = {seed: found[stream.name] for seed, found in rows.items()}
-            out[stream.name] = shared({s: p.array for s, p in pieces.items()}, seeds, next(iter(pieces.values())).first_row)
+            out[stream.name] = shared(
+                {s: p.array for s, p in pieces.items()},
+                seeds,
+                next(iter(pieces.values())).first_row,
+            )
         return out
 
     def _noise_of(self, seed: int, splits: Splits) -> Noise:
@@ -120,7 +146,9 @@ class Feeder:
             flight, initialising = self._lanes.flight, 3 if self._lanes.steady else 2
             if splits:
                 # Noise has no memory: that of the last split is all that is heard.
-                made = Noise(splits[-1].seed("noise"), flight.draws, 0, self._target, frame=splits[-1].frame)
+                made = Noise(
+                    splits[-1].seed("noise"), flight.draws, 0, self._target, frame=splits[-1].frame
+                )
                 made.frames(self._frame - splits[-1].frame)
             else:
                 made = Noise(seed, flight.draws, flight.first_draws, self._target, initialising)
@@ -128,7 +156,9 @@ class Feeder:
             self._noises[seed, splits] = made
         return self._noises[seed, splits]
 
-    def _fed(self, name: str, keys: Sequence[Hashable], frames: int, make: Callable[..., Series]) -> Feed:
+    def _fed(
+        self, name: str, keys: Sequence[Hashable], frames: int, make: Callable[..., Series]
+    ) -> Feed:
         pieces = {}
         first = 0
         for key in dict.fromkeys(keys):
@@ -149,7 +179,11 @@ class Feeder:
     def _gusts(self, key: tuple[int, str, Air, Splits]) -> HostGusts:
         seed, turbulence, (speed, height, span), splits = key
         made = HostGusts(
-            dryden_parameters(speed, height, TURBULENCE_W20_KT[turbulence], span), self._lanes.dt_s, seed, self._target, splits
+            dryden_parameters(speed, height, TURBULENCE_W20_KT[turbulence], span),
+            self._lanes.dt_s,
+            seed,
+            self._target,
+            splits,
         )
         if self._branching:
             made.branch_from_now_on()
@@ -169,7 +203,9 @@ class Feeder:
         return shared(pieces, seeds, low)
 
 
-def airs_of(lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, Array]) -> list[Air]:
+def airs_of(
+    lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, Array]
+) -> list[Air]:
     """Each lane's air, of its values behind initialising."""
     return [_air_of(lanes, spec, values, lane) for lane, spec in enumerate(specs)]
 
@@ -179,8 +215,12 @@ def _air_of(lanes: LaneMission, spec: FlightSpec, values: Mapping[str, Array], l
         speed = float(values["velocities/vt-fps"][lane]) * FT_M
     else:
         toward = math.radians(spec.wind_from_deg + 180.0)
-        north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(toward)
-        east = float(values["velocities/v-east-fps"][lane]) * FT_M - spec.wind_mps * math.sin(toward)
+        north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(
+            toward
+        )
+        east = float(values["velocities/v-east-fps"][lane]) * FT_M - spec.wind_mps * math.sin(
+            toward
+        )
         down = float(values["velocities/v-down-fps"][lane]) * FT_M
         speed = math.sqrt(north * north + east * east + down * down)
     height = float(values["position/h-agl-ft"][lane]) * FT_M
@@ -191,7 +231,10 @@ def _air_of(lanes: LaneMission, spec: FlightSpec, values: Mapping[str, Array], l
 def _turbulence_of(seed: int, splits: Splits, target: Target) -> Series:
     """Normals alone: the filters are the aircraft's, so that the last split's are all that is heard."""
     if splits:
-        return _Behind(Turbulence(splits[-1].seed("turbulence"), target, splits[-1].turbulence_row), splits[-1].turbulence_row)
+        return _Behind(
+            Turbulence(splits[-1].seed("turbulence"), target, splits[-1].turbulence_row),
+            splits[-1].turbulence_row,
+        )
     return Turbulence(seed, target)
 
 
@@ -205,7 +248,9 @@ class _Behind:
         """The next ``n`` rows."""
         lacking, self._row = min(n, self._row), max(self._row - n, 0)
         array, first = self._series.rows(n - lacking)
-        return Rows(np.concatenate([np.full((lacking, array.shape[1]), np.nan), array]), first - lacking)
+        return Rows(
+            np.concatenate([np.full((lacking, array.shape[1]), np.nan), array]), first - lacking
+        )
 
 
 class _Window:

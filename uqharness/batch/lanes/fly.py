@@ -34,8 +34,14 @@ def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
     Raises BadInputError as ``flight.fly`` does, and for what the batch engine does not understand.
     """
     recorded = record_many(specs)
-    staged = {mission: staged_mission(spec) for mission, spec in {(spec.aircraft, spec.script): spec for spec in specs}.items()}
-    return [score(staged[spec.aircraft, spec.script], spec, one) for spec, one in zip(specs, recorded, strict=True)]
+    staged = {
+        mission: staged_mission(spec)
+        for mission, spec in {(spec.aircraft, spec.script): spec for spec in specs}.items()
+    }
+    return [
+        score(staged[spec.aircraft, spec.script], spec, one)
+        for spec, one in zip(specs, recorded, strict=True)
+    ]
 
 
 def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
@@ -43,7 +49,9 @@ def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
     results: dict[int, Recorded] = {}
     groups: dict[Hashable, list[int]] = {}
     for k, spec in enumerate(specs):
-        groups.setdefault((_program_key(spec), spec.duration_s, spec.burn_in_s, spec.record_rate_hz), []).append(k)
+        groups.setdefault(
+            (_program_key(spec), spec.duration_s, spec.burn_in_s, spec.record_rate_hz), []
+        ).append(k)
     for places in groups.values():
         for part in _parts(specs, places):
             results.update(zip(part, _fly_alike([specs[k] for k in part]), strict=True))
@@ -53,7 +61,10 @@ def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
 def _program_key(spec: FlightSpec) -> Hashable:
     fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
     air = (spec.turbulence != "none", spec.turbulence_source, spec.sensor_noise)
-    moving = (spec.levels is not None, None if spec.transient is None else spec.transient.coefficients)
+    moving = (
+        spec.levels is not None,
+        None if spec.transient is None else spec.transient.coefficients,
+    )
     flight = (str(spec.aircraft), str(spec.script), air, moving, spec.record_rate_hz)
     return (flight, fixed, tuple(sorted(spec.properties)))
 
@@ -75,10 +86,18 @@ def ready(spec: FlightSpec) -> Ready:
     if found is None or found.staged is not staged:
         signals = scored_signals(staged)
         inputs = [name for name in spec.properties if not name.startswith(_FIXED)]
-        needed = [s.property for s in signals.values()] + [s.over for s in signals.values() if s.over is not None]
+        needed = [s.property for s in signals.values()] + [
+            s.over for s in signals.values() if s.over is not None
+        ]
         records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED]))
-        made = make_mission(staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()])
-        there = {name: s for name, s in OPTIONAL_SIGNALS.items() if s.property in made.flight.frame.records}
+        made = make_mission(
+            staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
+        )
+        there = {
+            name: s
+            for name, s in OPTIONAL_SIGNALS.items()
+            if s.property in made.flight.frame.records
+        }
         found = Ready(staged, made, {"time_s": Source(TIME), **signals, **there})
         while len(_ready) >= _KEPT:
             del _ready[next(iter(_ready))]

@@ -42,31 +42,52 @@ class StateProgram:
 
 
 def make_states(
-    sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
-    records: Sequence[str], by_rates: bool = False,
-) -> StateProgram:  # fmt: skip
+    sources: Sources,
+    open_fdm: Callable[[], Any],
+    dt_s: float,
+    controls: Sequence[str],
+    inputs: Collection[str],
+    records: Sequence[str],
+    by_rates: bool = False,
+) -> StateProgram:
     """Translate and compile an aircraft, arguments as those of `make_replay`; by_rates: it reads RATES, which are to settle. Raises
     BadInputError with file and line for what is not understood."""
     flight, fed, _ = traced(sources, open_fdm, dt_s, controls, inputs, records, renewed=by_rates)
     start, wanted = start_section(), tuple(records)
     sections = (start, *flight.first.sections, *flight.second.sections)
-    slots = {**dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0), **flight.first.slots, **flight.second.slots}
+    slots = {
+        **dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0),
+        **flight.first.slots,
+        **flight.second.slots,
+    }
     lacking = [name for name in wanted if name not in slots]
     if lacking:
-        raise BadInputError(f"property {lacking[0]} is not computed while initialising by the batch engine")
+        raise BadInputError(
+            f"property {lacking[0]} is not computed while initialising by the batch engine"
+        )
     read, renewer = wanted, None
     if flight.renewed is not None:
         again = (*wanted, *RATES)
         renewed = trimmed(alive(joined(lowered(flight.renewed)), again), again)
-        read, slots, renewer = tuple(renewed.slots), {**renewed.slots, **slots}, compile_program(renewed, chosen_target())
+        read, slots, renewer = (
+            tuple(renewed.slots),
+            {**renewed.slots, **slots},
+            compile_program(renewed, chosen_target()),
+        )
     program = trimmed(alive(joined(lowered(Program(sections, slots))), read), read)
-    return StateProgram(compile_program(program, chosen_target()), fed.columns, frozenset(inputs), wanted, renewer)
+    return StateProgram(
+        compile_program(program, chosen_target()), fed.columns, frozenset(inputs), wanted, renewer
+    )
 
 
 def at_states(
-    program: StateProgram, conditions: Mapping[str, Array], terrain_ft: Array, dt_s: float, controls: Array,
+    program: StateProgram,
+    conditions: Mapping[str, Array],
+    terrain_ft: Array,
+    dt_s: float,
+    controls: Array,
     properties: Mapping[str, float],
-) -> Array:  # fmt: skip
+) -> Array:
     """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n, c) in the units of their
     properties."""
     out = np.empty((len(controls), len(program.records)))
@@ -78,7 +99,11 @@ def at_states(
         values: dict[str, Array | float] = {**same, TERRAIN: terrain_ft[part], **start}
         values |= dict(zip(program.controls, controls[part].T, strict=True))
         count = len(controls[part])
-        state = begun(program.flyer.program, count, {name: value for name, value in values.items() if name in slots})
+        state = begun(
+            program.flyer.program,
+            count,
+            {name: value for name, value in values.items() if name in slots},
+        )
         program.flyer.fly(state, 1, 1)
         out[part] = _read(program.flyer, state, program.records, count)
         if program.renewer is not None:
@@ -96,7 +121,10 @@ def _settle(program: StateProgram, renewer: Flyer, state: Array, out: Array) -> 
     acceleration that it is a part of settles nowhere, and no frame of it is better than another."""
     count = len(out)
     before, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
-    state, moving = carried(state, program.flyer.program, renewer.program), np.ones(count, dtype=bool)
+    state, moving = (
+        carried(state, program.flyer.program, renewer.program),
+        np.ones(count, dtype=bool),
+    )
     for _ in range(MOST_FRAMES):
         renewer.fly(state, 1, 1)
         now, last = _read(renewer, state, RATES, count), moved

@@ -49,7 +49,15 @@ from uqharness.xml import Document, read_document
 
 Array = NDArray[np.float64]
 
-_DECLARING = ("system", "autopilot", "flight_control", "aerodynamics", "external_reactions", "run", "propulsion")
+_DECLARING = (
+    "system",
+    "autopilot",
+    "flight_control",
+    "aerodynamics",
+    "external_reactions",
+    "run",
+    "propulsion",
+)
 """Elements whose property children declare; elsewhere they read."""
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
@@ -99,10 +107,16 @@ class LaneMission:
     def program(self) -> Program:
         """A frame of the flight with less work: made when it is flown, for who asks whether it can be does without."""
         flight = self.flight
-        between = (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
+        between = (
+            (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
+        )
         program = settled((flight.first, flight.second), flight.frame, self.varying, between)
         program = replace(program, streams=(*program.streams, *noise_streams(flight.draws)))
-        return optimised(program, [name for name in program.slots if name.startswith("#turbulence/row")], self.stride)
+        return optimised(
+            program,
+            [name for name in program.slots if name.startswith("#turbulence/row")],
+            self.stride,
+        )
 
     @cached_property
     def flyer(self) -> Flyer:
@@ -127,7 +141,11 @@ class LaneMission:
     @cached_property
     def renewer(self) -> Interpreter | None:
         """The frame behind the steady state, in which time stands still; None without one."""
-        return Interpreter(self.flight.renewed) if self.steady and self.flight.renewed is not None else None
+        return (
+            Interpreter(self.flight.renewed)
+            if self.steady and self.flight.renewed is not None
+            else None
+        )
 
 
 def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
@@ -145,17 +163,25 @@ def _refuse_running(mission: StagedMission) -> None:
     document = read_document(path)
     for node in document.root.walk():
         if node.tag == "running":
-            raise BadInputError(f"{document.where(node)}: <running> in initial conditions is not understood by the batch engine")
+            raise BadInputError(
+                f"{document.where(node)}: <running> in initial conditions is not understood by the batch engine"
+            )
 
 
 def make_mission(
-    mission: StagedMission, spec: FlightSpec, inputs: Collection[str], records: Sequence[str], optional: Sequence[str] = ()
+    mission: StagedMission,
+    spec: FlightSpec,
+    inputs: Collection[str],
+    records: Sequence[str],
+    optional: Sequence[str] = (),
 ) -> LaneMission:
     """Translate the mission under the conditions of ``spec``, recorded at its rate. Raises BadInputError with file and line."""
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
     _refuse_settling(mission)
-    unchanged = replace(spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE})
+    unchanged = replace(
+        spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE}
+    )
 
     def opened() -> Any:
         fdm = mission.open()
@@ -182,13 +208,25 @@ def make_mission(
     names |= dict.fromkeys(AIR_WIND if air else WIND)
     asked = Asked(tuple(names), fed, records, points, turned=gusty and not air, reweighed=True)
     flight = trace_flight(sources, mission.aircraft.dt_s, values, asked)
-    varying = (*asked.inputs, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)), *(name for name, _ in flight.draws))
+    varying = (
+        *asked.inputs,
+        *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
+        *(name for name, _ in flight.draws),
+    )
     varying = (*varying, *(DRY if set(asked.inputs) & set(MASS) else ()))
     steady = MARK in mission.script.run_properties and flight.renewed is not None
     return LaneMission(
-        mission, flight, tuple(asked.inputs), varying, record_stride(spec, mission.aircraft.dt_s), mission.aircraft.dt_s, air,
-        float(values["metrics/bw-ft"]), points, steady,
-    )  # fmt: skip
+        mission,
+        flight,
+        tuple(asked.inputs),
+        varying,
+        record_stride(spec, mission.aircraft.dt_s),
+        mission.aircraft.dt_s,
+        air,
+        float(values["metrics/bw-ft"]),
+        points,
+        steady,
+    )
 
 
 def _refuse_settling(mission: StagedMission) -> None:
@@ -228,9 +266,18 @@ def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[st
 def start_properties(sources: Sources) -> list[str]:
     """JSBSim's initial conditions that the XML reads: they differ from lane to lane as starts do."""
     parts = [(system.document, system.node) for system in sources.systems]
-    parts += [part for part in (sources.aerodynamics, sources.external, sources.propulsion) if part is not None]
+    parts += [
+        part
+        for part in (sources.aerodynamics, sources.external, sources.propulsion)
+        if part is not None
+    ]
     parts += [(sources.script, sources.script.root)]
-    texts = [text for _, root in parts for node in root.walk() for text in (node.text, *node.attributes.values())]
+    texts = [
+        text
+        for _, root in parts
+        for node in root.walk()
+        for text in (node.text, *node.attributes.values())
+    ]
     return [canonical(name) for name in dict.fromkeys(_START.findall("\n".join(texts)))]
 
 
@@ -239,7 +286,11 @@ def constant_properties(sources: Sources) -> Callable[[str], bool]:
     declared: set[str] = set()
     parts = [(system.document, system.node) for system in sources.systems]
     parts += [part for part in (sources.aerodynamics, sources.external) if part is not None]
-    documents: list[Document] = [sources.document, sources.script, *(document for document, _ in parts)]
+    documents: list[Document] = [
+        sources.document,
+        sources.script,
+        *(document for document, _ in parts),
+    ]
     for document in documents:
         for node in document.root.walk():
             if node.tag == "property" and node.parent is not None and node.parent.tag in _DECLARING:

@@ -64,7 +64,14 @@ class ReplayProgram:
 
     def first_value(self, name: str) -> float:
         """A property's value in the aircraft's XML; 0 where nothing reads it."""
-        return next((p.slots[name] for p in (self.program, self.flight.second, self.flight.first) if name in p.slots), 0.0)
+        return next(
+            (
+                p.slots[name]
+                for p in (self.program, self.flight.second, self.flight.first)
+                if name in p.slots
+            ),
+            0.0,
+        )
 
     @cached_property
     def flyer(self) -> Flyer:
@@ -106,9 +113,16 @@ def make_replay(
     Raises BadInputError with file and line for what is not understood.
     """
     flight, fed, names = traced(sources, open_fdm, dt_s, controls, inputs, records, started=True)
-    varying = (STEP, *names, *fed.columns, *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)))
+    varying = (
+        STEP,
+        *names,
+        *fed.columns,
+        *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
+    )
     between = (*flight.steady, *_renewed(flight))
-    program = optimised(settled((flight.first, flight.second), flight.frame, varying, between), stride=stride)
+    program = optimised(
+        settled((flight.first, flight.second), flight.frame, varying, between), stride=stride
+    )
     # What a stream feeds may be folded away with the section that read it.
     read = {name for section in program.sections for name in section.function.slots}
     if any(read & set(stream.columns) for stream in program.streams if stream is not fed):
@@ -118,18 +132,31 @@ def make_replay(
 
 
 def traced(
-    sources: Sources, open_fdm: Callable[[], Any], dt_s: float, controls: Sequence[str], inputs: Collection[str],
-    records: Sequence[str], started: bool = False, renewed: bool = False,
-) -> tuple[Flight, Stream, tuple[str, ...]]:  # fmt: skip
+    sources: Sources,
+    open_fdm: Callable[[], Any],
+    dt_s: float,
+    controls: Sequence[str],
+    inputs: Collection[str],
+    records: Sequence[str],
+    started: bool = False,
+    renewed: bool = False,
+) -> tuple[Flight, Stream, tuple[str, ...]]:
     """The frames of an aircraft of any step, the stream of its controls, and the names of what may differ between lanes; arguments
     of `make_replay`. started: its engines run when ``open_fdm`` gives it; renewed: a frame in which time stands still is wanted.
     Raises BadInputError for what cannot be replayed."""
     values = Values(initial_values(open_fdm), constant_properties(sources))
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
-    flight = trace_flight(sources, dt_s, values, Asked(names, [fed], records, any_step=True, started=started, renewed=renewed))
+    flight = trace_flight(
+        sources,
+        dt_s,
+        values,
+        Asked(names, [fed], records, any_step=True, started=started, renewed=renewed),
+    )
     if flight.propulsion.engines and not started:
-        raise BadInputError("the aircraft has engines in <propulsion>, whose steady state takes more than two frames")
+        raise BadInputError(
+            "the aircraft has engines in <propulsion>, whose steady state takes more than two frames"
+        )
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
@@ -162,7 +189,9 @@ def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
     part: list[int] = []
     lanes = longest = 0
     for place in sorted(range(len(frames)), key=lambda k: -frames[k]):
-        if part and (len(part) == lanes or (len(part) % BLOCK == 0 and frames[place] < _ALIKE * longest)):
+        if part and (
+            len(part) == lanes or (len(part) % BLOCK == 0 and frames[place] < _ALIKE * longest)
+        ):
             yield part
             part = []
         if not part:
@@ -176,19 +205,27 @@ def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
 def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:
     """Slots behind the initialising frames, a value for each job."""
     count = len(jobs)
-    values = start_state({name: np.array([job.conditions[name] for job in jobs]) for name in CONDITIONS})
+    values = start_state(
+        {name: np.array([job.conditions[name] for job in jobs]) for name in CONDITIONS}
+    )
     for name in dict.fromkeys(name for job in jobs for name in job.properties):
         first = replay.first_value(canonical(name))
         values[canonical(name)] = np.array([job.properties.get(name, first) for job in jobs])
     values[TERRAIN] = np.array([job.terrain_ft for job in jobs])
     values[STEP] = np.array([job.dt_s for job in jobs])
-    values |= {name: np.array([job.controls[0, k] for job in jobs]) for k, name in enumerate(replay.controls)}
+    values |= {
+        name: np.array([job.controls[0, k] for job in jobs])
+        for k, name in enumerate(replay.controls)
+    }
     for flyer in replay.initialisers:
         values |= stepped(flyer, values, count)
     if replay.renewer is not None:
         settle(replay.settlers, values, count)
         values |= stepped(replay.renewer, values, count)
-    return {name: values.get(name, np.full(count, first)) for name, first in replay.program.slots.items()}
+    return {
+        name: values.get(name, np.full(count, first))
+        for name, first in replay.program.slots.items()
+    }
 
 
 def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> Array:
@@ -203,4 +240,8 @@ def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[st
 def _held(controls: Array, frames: int) -> Array:
     """(frames, c) controls, the last held to the end."""
     missing = frames - len(controls)
-    return controls if not missing else np.concatenate([controls, np.repeat(controls[-1:], missing, axis=0)])
+    return (
+        controls
+        if not missing
+        else np.concatenate([controls, np.repeat(controls[-1:], missing, axis=0)])
+    )

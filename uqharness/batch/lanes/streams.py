@@ -18,16 +18,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.batch.form.program import Stream
-from uqharness.batch.lanes.jsbsim_random import MODULUS, MULTIPLIER, JsbsimNormals, Tries, polar_normals
+from uqharness.batch.lanes.jsbsim_random import (
+    MODULUS,
+    MULTIPLIER,
+    JsbsimNormals,
+    Tries,
+    polar_normals,
+)
 from uqharness.batch.machine.gusts import compiled_recursion
 from uqharness.batch.machine.random import compiled_pairs, compiled_tries
 from uqharness.batch.machine.target import Target, chosen_target
 from uqharness.batch.models.winds import DRAWS
-from uqharness.flight import COEFFICIENTS, DrydenGusts, DrydenParameters, LevelDriver, Levels, Split, TransientDriver
+from uqharness.flight import (
+    COEFFICIENTS,
+    DrydenGusts,
+    DrydenParameters,
+    LevelDriver,
+    Levels,
+    Split,
+    TransientDriver,
+)
 
 Array = NDArray[np.float64]
 
-GUSTS = Stream("gusts", tuple(f"air/host/{name}" for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")))
+GUSTS = Stream(
+    "gusts",
+    tuple(
+        f"air/host/{name}"
+        for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
+    ),
+)
 """Host gusts, a row a frame."""
 LEVELS = Stream("levels", tuple(f"uq/{name}/level" for name in COEFFICIENTS))
 """Moving levels, a row a frame."""
@@ -54,7 +74,10 @@ class Series(Protocol):
 def noise_streams(draws: Sequence[tuple[str, int]]) -> tuple[Stream, ...]:
     """The streams for places that draw normals (slot, every), one for each rate, in the order of the rates."""
     rates = sorted({every for _, every in draws})
-    return tuple(Stream(f"noise/{rate}", tuple(slot for slot, every in draws if every == rate), rate) for rate in rates)
+    return tuple(
+        Stream(f"noise/{rate}", tuple(slot for slot, every in draws if every == rate), rate)
+        for rate in rates
+    )
 
 
 class Noise:
@@ -76,17 +99,27 @@ class Noise:
     ) -> None:
         first_draws = len(draws) if first_draws is None else first_draws
         self._normals = JsbsimNormals(seed, _tries(target or _widest()))
-        self.initial = self._normals.take(initialising * first_draws).reshape(initialising, first_draws)
+        self.initial = self._normals.take(initialising * first_draws).reshape(
+            initialising, first_draws
+        )
         self._streams = noise_streams(draws)
         self._period = math.lcm(*(stream.every for stream in self._streams))
         if self._period > _LONGEST_PERIOD:
-            raise ValueError(f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are possible")
+            raise ValueError(
+                f"the draws repeat every {self._period} frames; {_LONGEST_PERIOD} at most are possible"
+            )
         # Over a period: which number of those drawn in it stands in each row and column.
         rates = np.array([every for _, every in draws], dtype=np.int64)
-        drawn = np.arange(1, self._period + 1)[:, None] % rates == 0 if len(draws) else np.zeros((self._period, 0), dtype=bool)
+        drawn = (
+            np.arange(1, self._period + 1)[:, None] % rates == 0
+            if len(draws)
+            else np.zeros((self._period, 0), dtype=bool)
+        )
         number = np.cumsum(drawn.ravel()).reshape(drawn.shape) - 1
         self._per_period = int(drawn.sum())
-        self._places = {s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams}
+        self._places = {
+            s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams
+        }
         self._held = {s.name: np.empty((0, len(s.columns))) for s in self._streams}
         # Numbers stand in periods: those of the begun one are left.
         self._frame = frame - frame % self._period
@@ -97,7 +130,10 @@ class Noise:
         last = self._frame + count
         out = {}
         wanted = {s.name: last // s.every - self._frame // s.every for s in self._streams}
-        lacking = [-(-(wanted[name] - len(self._held[name])) // len(places)) for name, places in self._places.items()]
+        lacking = [
+            -(-(wanted[name] - len(self._held[name])) // len(places))
+            for name, places in self._places.items()
+        ]
         self._draw(max(lacking, default=0))
         for stream in self._streams:
             held, n = self._held[stream.name], wanted[stream.name]
@@ -114,7 +150,9 @@ class Noise:
             # With one rate the numbers stand in order already.
             rows = drawn if places.size == self._per_period else drawn[:, places.ravel()]
             rows = rows.reshape(periods * len(places), places.shape[1])
-            self._held[name] = np.concatenate([self._held[name], rows]) if len(self._held[name]) else rows
+            self._held[name] = (
+                np.concatenate([self._held[name], rows]) if len(self._held[name]) else rows
+            )
 
 
 class Turbulence:
@@ -133,11 +171,17 @@ class HostGusts:
     """Gusts of ``flight.dryden`` at constant airspeed and height, with the columns of GUSTS."""
 
     def __init__(
-        self, parameters: DrydenParameters, dt_s: float, seed: int | Sequence[int], target: Target | None = None,
+        self,
+        parameters: DrydenParameters,
+        dt_s: float,
+        seed: int | Sequence[int],
+        target: Target | None = None,
         splits: Sequence[Split] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         target = target or _widest()
-        self._gusts = DrydenGusts(parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target), splits)
+        self._gusts = DrydenGusts(
+            parameters, dt_s, seed, compiled_pairs(target), compiled_recursion(target), splits
+        )
         self._held, self._row = np.empty((0, len(GUSTS.columns))), 0
 
     def rows(self, n: int) -> Rows:
@@ -159,7 +203,9 @@ class HostGusts:
         """Gusts that leave these at the row where they stand, at the cost of a page; None where ``branch_from_now_on`` was not
         called before the page was made. Raises ValueError for a split at another row."""
         if split.frame != self._row:
-            raise ValueError(f"the gusts stand at row {self._row}; received a split at {split.frame}")
+            raise ValueError(
+                f"the gusts stand at row {self._row}; received a split at {split.frame}"
+            )
         other = copy.copy(self)
         if not len(self._held):
             other._gusts = copy.deepcopy(self._gusts)
@@ -177,9 +223,16 @@ class MovingLevels:
     """Levels of ``flight.levels``, with the columns of LEVELS or TRANSIENTS."""
 
     def __init__(
-        self, driver: LevelDriver | TransientDriver, dt_s: float, target: Target | None = None, splits: Sequence[Split] = ()
+        self,
+        driver: LevelDriver | TransientDriver,
+        dt_s: float,
+        target: Target | None = None,
+        splits: Sequence[Split] = (),
     ) -> None:
-        self._levels, self._row = Levels(driver, dt_s, compiled_pairs(target or _widest()), splits), 0
+        self._levels, self._row = (
+            Levels(driver, dt_s, compiled_pairs(target or _widest()), splits),
+            0,
+        )
 
     def rows(self, n: int) -> Rows:
         """The next ``n`` rows (n, 6) in 0..1, transient ones in -1..1."""

@@ -31,12 +31,23 @@ class FlightKernel:
     _engine: Any
     _call: Any
 
-    def fly(self, state: np.ndarray, first_frame: int, frames: int, streams: Feeds | None = None, stride: int = 1) -> np.ndarray:
+    def fly(
+        self,
+        state: np.ndarray,
+        first_frame: int,
+        frames: int,
+        streams: Feeds | None = None,
+        stride: int = 1,
+    ) -> np.ndarray:
         """See ``form.flying.Flyer``. Raises ValueError for arguments that do not fit. Other threads of Python run meanwhile."""
         call = checked(self.program, state, first_frame, frames, streams, stride)
-        feeds = [(f.array.ctypes.data, f.offsets.ctypes.data, f.first_row, f.rows) for f in call.feeds]
+        feeds = [
+            (f.array.ctypes.data, f.offsets.ctypes.data, f.first_row, f.rows) for f in call.feeds
+        ]
         described = np.array(feeds, dtype=np.int64)
-        sizes = np.array([stride, call.records.shape[2], (first_frame - 1) // stride + 1], dtype=np.int64)
+        sizes = np.array(
+            [stride, call.records.shape[2], (first_frame - 1) // stride + 1], dtype=np.int64
+        )
         scratch = np.empty(max(1, len(self.program.slots)) * BLOCK)
         arrays = (state, scratch, described, call.records, sizes)
         pointers = [array.ctypes.data for array in arrays]
@@ -72,11 +83,21 @@ class _ProgramPrinter:
         """The whole function."""
         program = self.program
         prelude = [] if program.prelude is None else self._function(program.prelude, "once.", None)
-        begins = [line for k, stream in enumerate(program.streams) for line in self._stream_begin(k, stream)]
-        frame = [line for k, stream in enumerate(program.streams) for line in self._stream(k, stream)]
-        frame += [line for k, section in enumerate(program.sections) for line in self._section(k, section)]
+        begins = [
+            line
+            for k, stream in enumerate(program.streams)
+            for line in self._stream_begin(k, stream)
+        ]
+        frame = [
+            line for k, stream in enumerate(program.streams) for line in self._stream(k, stream)
+        ]
+        frame += [
+            line for k, section in enumerate(program.sections) for line in self._section(k, section)
+        ]
         recorded = self._record()
-        pointers = ", ".join(f"ptr noalias %{name}" for name in ("state", "slots", "feeds", "records", "sizes"))
+        pointers = ", ".join(
+            f"ptr noalias %{name}" for name in ("state", "slots", "feeds", "records", "sizes")
+        )
         return f"""{self.vectors.declarations()}
 define void @fly({pointers}, i64 %blocks, i64 %first, i64 %last) #0 {{
 entry:
@@ -149,7 +170,11 @@ done:
 
     def _function(self, function: Function, prefix: str, mask: str | None) -> list[str]:
         return FunctionPrinter(
-            function, self.vectors, lambda _, name: ("%slots", self.rows[name] * self.width), prefix, mask
+            function,
+            self.vectors,
+            lambda _, name: ("%slots", self.rows[name] * self.width),
+            prefix,
+            mask,
         ).lines()
 
     def _section(self, number: int, section: Section) -> list[str]:
@@ -159,8 +184,14 @@ done:
         if when.mask is not None:
             mask = f"%{prefix}mask"
             out += self._load(when.mask, f"{prefix}flag")
-            out.append(f"  {mask} = fcmp une {self.vector} %{prefix}flag, {self.vectors.number(0.0)}")
-            out += [*self._any(mask, prefix), f"  br i1 %{prefix}any, label %{prefix}some, label %{prefix}over", f"{prefix}some:"]
+            out.append(
+                f"  {mask} = fcmp une {self.vector} %{prefix}flag, {self.vectors.number(0.0)}"
+            )
+            out += [
+                *self._any(mask, prefix),
+                f"  br i1 %{prefix}any, label %{prefix}some, label %{prefix}over",
+                f"{prefix}some:",
+            ]
         out += self._function(section.function, prefix, mask)
         return [*out, f"  br label %{prefix}over", f"{prefix}over:"]
 
@@ -168,14 +199,25 @@ done:
         """Goes to <prefix>over in frames in which the section does not run."""
         tests = []
         if when.every != 1:
-            tests.append(f"  %{prefix}rest = urem i64 %k, {when.every}\n  %{prefix}test0 = icmp eq i64 %{prefix}rest, 0")
+            tests.append(
+                f"  %{prefix}rest = urem i64 %k, {when.every}\n  %{prefix}test0 = icmp eq i64 %{prefix}rest, 0"
+            )
         if when.at is not None:
             tests.append(f"  %{prefix}test1 = icmp eq i64 %k, {when.at}")
-        names = [f"%{prefix}test{number}" for number, asked in enumerate((when.every != 1, when.at is not None)) if asked]
+        names = [
+            f"%{prefix}test{number}"
+            for number, asked in enumerate((when.every != 1, when.at is not None))
+            if asked
+        ]
         if not names:
             return [f"  br label %{prefix}run", f"{prefix}run:"]
         both = f"  %{prefix}due = and i1 {names[0]}, {names[-1]}"
-        return [*tests, both, f"  br i1 %{prefix}due, label %{prefix}run, label %{prefix}over", f"{prefix}run:"]
+        return [
+            *tests,
+            both,
+            f"  br i1 %{prefix}due, label %{prefix}run, label %{prefix}over",
+            f"{prefix}run:",
+        ]
 
     def _any(self, mask: str, prefix: str) -> list[str]:
         if self.width == 1:
@@ -193,7 +235,9 @@ done:
         me = f"%stream{number}"
         out = []
         for field, kind in enumerate(("ptr", "ptr", "i64", "i64")):
-            out.append(f"  {me}.at{field} = getelementptr i64, ptr %feeds, i64 {number * 4 + field}")
+            out.append(
+                f"  {me}.at{field} = getelementptr i64, ptr %feeds, i64 {number * 4 + field}"
+            )
             out.append(f"  {me}.given{field} = load {kind}, ptr {me}.at{field}, align 8")
         for lane in range(self.width):
             part = f"{me}.{lane}"
@@ -222,7 +266,10 @@ done:
                 f"  %{prefix}row = sub i64 %{prefix}turn, 1",
                 f"  %{prefix}begin = mul i64 %{prefix}row, {len(stream.columns)}",
             ]
-            out += [f"  %{prefix}at{j} = getelementptr double, ptr {me}.base{j}, i64 %{prefix}begin" for j in range(self.width)]
+            out += [
+                f"  %{prefix}at{j} = getelementptr double, ptr {me}.base{j}, i64 %{prefix}begin"
+                for j in range(self.width)
+            ]
         for column, slot in enumerate(stream.columns):
             name = f"%{prefix}c{column}."
             for j in range(self.width):
@@ -231,9 +278,13 @@ done:
             value = self._gathered(out, f"{name}v", [f"{name}x{j}" for j in range(self.width)])
             if stream.counter:
                 nan = self.vectors.splat(F64, "0x7FF8000000000000")
-                out.append(f"  {name}r = select {self.vectors.of(I1)} %{prefix}there, {self.vector} {value}, {self.vector} {nan}")
+                out.append(
+                    f"  {name}r = select {self.vectors.of(I1)} %{prefix}there, {self.vector} {value}, {self.vector} {nan}"
+                )
                 value = f"{name}r"
-            out.append(f"  {name}slot = getelementptr double, ptr %slots, i64 {self.rows[slot] * self.width}")
+            out.append(
+                f"  {name}slot = getelementptr double, ptr %slots, i64 {self.rows[slot] * self.width}"
+            )
             out.append(f"  store {self.vector} {value}, ptr {name}slot, align 8")
         return [*out, f"  br label %{prefix}over", f"{prefix}over:"]
 

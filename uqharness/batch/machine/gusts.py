@@ -19,16 +19,35 @@ def compiled_recursion(target: Target) -> gust_filters.Recur:
     """The same as ``flight.gust_filters.numpy_recursion``, for a multiple of four segments."""
     code = built(_text(target), "recur", target)
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    call = ctypes.CFUNCTYPE(None, *[pointer] * 3, integer, integer, ctypes.c_double, pointer)(code.address)
+    call = ctypes.CFUNCTYPE(None, *[pointer] * 3, integer, integer, ctypes.c_double, pointer)(
+        code.address
+    )
 
     def recur(
-        drive: gust_filters.Array, powers: gust_filters.Array, inverse: gust_filters.Array, last: float
+        drive: gust_filters.Array,
+        powers: gust_filters.Array,
+        inverse: gust_filters.Array,
+        last: float,
     ) -> gust_filters.Array:
         segments = drive.size // powers.size
-        if segments * powers.size != drive.size or segments % _SIDE_BY_SIDE or not drive.flags.c_contiguous:
-            raise ValueError(f"{drive.size} steps are not a multiple of {_SIDE_BY_SIDE} segments of {powers.size} in one piece")
+        if (
+            segments * powers.size != drive.size
+            or segments % _SIDE_BY_SIDE
+            or not drive.flags.c_contiguous
+        ):
+            raise ValueError(
+                f"{drive.size} steps are not a multiple of {_SIDE_BY_SIDE} segments of {powers.size} in one piece"
+            )
         out = np.empty(drive.size + 1)
-        call(drive.ctypes.data, powers.ctypes.data, inverse.ctypes.data, segments, powers.size, last, out.ctypes.data)
+        call(
+            drive.ctypes.data,
+            powers.ctypes.data,
+            inverse.ctypes.data,
+            segments,
+            powers.size,
+            last,
+            out.ctypes.data,
+        )
         return out
 
     # Machine code lives as long as its engine.
@@ -39,7 +58,9 @@ def compiled_recursion(target: Target) -> gust_filters.Recur:
 def _text(target: Target) -> str:
     """``void recur(drive, powers, inverse, i64 segments, i64 steps, double last, out)``: sums of segments, then their states."""
     chains = range(_SIDE_BY_SIDE)
-    sums = "\n".join(f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains)
+    sums = "\n".join(
+        f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains
+    )
     body = "\n".join(
         f"""  %start{c} = add i64 %segment, {c}
   %base{c} = mul i64 %start{c}, %steps

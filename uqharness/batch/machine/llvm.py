@@ -47,7 +47,11 @@ class Kernel:
         """One frame on arrays of shape (blocks, rows, BLOCK), doubles, contiguous; ``state`` and ``outputs`` are written."""
         rows = (len(self.inputs), len(self.slots), len(self.outputs))
         for array, count in zip((inputs, state, outputs), rows, strict=True):
-            if array.shape != (inputs.shape[0], count, BLOCK) or array.dtype != np.float64 or not array.flags.c_contiguous:
+            if (
+                array.shape != (inputs.shape[0], count, BLOCK)
+                or array.dtype != np.float64
+                or not array.flags.c_contiguous
+            ):
                 raise ValueError(
                     f"blocks of shape {(inputs.shape[0], count, BLOCK)} are wanted; received {array.shape} of {array.dtype}"
                 )
@@ -59,7 +63,15 @@ def compiled(function: Function, target: Target) -> Kernel:
     code = built(printed(function, target), "frame", target, listing=True)
     pointer, count = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, pointer, pointer, pointer, count)(code.address)
-    return Kernel(function.inputs, function.slots, tuple(function.outputs), target, code.assembly, code.engine, call)
+    return Kernel(
+        function.inputs,
+        function.slots,
+        tuple(function.outputs),
+        target,
+        code.assembly,
+        code.engine,
+        call,
+    )
 
 
 def printed(function: Function, target: Target) -> str:
@@ -68,11 +80,20 @@ def printed(function: Function, target: Target) -> str:
     places: dict[tuple[str, str], tuple[str, int]] = {}
     for row, name in enumerate(function.slots):
         places["load", name] = places["store", name] = ("%state.here", row * BLOCK)
-    places |= {("input", name): ("%inputs.here", row * BLOCK) for row, name in enumerate(function.inputs)}
-    places |= {("output", name): ("%outputs.here", row * BLOCK) for row, name in enumerate(function.outputs)}
+    places |= {
+        ("input", name): ("%inputs.here", row * BLOCK) for row, name in enumerate(function.inputs)
+    }
+    places |= {
+        ("output", name): ("%outputs.here", row * BLOCK)
+        for row, name in enumerate(function.outputs)
+    }
     printer = FunctionPrinter(function, vectors, lambda what, name: places[what, name])
     body = "\n".join(printer.lines())
-    sizes = {"inputs": len(function.inputs), "state": len(function.slots), "outputs": len(function.outputs)}
+    sizes = {
+        "inputs": len(function.inputs),
+        "state": len(function.slots),
+        "outputs": len(function.outputs),
+    }
     starts = "\n".join(
         f"  %{array}.start = mul i64 %block, {count * BLOCK}\n"
         f"  %{array}.lane = add i64 %{array}.start, %lane\n"

@@ -66,7 +66,9 @@ class Vectors:
     def table(self, values: tuple[float, ...]) -> str:
         """The name of a row of constants."""
         text = ", ".join(f"double {_hexadecimal(x)}" for x in values)
-        return self._tables.setdefault(f"[{len(values)} x double] [{text}]", f"@table{len(self._tables)}")
+        return self._tables.setdefault(
+            f"[{len(values)} x double] [{text}]", f"@table{len(self._tables)}"
+        )
 
     def declarations(self) -> str:
         """LLVM's own functions that operations call, and the tables that have been named."""
@@ -74,7 +76,13 @@ class Vectors:
         names = [*_CALL.values(), "llvm.floor"]
         tables = (f"{name} = private constant {text}" for text, name in self._tables.items())
         pair = f"declare {vector} @llvm.copysign.{self.suffix}({vector}, {vector})"
-        return "\n".join([*(f"declare {vector} @{name}.{self.suffix}({vector})" for name in names), pair, *tables])
+        return "\n".join(
+            [
+                *(f"declare {vector} @{name}.{self.suffix}({vector})" for name in names),
+                pair,
+                *tables,
+            ]
+        )
 
 
 class FunctionPrinter:
@@ -83,8 +91,21 @@ class FunctionPrinter:
     With ``mask``, the name of truth values, slots are written only in lanes where it is true.
     """
 
-    def __init__(self, function: Function, vectors: Vectors, place: Place, prefix: str = "", mask: str | None = None) -> None:
-        self.function, self.vectors, self.place, self.prefix, self.mask = function, vectors, place, prefix, mask
+    def __init__(
+        self,
+        function: Function,
+        vectors: Vectors,
+        place: Place,
+        prefix: str = "",
+        mask: str | None = None,
+    ) -> None:
+        self.function, self.vectors, self.place, self.prefix, self.mask = (
+            function,
+            vectors,
+            place,
+            prefix,
+            mask,
+        )
         self._written = 0
 
     def lines(self) -> list[str]:
@@ -103,7 +124,11 @@ class FunctionPrinter:
 
     def _stores_due(self) -> dict[int, list[tuple[str, str, int]]]:
         """Node to what is written behind it: a slot's new value not before its old one has been read."""
-        read = {node.name: index for index, node in enumerate(self.function.nodes) if node.operation == "load"}
+        read = {
+            node.name: index
+            for index, node in enumerate(self.function.nodes)
+            if node.operation == "load"
+        }
         due: dict[int, list[tuple[str, str, int]]] = {}
         for name, index in self.function.stores.items():
             due.setdefault(max(index, read.get(name, 0)), []).append(("store", name, index))
@@ -118,7 +143,9 @@ class FunctionPrinter:
         if what == "store" and self.mask is not None:
             old, new = f"%{self.prefix}o{number}", f"%{self.prefix}n{number}"
             out.append(f"  {old} = load {vector}, ptr {at}, align 8")
-            out.append(f"  {new} = select {self.vectors.of(I1)} {self.mask}, {vector} {value}, {vector} {old}")
+            out.append(
+                f"  {new} = select {self.vectors.of(I1)} {self.mask}, {vector} {value}, {vector} {old}"
+            )
             value = new
         out.append(f"  store {vector} {value}, ptr {at}, align 8")
 
@@ -190,7 +217,9 @@ class FunctionPrinter:
     def _operation(self, index: int, node: Node) -> list[str]:
         operation = node.operation
         if operation in TRANSCENDENTAL:
-            raise ValueError(f"{operation} is compiled only after form.maths.lower has written it out")
+            raise ValueError(
+                f"{operation} is compiled only after form.maths.lower has written it out"
+            )
         names = [self.name(i) for i in node.arguments]
         if operation == "lookup":
             table = self.function.nodes[node.arguments[0]].value
@@ -210,11 +239,15 @@ class FunctionPrinter:
                 f"{me} select {self.vectors.of(I1)} {test}, {kinds[0]} {names[0]}, {kinds[1]} {names[1]}",
             ]
         if operation in _CALL:
-            return [f"{me} call {kinds[0]} @{_CALL[operation]}.{self.vectors.suffix}({kinds[0]} {names[0]})"]
+            return [
+                f"{me} call {kinds[0]} @{_CALL[operation]}.{self.vectors.suffix}({kinds[0]} {names[0]})"
+            ]
         if operation == "floor":
             return self._floor(index, names[0])
         if operation == "select":
-            return [f"{me} select {kinds[0]} {names[0]}, {kinds[1]} {names[1]}, {kinds[2]} {names[2]}"]
+            return [
+                f"{me} select {kinds[0]} {names[0]}, {kinds[1]} {names[1]}, {kinds[2]} {names[2]}"
+            ]
         if operation == "neg":
             return [f"{me} fneg {kinds[0]} {names[0]}"]
         if operation == "not":

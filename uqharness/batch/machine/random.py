@@ -140,7 +140,9 @@ def _drawing(target: Target, modulus: int, factors: list[int]) -> str:
     for part in range(parts):
         for k in range(4):
             me = f"{part}.{k}"
-            leaps = ", ".join(f"i64 {factors[4 * (part * width + lane) + k]}" for lane in range(width))
+            leaps = ", ".join(
+                f"i64 {factors[4 * (part * width + lane) + k]}" for lane in range(width)
+            )
             lines += [
                 f"  %p{me} = mul {vector} %states, <{leaps}>",
                 *fold(f"p{me}", f"q{me}"),

@@ -37,7 +37,9 @@ def targets() -> dict[str, Target]:
     out = {"scalar": SCALAR, "sse2": SSE2}
     if all(features.get(f, False) for f in ("avx2", "fma", "bmi2")):
         out["avx2"] = AVX2
-    if all(features.get(f, False) for f in ("avx512f", "avx512dq", "avx512vl", "avx512bw", "avx512cd")):
+    if all(
+        features.get(f, False) for f in ("avx512f", "avx512dq", "avx512vl", "avx512bw", "avx512cd")
+    ):
         out["avx512"] = AVX512
     return out
 

@@ -26,7 +26,9 @@ def trace_air_data(frame: Frame) -> None:
     """Write them; behind the auxiliary model's airspeed and Mach number."""
     b = frame.builder
     speed, mach = frame.get("velocities/vt-fps"), frame.get("velocities/mach")
-    pressure, temperature, density = (frame.get(f"atmosphere/{name}") for name in ("P-psf", "T-R", "rho-slugs_ft3"))
+    pressure, temperature, density = (
+        frame.get(f"atmosphere/{name}") for name in ("P-psf", "T-R", "rho-slugs_ft3")
+    )
     total = _pitot(b, mach, pressure)
     calibrated = mach.ne(0.0).choose(_A0_FPS * _mach(b, (total - pressure) / _P0_PSF + 1.0), 0.0)
     frame.write("velocities/vc-fps", calibrated)
@@ -37,7 +39,9 @@ def trace_air_data(frame: Frame) -> None:
     frame.write("propulsion/pt-lbs_sqft", total)
     frame.write("propulsion/tat-r", hot)
     frame.write("propulsion/tat-c", (hot - 491.67) / 1.8)
-    viscosity = _VISCOSITY * (temperature * b.op("sqrt", temperature)) / (_SUTHERLAND_R + temperature)
+    viscosity = (
+        _VISCOSITY * (temperature * b.op("sqrt", temperature)) / (_SUTHERLAND_R + temperature)
+    )
     frame.write("aero/Re", speed * frame.get("metrics/cbarw-ft") / (viscosity / density))
 
 
@@ -49,7 +53,9 @@ def trace_ratios(frame: Frame) -> None:
         ("sigma", "rho-slugs_ft3", "rho-sl-slugs_ft3"),
         ("a-ratio", "a-fps", "a-sl-fps"),
     ):
-        frame.write(f"atmosphere/{name}", frame.get(f"atmosphere/{of}") / frame.get(f"atmosphere/{below}"))
+        frame.write(
+            f"atmosphere/{name}", frame.get(f"atmosphere/{of}") / frame.get(f"atmosphere/{below}")
+        )
 
 
 def _pitot(b: Builder, mach: Value, pressure: Value) -> Value:

@@ -14,9 +14,16 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.frame import Frame
 
 _LAYERS = (
-    (0.0, 518.67), (36089.2388, 389.97), (65616.7979, 389.97), (104986.8766, 411.57), (154199.4751, 487.17),
-    (167322.8346, 487.17), (232939.6325, 386.37), (278385.8268, 336.5028), (298556.4304, 336.5028),
-)  # fmt: skip
+    (0.0, 518.67),
+    (36089.2388, 389.97),
+    (65616.7979, 389.97),
+    (104986.8766, 411.57),
+    (154199.4751, 487.17),
+    (167322.8346, 487.17),
+    (232939.6325, 386.37),
+    (278385.8268, 336.5028),
+    (298556.4304, 336.5028),
+)
 """Geopotential height [ft] and temperature [deg R] of the breakpoints."""
 _EARTH_RADIUS_FT = 6356766.0 / FT_M
 _G0_FPS2 = G0_MPS2 / FT_M
@@ -56,7 +63,10 @@ def trace_atmosphere(frame: Frame) -> None:
     isothermal = slope.eq(0.0)
     # P = Pb (Tb/(Tb + L dh))^(g/RL), or Pb exp(-g dh/RTb) in an isothermal layer: eqs 33a and 33b of the standard
     ratio = isothermal.choose(1.0, at_base / (at_base + slope * above))
-    power = isothermal.choose(-(exponent * above / at_base), (exponent / isothermal.choose(1.0, slope)) * b.op("log", ratio))
+    power = isothermal.choose(
+        -(exponent * above / at_base),
+        (exponent / isothermal.choose(1.0, slope)) * b.op("log", ratio),
+    )
     pressure = pick(list(pressures)) * b.op("exp", power)
     frame.write("atmosphere/T-R", temperature)
     frame.write("atmosphere/P-psf", pressure)
@@ -64,7 +74,9 @@ def trace_atmosphere(frame: Frame) -> None:
     frame.write("atmosphere/a-fps", b.op("sqrt", _GAMMA * _R_DRY * temperature))
     sl_temperature = _LAYERS[0][1] + bias
     frame.write("atmosphere/T-sl-R", sl_temperature)
-    frame.write("atmosphere/rho-sl-slugs_ft3", frame.get("atmosphere/P-sl-psf") / (_R_DRY * sl_temperature))
+    frame.write(
+        "atmosphere/rho-sl-slugs_ft3", frame.get("atmosphere/P-sl-psf") / (_R_DRY * sl_temperature)
+    )
     frame.write("atmosphere/a-sl-fps", b.op("sqrt", _GAMMA * _R_DRY * sl_temperature))
     _trace_altitudes(frame)
 
@@ -76,7 +88,10 @@ def _breakpoints(bias: Value, at_sea_level: Value) -> list[Value]:
     for ((h0, t0), (h1, _)), slope in zip(itertools.pairwise(_LAYERS), _SLOPES, strict=True):
         foot = t0 + bias
         if slope:
-            factor = b.op("exp", (_G0_FPS2 / (_R_DRY * slope)) * b.op("log", foot / (foot + slope * (h1 - h0))))
+            factor = b.op(
+                "exp",
+                (_G0_FPS2 / (_R_DRY * slope)) * b.op("log", foot / (foot + slope * (h1 - h0))),
+            )
         else:
             factor = b.op("exp", -(_G0_FPS2 * (h1 - h0) / _R_DRY / foot))
         found.append(found[-1] * factor)
@@ -110,6 +125,8 @@ def _standard_height(value: Value, feet: list[Value], exponents: list[float]) ->
     scale = pick([t / slope if slope else 0.0 for (_, t), slope in layers])
     flat = pick([0.0 if slope else -_R_DRY * t / _G0_FPS2 for (_, t), slope in layers])
     # Eqs 33a and 33b of the standard solved for the height
-    rise = flat.ne(0.0).choose(flat * logarithm, scale * (b.op("exp", pick(exponents) * logarithm) - 1.0))
+    rise = flat.ne(0.0).choose(
+        flat * logarithm, scale * (b.op("exp", pick(exponents) * logarithm) - 1.0)
+    )
     height = pick([h for (h, _), _ in layers]) + rise
     return height * _EARTH_RADIUS_FT / (_EARTH_RADIUS_FT - height)

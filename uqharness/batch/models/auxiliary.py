@@ -48,7 +48,9 @@ def trace_auxiliary(frame: Frame) -> None:
     frame.write("velocities/mach", speed / sound)
     frame.write("velocities/machU", u / sound)
     moving = speed.gt(0.0)
-    equivalent = moving.choose(b.op("sqrt", 2.0 * (half * square) / STANDARD_DENSITY_SLUGS_FT3), 0.0)
+    equivalent = moving.choose(
+        b.op("sqrt", 2.0 * (half * square) / STANDARD_DENSITY_SLUGS_FT3), 0.0
+    )
     frame.write("velocities/ve-fps", equivalent)
     _path(frame)
     _attitude_rates(frame, pqr)
@@ -102,9 +104,13 @@ def _attitude_rates(frame: Frame, pqr: Vector) -> None:
     sine, cosine = b.op("sin", phi), b.op("cos", phi)
     frame.write("velocities/thetadot-rad_sec", q * cosine - r * sine)
     level = b.op("cos", theta)
-    psi_rate = level.ne(0.0).choose((q * sine + r * cosine) / level, frame.get("velocities/psidot-rad_sec"))
+    psi_rate = level.ne(0.0).choose(
+        (q * sine + r * cosine) / level, frame.get("velocities/psidot-rad_sec")
+    )
     frame.write("velocities/psidot-rad_sec", psi_rate)
-    phi_rate = level.ne(0.0).choose(p + psi_rate * b.op("sin", theta), frame.get("velocities/phidot-rad_sec"))
+    phi_rate = level.ne(0.0).choose(
+        p + psi_rate * b.op("sin", theta), frame.get("velocities/phidot-rad_sec")
+    )
     frame.write("velocities/phidot-rad_sec", phi_rate)
 
 
@@ -140,12 +146,19 @@ def arm(frame: Frame, at_in: tuple[Value, Value, Value]) -> Vector:
 def trace_start_distance(frame: Frame) -> None:
     """From the ellipsoid below the start of the flight in its local axes [ft]: position/from-start-neu-...; systems see it late."""
 
-    start = [frame.memory(f"start/{k}") for k in ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height")]
+    start = [
+        frame.memory(f"start/{k}")
+        for k in ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height")
+    ]
     here = [frame.get(f"position/ecef-{axis}-ft") for axis in "xyz"]
     if frame.initialising:
         place = [frame.memory(name) for name in PLACE]
         start = [*here, *place, frame.get("position/geod-alt-ft")]
-        for name, value in zip(("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height"), start, strict=True):
+        for name, value in zip(
+            ("x", "y", "z", "sin-lat", "cos-lat", "sin-lon", "cos-lon", "height"),
+            start,
+            strict=True,
+        ):
             frame.remember(f"start/{name}", value)
     dx, dy, dz = (h - s for h, s in zip(here, start[:3], strict=True))
     sin_lat, cos_lat, sin_lon, cos_lon, height = start[3:]

@@ -171,7 +171,15 @@ def _column(m: Matrix, k: int) -> Vector:
     return (m[0][k], m[1][k], m[2][k])
 
 
-def _publish(frame: Frame, at: earth.Place, uvw: Vector, pqr: Vector, rates: Vector, ned: Vector, local_to_body: Matrix) -> None:
+def _publish(
+    frame: Frame,
+    at: earth.Place,
+    uvw: Vector,
+    pqr: Vector,
+    rates: Vector,
+    ned: Vector,
+    local_to_body: Matrix,
+) -> None:
     b = frame.builder
     for name, value in zip("uvw", uvw, strict=True):
         frame.write(f"velocities/{name}-fps", value)
@@ -283,7 +291,10 @@ def trace_accelerations(frame: Frame) -> None:
     for name, value in zip("uvw", linear, strict=True):
         frame.write(f"accelerations/{name}dot-ft_sec2", value)
     g = gravity
-    frame.write("accelerations/gravity-ft_sec2", b.op("sqrt", b.value(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])))
+    frame.write(
+        "accelerations/gravity-ft_sec2",
+        b.op("sqrt", b.value(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])),
+    )
 
 
 BODY_ACCELERATION = [f"body-acceleration/{k}" for k in range(3)]

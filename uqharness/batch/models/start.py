@@ -13,14 +13,33 @@ from uqharness.batch.form.maths import lower
 from uqharness.batch.form.program import Section
 from uqharness.batch.models import earth
 from uqharness.batch.models.motion import slots
-from uqharness.batch.models.vectors import Quaternion, Vector, applied, cross, plus, rotation, times, transposed
+from uqharness.batch.models.vectors import (
+    Quaternion,
+    Vector,
+    applied,
+    cross,
+    plus,
+    rotation,
+    times,
+    transposed,
+)
 
 Array = NDArray[np.float64]
 
 CONDITIONS = (
-    "ic/lat-geod-rad", "ic/long-gc-rad", "ic/geod-alt-ft", "ic/phi-rad", "ic/theta-rad", "ic/psi-true-rad",
-    "ic/u-fps", "ic/v-fps", "ic/w-fps", "ic/p-rad_sec", "ic/q-rad_sec", "ic/r-rad_sec",
-)  # fmt: skip
+    "ic/lat-geod-rad",
+    "ic/long-gc-rad",
+    "ic/geod-alt-ft",
+    "ic/phi-rad",
+    "ic/theta-rad",
+    "ic/psi-true-rad",
+    "ic/u-fps",
+    "ic/v-fps",
+    "ic/w-fps",
+    "ic/p-rad_sec",
+    "ic/q-rad_sec",
+    "ic/r-rad_sec",
+)
 """What a start is made of."""
 _BITS = 44
 
@@ -28,13 +47,23 @@ _BITS = 44
 def rounded(value: float) -> float:
     """To 44 bits: initial conditions pass through the C library's sines, which differ in the last place between machines."""
     fraction, exponent = math.frexp(value)
-    return math.ldexp(round(math.ldexp(fraction, _BITS)), exponent - _BITS) if math.isfinite(value) else value
+    return (
+        math.ldexp(round(math.ldexp(fraction, _BITS)), exponent - _BITS)
+        if math.isfinite(value)
+        else value
+    )
 
 
 def _rounded(values: Array) -> Array:
     """`rounded` of every element."""
     fraction, exponent = np.frexp(values)
-    return np.asarray(np.where(np.isfinite(values), np.ldexp(np.rint(np.ldexp(fraction, _BITS)), exponent - _BITS), values))
+    return np.asarray(
+        np.where(
+            np.isfinite(values),
+            np.ldexp(np.rint(np.ldexp(fraction, _BITS)), exponent - _BITS),
+            values,
+        )
+    )
 
 
 def start_state(conditions: Mapping[str, Array]) -> dict[str, Array]:
@@ -45,7 +74,10 @@ def start_state(conditions: Mapping[str, Array]) -> dict[str, Array]:
 
 def start_conditions(conditions: Mapping[str, Array]) -> dict[str, Array]:
     """CONDITIONS as a start is made of them, arrays over lanes."""
-    return {name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float))) for name in CONDITIONS}
+    return {
+        name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float)))
+        for name in CONDITIONS
+    }
 
 
 def start_section() -> Section:
@@ -63,7 +95,12 @@ def _outputs() -> Function:
 
 def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
     lat, lon, height, phi, theta, psi, u, v, w, p, q, r = (read(name) for name in CONDITIONS)
-    sin_lat, cos_lat, sin_lon, cos_lon = b.op("sin", lat), b.op("cos", lat), b.op("sin", lon), b.op("cos", lon)
+    sin_lat, cos_lat, sin_lon, cos_lon = (
+        b.op("sin", lat),
+        b.op("cos", lat),
+        b.op("sin", lon),
+        b.op("cos", lon),
+    )
     squeeze = (earth.B_FT / earth.A_FT) ** 2
     normal = earth.A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
     across = (normal + height) * cos_lat
@@ -75,7 +112,11 @@ def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
     velocity = plus(applied(transposed(to_body), (u, v, w)), cross(spin, position))
     rates = plus((p, q, r), times((to_body[0][2], to_body[1][2], to_body[2][2]), earth.RATE_RADPS))
     values = {"attitude": attitude, "position": position, "velocity": velocity, "rates": rates}
-    return {f"#{name}": b.value(c) for part, vector in values.items() for name, c in zip(slots(part), vector, strict=True)}
+    return {
+        f"#{name}": b.value(c)
+        for part, vector in values.items()
+        for name, c in zip(slots(part), vector, strict=True)
+    }
 
 
 def _half(angle: Value) -> tuple[Value, Value]:

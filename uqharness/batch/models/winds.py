@@ -32,7 +32,20 @@ NORMALS = Stream("turbulence", DRAWS, counter=COUNTER)
 """Standard normals of JSBSim's atmosphere generator, a row for each frame in which the filters run."""
 MASK, HIGH = "#turbulence/on", "#turbulence/high"
 
-_HEIGHTS = (500.0, 1750.0, 3750.0, 7500.0, 15000.0, 25000.0, 35000.0, 45000.0, 55000.0, 65000.0, 75000.0, 80000.0)
+_HEIGHTS = (
+    500.0,
+    1750.0,
+    3750.0,
+    7500.0,
+    15000.0,
+    25000.0,
+    35000.0,
+    45000.0,
+    55000.0,
+    65000.0,
+    75000.0,
+    80000.0,
+)
 _SIGMA = (
     (3.2, 2.2, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     (4.2, 3.6, 3.3, 1.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -53,8 +66,13 @@ def set_psi(frame: Frame, value: Value) -> None:
     cosine, sine = b.op("cos", value), b.op("sin", value)
     frame.store(_PSI, none.choose(0.0, value))
     _keep_direction(frame, none.choose(1.0, cosine), none.choose(0.0, sine))
-    frame.store("atmosphere/wind-north-fps", none.choose(frame.get("atmosphere/wind-north-fps"), size * cosine))
-    frame.store("atmosphere/wind-east-fps", none.choose(frame.get("atmosphere/wind-east-fps"), size * sine))
+    frame.store(
+        "atmosphere/wind-north-fps",
+        none.choose(frame.get("atmosphere/wind-north-fps"), size * cosine),
+    )
+    frame.store(
+        "atmosphere/wind-east-fps", none.choose(frame.get("atmosphere/wind-east-fps"), size * sine)
+    )
     frame.store("atmosphere/wind-down-fps", none.choose(frame.get("atmosphere/wind-down-fps"), 0.0))
 
 
@@ -81,8 +99,11 @@ def _whole(name: str) -> Callable[[Frame, Value], None]:
 
 
 WRITES: Mapping[str, Callable[[Frame, Value], None]] = {
-    _PSI: set_psi, "atmosphere/wind-mag-fps": set_size, TYPE: _whole(TYPE), _SEVERITY: _whole(_SEVERITY),
-}  # fmt: skip
+    _PSI: set_psi,
+    "atmosphere/wind-mag-fps": set_size,
+    TYPE: _whole(TYPE),
+    _SEVERITY: _whole(_SEVERITY),
+}
 """For ``Frame.hooks``: properties whose setting moves others, or that are cut."""
 
 
@@ -166,7 +187,10 @@ def _total(frame: Frame) -> None:
     _keep_direction(frame, known.choose(along, cosine), known.choose(across, sine))
 
 
-OUT = (*(f"atmosphere/turb-{axis}-fps" for axis in AXES), *(f"atmosphere/{k}-turb-rad_sec" for k in "pqr"))
+OUT = (
+    *(f"atmosphere/turb-{axis}-fps" for axis in AXES),
+    *(f"atmosphere/{k}-turb-rad_sec" for k in "pqr"),
+)
 
 
 def _airspeed(frame: Frame) -> Value:
@@ -175,7 +199,9 @@ def _airspeed(frame: Frame) -> Value:
     total = b.constant(0.0)
     for axis in AXES:
         speed = frame.get(f"velocities/v-{axis}-fps")
-        relative = speed - (frame.get(f"atmosphere/wind-{axis}-fps") + frame.get(f"atmosphere/gust-{axis}-fps"))
+        relative = speed - (
+            frame.get(f"atmosphere/wind-{axis}-fps") + frame.get(f"atmosphere/gust-{axis}-fps")
+        )
         total = total + relative * relative
     return b.op("sqrt", total)
 
@@ -196,7 +222,12 @@ def _sizes(frame: Frame) -> tuple[Value, Value, Value, Value]:
     between = (h - 1000.0) / 1000.0
     l_high = high.choose(1750.0, 1000.0 + between * 750.0)
     s_high = high.choose(aloft, sw_low + between * (aloft - sw_low))
-    return low.choose(lu_low, l_high), low.choose(lw_low, l_high), low.choose(su_low, s_high), low.choose(sw_low, s_high)
+    return (
+        low.choose(lu_low, l_high),
+        low.choose(lw_low, l_high),
+        low.choose(su_low, s_high),
+        low.choose(sw_low, s_high),
+    )
 
 
 def _aloft(frame: Frame, h: Value) -> Value:
@@ -208,7 +239,9 @@ def _aloft(frame: Frame, h: Value) -> Value:
         found: Value = b.constant(sigmas[-1])
         for k in range(len(_HEIGHTS) - 2, -1, -1):
             weight = (h - _HEIGHTS[k]) / (_HEIGHTS[k + 1] - _HEIGHTS[k])
-            found = h.lt(_HEIGHTS[k + 1]).choose(sigmas[k] + weight * (sigmas[k + 1] - sigmas[k]), found)
+            found = h.lt(_HEIGHTS[k + 1]).choose(
+                sigmas[k] + weight * (sigmas[k + 1] - sigmas[k]), found
+            )
         return h.lt(_HEIGHTS[0]).choose(sigmas[0], found)
 
     found: Value = b.constant(math.nan)
@@ -289,7 +322,9 @@ def _first_order(frame: Frame, name: str, by: _Weights, size: Value, nu: Value) 
     return x
 
 
-def _second_order(frame: Frame, name: str, by: _Weights, size: Value, nu: Value) -> tuple[Value, Value]:
+def _second_order(
+    frame: Frame, name: str, by: _Weights, size: Value, nu: Value
+) -> tuple[Value, Value]:
     """Yeager (1998), eq 20: the new value and the one before; ``_slope`` needs both, so the caller keeps the new one."""
     x1, x2 = frame.memory(f"turbulence/{name}1"), frame.memory(f"turbulence/{name}2")
     nu1, nu2 = frame.memory(f"turbulence/nu-{name}1"), frame.memory(f"turbulence/nu-{name}2")

@@ -22,10 +22,17 @@ from uqharness.batch.translate.properties import writable
 from uqharness.batch.translate.scope import Scope, canonical
 from uqharness.xml import Document, Node
 
-_FORCES = {"wind": ("DRAG", "SIDE", "LIFT"), "axial-normal": ("AXIAL", "SIDE", "NORMAL"), "named": ("X", "Y", "Z")}
+_FORCES = {
+    "wind": ("DRAG", "SIDE", "LIFT"),
+    "axial-normal": ("AXIAL", "SIDE", "NORMAL"),
+    "named": ("X", "Y", "Z"),
+}
 _MOMENTS = ("ROLL", "PITCH", "YAW")
 _FRAMES = {"": "body", "BODY": "body", "STABILITY": "stability", "WIND": "wind"}
-_LIMITS = {"alphalimits": ("aero/alpha-min-rad", "aero/alpha-max-rad"), "hysteresis_limits": ("least", "greatest")}
+_LIMITS = {
+    "alphalimits": ("aero/alpha-min-rad", "aero/alpha-max-rad"),
+    "hysteresis_limits": ("least", "greatest"),
+}
 _ANGLES = {"RAD": 1.0, "": 1.0, "DEG": math.pi / 180.0}
 _TEXT = ("description", "documentation", "note", "reference", "title")
 
@@ -34,20 +41,29 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
     """Functions, then forces and moments about the CG [lbf, lbf ft] as forces/fb?-aero-lbs and moments/?-aero-lbsft."""
     with frame.section("aerodynamics"):
         scope = frame.scope(document)
-        children = [] if node is None else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+        children = (
+            []
+            if node is None
+            else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+        )
         if node is not None:
             scope.only(node, ("name",))
         _lift_squared(frame)
         functions = [child for child in children if child.tag == "function"]
         for child in functions:
             if child.attributes.get("type", "") not in ("", "pre", "post"):
-                scope.refuse(child, f"type='{child.attributes['type']}' of <function>: allowed are pre and post")
+                scope.refuse(
+                    child,
+                    f"type='{child.attributes['type']}' of <function>: allowed are pre and post",
+                )
             if child.attributes.get("type", "") != "post":
                 write_function(frame, scope, child, ("name", "type"))
         _shared(frame)
         _stall(frame, scope, [child for child in children if child.tag in _LIMITS])
         others = ("function", *_LIMITS)
-        force, moment = _axes(frame, scope, [child for child in children if child.tag not in others])
+        force, moment = _axes(
+            frame, scope, [child for child in children if child.tag not in others]
+        )
         for axis, value in zip("xyz", force, strict=True):
             frame.write(f"forces/fb{axis}-aero-lbs", value)
         for axis, value in zip("lmn", moment, strict=True):
@@ -58,7 +74,9 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
                 write_function(frame, scope, child, ("name", "type"))
 
 
-def write_function(frame: Frame, scope: Scope, node: Node, attributes: Sequence[str] = ("name",)) -> Value:
+def write_function(
+    frame: Frame, scope: Scope, node: Node, attributes: Sequence[str] = ("name",)
+) -> Value:
     """A function's value, put into the property of its name if it has one."""
     value = function_value(scope, node, attributes)
     name = node.attributes.get("name", "").strip()
@@ -73,14 +91,24 @@ def write_function(frame: Frame, scope: Scope, node: Node, attributes: Sequence[
 
 def functions_of(node: Node | None) -> list[Node]:
     """Every ``<function>`` with a name, in the order of the text."""
-    return [] if node is None else [child for child in node.walk() if child.tag == "function" and child.attributes.get("name")]
+    return (
+        []
+        if node is None
+        else [
+            child
+            for child in node.walk()
+            if child.tag == "function" and child.attributes.get("name")
+        ]
+    )
 
 
 def _lift_squared(frame: Frame) -> None:
     qbar, area = frame.get("aero/qbar-psf"), frame.get("metrics/Sw-sqft")
     fast = qbar.gt(1.0)
     coefficient = frame.get("forces/fwz-aero-lbs") / (area * qbar)
-    frame.write("aero/cl-squared", fast.choose(coefficient * coefficient, frame.get("aero/cl-squared")))
+    frame.write(
+        "aero/cl-squared", fast.choose(coefficient * coefficient, frame.get("aero/cl-squared"))
+    )
 
 
 def _shared(frame: Frame) -> None:
@@ -102,8 +130,14 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
         unit = node.attributes.get("unit", "")
         scope.only(node, ("unit",))
         tags = [child.tag for child in node.children if child.tag not in _TEXT]
-        if unit not in _ANGLES or sorted(tags) != ["max", "min"] or sum(other.tag == node.tag for other in limits) > 1:
-            scope.refuse(node, f"<{node.tag}> stands once, with one <min> and one <max> in RAD or DEG")
+        if (
+            unit not in _ANGLES
+            or sorted(tags) != ["max", "min"]
+            or sum(other.tag == node.tag for other in limits) > 1
+        ):
+            scope.refuse(
+                node, f"<{node.tag}> stands once, with one <min> and one <max> in RAD or DEG"
+            )
         for tag, name in zip(("min", "max"), _LIMITS[node.tag], strict=True):
             child = node.all(tag)[0]
             scope.only(child)
@@ -113,7 +147,10 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
         frame.write(name, found[name])
     warned = alpha.gt(0.85 * most).choose(10.0 * (alpha / most - 0.85), 0.0)
     frame.write("systems/stall-warn-norm", most.ne(0.0).choose(warned, 0.0))
-    before, both = frame.get("aero/stall-hyst-norm"), b.op("and", found["least"].ne(0.0), found["greatest"].ne(0.0))
+    before, both = (
+        frame.get("aero/stall-hyst-norm"),
+        b.op("and", found["least"].ne(0.0), found["greatest"].ne(0.0)),
+    )
     held = alpha.gt(found["greatest"]).choose(1.0, alpha.lt(found["least"]).choose(0.0, before))
     frame.write("aero/stall-hyst-norm", both.choose(held, before))
 
@@ -126,7 +163,10 @@ def _along_wind(frame: Frame, force: Vector) -> None:
         for axis, value in zip("xyz", (-x, y, -z), strict=True):
             frame.write(f"forces/f{kind}{axis}-aero-lbs", value)
     drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
-    frame.write("forces/lod-norm", drag.ne(0.0).choose(b.op("abs", lift / drag), frame.get("forces/lod-norm")))
+    frame.write(
+        "forces/lod-norm",
+        drag.ne(0.0).choose(b.op("abs", lift / drag), frame.get("forces/lod-norm")),
+    )
 
 
 def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vector]:
@@ -134,7 +174,9 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
     named: dict[str, Node] = {}
     for axis in axes:
         if axis.tag != "axis":
-            scope.refuse(axis, f"<{axis.tag}> in <aerodynamics> is not understood; function and axis are")
+            scope.refuse(
+                axis, f"<{axis.tag}> in <aerodynamics> is not understood; function and axis are"
+            )
         scope.only(axis, ("name", "unit", "frame"))
         name = axis.attributes.get("name", "")
         if name in named:
@@ -142,12 +184,19 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
         if name not in _MOMENTS and not any(name in names for names in _FORCES.values()):
             scope.refuse(axis, f"axis '{name}' is not understood")
         if axis.attributes.get("frame", "") not in _FRAMES:
-            scope.refuse(axis, f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and WIND")
+            scope.refuse(
+                axis,
+                f"frame='{axis.attributes['frame']}' of an axis: allowed are BODY, STABILITY and WIND",
+            )
         named[name] = axis
     names, kind = _force_axes(scope, named)
-    frames = {_FRAMES[named[name].attributes.get("frame", "")] for name in _MOMENTS if name in named}
+    frames = {
+        _FRAMES[named[name].attributes.get("frame", "")] for name in _MOMENTS if name in named
+    }
     if len(frames) > 1:
-        scope.refuse(named[next(name for name in _MOMENTS if name in named)], "moments have one frame")
+        scope.refuse(
+            named[next(name for name in _MOMENTS if name in named)], "moments have one frame"
+        )
     sums = [_axis(frame, scope, named.get(name), name in _MOMENTS) for name in (*names, *_MOMENTS)]
     force = _to_body(frame, kind, (sums[0][0], sums[1][0], sums[2][0]))
     at_cg = _to_body(frame, kind, (sums[0][1], sums[1][1], sums[2][1]))
@@ -166,12 +215,16 @@ def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[
             scope.refuse(child, f"<{child.tag}> in an axis is not understood; functions are")
         at_cg = child.attributes.get("apply_at_cg", "false")
         if at_cg not in ("true", "false") or (at_cg == "true" and moment):
-            scope.refuse(child, f"apply_at_cg='{at_cg}': true or false is allowed, true for forces alone")
+            scope.refuse(
+                child, f"apply_at_cg='{at_cg}': true or false is allowed, true for forces alone"
+            )
     functions = [] if axis is None else axis.all("function")
     for place, wanted in enumerate(("false", "true")):
         for child in functions:
             if child.attributes.get("apply_at_cg", "false") == wanted:
-                sums[place] = sums[place] + write_function(frame, scope, child, ("name", "apply_at_cg"))
+                sums[place] = sums[place] + write_function(
+                    frame, scope, child, ("name", "apply_at_cg")
+                )
     return sums[0], sums[1]
 
 
@@ -181,10 +234,15 @@ def _force_axes(scope: Scope, named: dict[str, Node]) -> tuple[Sequence[str], st
     if not forces:
         return _FORCES["named"], "body"
     # SIDE alone is taken along the wind.
-    fitting = next((kind for kind, names in _FORCES.items() if all(name in names for name in forces)), None)
+    fitting = next(
+        (kind for kind, names in _FORCES.items() if all(name in names for name in forces)), None
+    )
     if fitting is None:
         first = named[forces[0]]
-        scope.refuse(first, f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL SIDE NORMAL)")
+        scope.refuse(
+            first,
+            f"axes {', '.join(forces)} do not belong to one system (DRAG SIDE LIFT, X Y Z, or AXIAL SIDE NORMAL)",
+        )
     if fitting != "named":
         return _FORCES[fitting], fitting
     frames = {_FRAMES[named[name].attributes.get("frame", "")] for name in forces}

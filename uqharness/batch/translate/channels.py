@@ -66,7 +66,9 @@ class Systems:
         if self.engines:
             with frame.section("levers"):
                 copy_levers(frame, self.engines)
-        channels = [(part.document, channel) for part in self.parts for channel in part.node.all("channel")]
+        channels = [
+            (part.document, channel) for part in self.parts for channel in part.node.all("channel")
+        ]
         for number, (document, channel) in enumerate(channels, start=1):
             _Channel(frame, document, channel, self.load_dt_s, f"channel-{number}").trace()
         _set_step(frame, 1)
@@ -94,7 +96,10 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
         if reading:
             scope.refuse(node, "this function reads itself")
         if node.attributes.get("copyto"):
-            scope.refuse(node, "this function is read before it is run, and copies what it gives; the batch engine does not")
+            scope.refuse(
+                node,
+                "this function is read before it is run, and copies what it gives; the batch engine does not",
+            )
         reading.append(name)
         found = function_value(scope, node, _FUNCTION)
         reading.pop()
@@ -106,11 +111,17 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
 def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
     """Have names of tables, and of operations inside functions, refused where they are read: JSBSim makes properties of them."""
     for outer in node.walk():
-        inside = [inner for inner in outer.walk() if inner is not outer] if outer.tag == "function" else []
+        inside = (
+            [inner for inner in outer.walk() if inner is not outer]
+            if outer.tag == "function"
+            else []
+        )
         for inner in [outer, *inside] if outer.tag in ("table", "t") else inside:
             name = inner.attributes.get("name", "")
             if name:
-                frame.live[property_of(_plain(document), inner, function_name(name))] = _refusal(document, inner, name)
+                frame.live[property_of(_plain(document), inner, function_name(name))] = _refusal(
+                    document, inner, name
+                )
 
 
 def function_name(name: str) -> str:
@@ -120,7 +131,10 @@ def function_name(name: str) -> str:
 
 def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
     def refuse() -> Value:
-        _plain(document).refuse(node, f"property {name} is made by a <{node.tag}> of that name, which the batch engine does not")
+        _plain(document).refuse(
+            node,
+            f"property {name} is made by a <{node.tag}> of that name, which the batch engine does not",
+        )
 
     return refuse
 
@@ -135,9 +149,13 @@ def _check(part: System) -> None:
     scope = _plain(part.document)
     for node in part.node.children:
         if node.tag not in ("property", "channel", "function", *_SILENT):
-            scope.refuse(node, f"<{node.tag}> in <{part.node.tag}> is not understood by the batch engine")
+            scope.refuse(
+                node, f"<{node.tag}> in <{part.node.tag}> is not understood by the batch engine"
+            )
         if node.tag == "function" and node.attributes.get("type", "") not in ("", "pre", "post"):
-            scope.refuse(node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post")
+            scope.refuse(
+                node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post"
+            )
     if part.outer is None:
         return
     document, outer = part.outer
@@ -146,7 +164,8 @@ def _check(part: System) -> None:
     for node in outer.children:
         if node.tag != "property" and node.tag not in _SILENT:
             _plain(document).refuse(
-                node, f"<{node.tag}> beside a file is not understood by the batch engine; allowed is <property>"
+                node,
+                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is <property>",
             )
 
 
@@ -166,7 +185,10 @@ def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document
             if copy:
                 target = property_of(scope, node, copy)
                 if read_only(target) or (frame.written is None and target not in frame.values):
-                    scope.refuse(node, f"property {target} cannot be written by copyto: JSBSim takes no value for it")
+                    scope.refuse(
+                        node,
+                        f"property {target} cannot be written by copyto: JSBSim takes no value for it",
+                    )
                 frame.write(target, value)
             if title:
                 own = property_of(scope, node, function_name(title))
@@ -191,7 +213,9 @@ class _Channel:
         text = self.node.attributes.get("execrate", "")
         rate = scope.number(self.node, text) if text else 1.0
         if rate < 0.0 or rate != int(rate):
-            scope.refuse(self.node, f"execrate of a <channel> is a whole number, 0 or more; received {text}")
+            scope.refuse(
+                self.node, f"execrate of a <channel> is a whole number, 0 or more; received {text}"
+            )
         # Rate 0 runs in every frame, but its components are told a step of 0.
         every = max(int(rate), 1)
         runs, mask = self._switched(every)
@@ -199,7 +223,10 @@ class _Channel:
             return
         _set_step(frame, every)
         when = When(1 if frame.initialising or mask is not None else every, mask=mask)
-        with frame.section(f"{self.document.where(self.node)}: channel {self.node.attributes.get('name', '')}", when):
+        with frame.section(
+            f"{self.document.where(self.node)}: channel {self.node.attributes.get('name', '')}",
+            when,
+        ):
             asked: list[bool] = []
 
             def started() -> Value:
@@ -212,7 +239,17 @@ class _Channel:
             components = [node for node in self.node.children if node.tag not in _SILENT]
             for number, node in enumerate(components, start=1):
                 key = f"{self.key}/{number}"
-                trace(Component(frame, frame.scope(self.document), node, self.load_dt_s * int(rate), int(rate), key, started))
+                trace(
+                    Component(
+                        frame,
+                        frame.scope(self.document),
+                        node,
+                        self.load_dt_s * int(rate),
+                        int(rate),
+                        key,
+                        started,
+                    )
+                )
             if asked:
                 frame.remember(f"{self.key}/started", 1.0)
 
@@ -229,7 +266,11 @@ class _Channel:
             runs = switch.ne(0.0)
             if every > 1:
                 before = frame.memory(count_slot, float(every))
-                count = before if frame.initialising else before.ge(float(every)).choose(0.0, before) + 1.0
+                count = (
+                    before
+                    if frame.initialising
+                    else before.ge(float(every)).choose(0.0, before) + 1.0
+                )
                 frame.remember(count_slot, runs.choose(count, before), float(every))
                 runs = frame.builder.op("and", runs, count.ge(float(every)))
             frame.remember(slot, runs.choose(1.0, 0.0))

@@ -6,7 +6,10 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.scope import Scope
 from uqharness.xml import Node
 
-COMPARISONS = {word: word.lower() for word in ("EQ", "NE", "GT", "GE", "LT", "LE", "eq", "ne", "gt", "ge", "lt", "le")}
+COMPARISONS = {
+    word: word.lower()
+    for word in ("EQ", "NE", "GT", "GE", "LT", "LE", "eq", "ne", "gt", "ge", "lt", "le")
+}
 COMPARISONS |= {"==": "eq", "!=": "ne", ">": "gt", ">=": "ge", "<": "lt", "<=": "le"}
 """Words and signs of comparisons."""
 
@@ -24,11 +27,17 @@ def condition(scope: Scope, node: Node) -> Value:
     parts = [_comparison(scope, node, line) for line in node.text.split("\n") if line.strip()]
     for child in node.children:
         if child.tag != node.tag:
-            scope.refuse(child, f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and <{node.tag}>")
+            scope.refuse(
+                child,
+                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and <{node.tag}>",
+            )
         scope.only(child, ("logic",))
         parts.append(condition(scope, child))
     if not parts:
-        scope.refuse(node, f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or number")
+        scope.refuse(
+            node,
+            f"<{node.tag}> has no comparison; a line is a property, a comparison, and a property or number",
+        )
     result = parts[0]
     for part in parts[1:]:
         result = b.op("and" if logic == "AND" else "or", result, part)
@@ -38,7 +47,16 @@ def condition(scope: Scope, node: Node) -> Value:
 def _comparison(scope: Scope, node: Node, line: str) -> Value:
     """JSBSim divides at blanks alone: a tab does not."""
     words = [word.strip() for word in line.strip().split(" ") if word.strip()]
-    if len(words) != 3 or words[1] not in COMPARISONS or any(len(word.split()) != 1 for word in words):
+    if (
+        len(words) != 3
+        or words[1] not in COMPARISONS
+        or any(len(word.split()) != 1 for word in words)
+    ):
         known = ", ".join(COMPARISONS)
-        scope.refuse(node, f"a comparison is 'property sign value', blanks between, sign one of {known}; received {line.strip()!r}")
-    return scope.builder.op(COMPARISONS[words[1]], scope.named_property(node, words[0]), scope.parameter(node, words[2]))
+        scope.refuse(
+            node,
+            f"a comparison is 'property sign value', blanks between, sign one of {known}; received {line.strip()!r}",
+        )
+    return scope.builder.op(
+        COMPARISONS[words[1]], scope.named_property(node, words[0]), scope.parameter(node, words[2])
+    )

@@ -38,7 +38,9 @@ def _surface(surface: str, degrees: bool) -> Callable[[Frame, Value], None]:
 
 
 HOOKS: Mapping[str, Callable[[Frame, Value], None]] = {
-    f"fcs/{surface}-pos-{unit}": _surface(surface, unit == "deg") for surface in _SURFACES for unit in ("rad", "deg")
+    f"fcs/{surface}-pos-{unit}": _surface(surface, unit == "deg")
+    for surface in _SURFACES
+    for unit in ("rad", "deg")
 }
 """For ``Frame.hooks``: properties whose setting moves others."""
 

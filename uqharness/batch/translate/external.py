@@ -29,21 +29,33 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
         zero = frame.builder.constant(0.0)
         force: Vector = (zero, zero, zero)
         moment: Vector = (zero, zero, zero)
-        children = [] if node is None else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+        children = (
+            []
+            if node is None
+            else [child for child in node.children if child.tag not in (*_TEXT, "property")]
+        )
         if node is not None:
             scope.only(node)
         for child in children:
             if child.tag not in ("function", "force", "moment"):
-                scope.refuse(child, f"<{child.tag}> in <external_reactions> is not understood; force, moment and function are")
+                scope.refuse(
+                    child,
+                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and function are",
+                )
             if child.tag == "function":
                 write_function(frame, scope, child)
         for child in children:
             if child.tag == "force":
                 one = _vector(frame, scope, child, ("x", "y", "z"), "magnitude")
                 at = tuple(frame.get(f"{_base(child)}location-{axis}-in") for axis in "xyz")
-                force, moment = plus(force, one), plus(moment, cross(arm(frame, (at[0], at[1], at[2])), one))
+                force, moment = (
+                    plus(force, one),
+                    plus(moment, cross(arm(frame, (at[0], at[1], at[2])), one)),
+                )
             elif child.tag == "moment":
-                moment = plus(moment, _vector(frame, scope, child, ("l", "m", "n"), "magnitude-lbsft"))
+                moment = plus(
+                    moment, _vector(frame, scope, child, ("l", "m", "n"), "magnitude-lbsft")
+                )
         for axis, value in zip("xyz", force, strict=True):
             frame.write(f"forces/fb{axis}-external-lbs", value)
         for axis, value in zip("lmn", moment, strict=True):
@@ -54,15 +66,22 @@ def _base(node: Node) -> str:
     return f"external_reactions/{node.attributes.get('name', '')}/"
 
 
-def _vector(frame: Frame, scope: Scope, node: Node, axes: tuple[str, str, str], size: str) -> Vector:
+def _vector(
+    frame: Frame, scope: Scope, node: Node, axes: tuple[str, str, str], size: str
+) -> Vector:
     """The force or moment of an element in body axes."""
     scope.only(node, ("name", "frame"))
     kind = node.attributes.get("frame", "")
     if kind not in _KINDS:
-        scope.refuse(node, f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and INERTIAL are")
+        scope.refuse(
+            node,
+            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and INERTIAL are",
+        )
     parts = {child.tag: child for child in node.children if child.tag not in _TEXT}
     allowed = {"function", "direction", *(("location",) if node.tag == "force" else ())}
-    if set(parts) - allowed or len(parts) != len([child for child in node.children if child.tag not in _TEXT]):
+    if set(parts) - allowed or len(parts) != len(
+        [child for child in node.children if child.tag not in _TEXT]
+    ):
         scope.refuse(node, f"a <{node.tag}> has at most one each of {', '.join(sorted(allowed))}")
     name = f"{_base(node)}{size}"
     if "function" in parts:

@@ -30,7 +30,11 @@ class Values(dict[str, float]):
     constant   whether a property that nobody writes keeps its value: others change in JSBSim, which nobody computes here
     """
 
-    def __init__(self, value_of: Callable[[str], float | None], constant: Callable[[str], bool] = lambda _: True) -> None:
+    def __init__(
+        self,
+        value_of: Callable[[str], float | None],
+        constant: Callable[[str], bool] = lambda _: True,
+    ) -> None:
         super().__init__()
         self._value_of = value_of
         self.constant = constant
@@ -92,7 +96,11 @@ class Frame:
         any_step: bool = False,
     ) -> None:
         self.dt_s, self.any_step = dt_s, any_step
-        self.values = values if isinstance(values, Values) else {canonical(n): float(v) for n, v in values.items()}
+        self.values = (
+            values
+            if isinstance(values, Values)
+            else {canonical(n): float(v) for n, v in values.items()}
+        )
         self.written = None if written is None else frozenset(canonical(name) for name in written)
         self.writes: set[str] = set()
         self.inputs = frozenset(canonical(name) for name in inputs)
@@ -113,7 +121,9 @@ class Frame:
     @property
     def load_step(self) -> Value:
         """The step at which the aircraft was loaded [s], from which its filters' coefficients are made."""
-        return self.memory(STEP[1:], self.dt_s) if self.any_step else self.builder.constant(self.dt_s)
+        return (
+            self.memory(STEP[1:], self.dt_s) if self.any_step else self.builder.constant(self.dt_s)
+        )
 
     @property
     def initialising(self) -> bool:
@@ -212,4 +222,11 @@ class Frame:
                 slots.setdefault(name, 0.0)
         for name in records:
             slots.setdefault(canonical(name), self.values[canonical(name)])
-        return without_angles(Program(tuple(self.sections), slots, tuple(streams), tuple(canonical(name) for name in records)))
+        return without_angles(
+            Program(
+                tuple(self.sections),
+                slots,
+                tuple(streams),
+                tuple(canonical(name) for name in records),
+            )
+        )

@@ -40,7 +40,10 @@ def function_value(scope: Scope, node: Node, attributes: Sequence[str] = ("name"
     scope.only(node, attributes)
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
     if len(children) != 1:
-        scope.refuse(node, f"a <function> has one operation, property, value or table; received {len(children)}")
+        scope.refuse(
+            node,
+            f"a <function> has one operation, property, value or table; received {len(children)}",
+        )
     return argument(scope, children[0])
 
 
@@ -59,22 +62,37 @@ def argument(scope: Scope, node: Node) -> Value:
     if node.tag in _RANDOM:
         return _drawn(scope, node)
     if node.tag == "function":
-        scope.refuse(node, "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation itself")
+        scope.refuse(
+            node,
+            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation itself",
+        )
     rule = RULES.get(node.tag)
     if rule is None:
-        scope.refuse(node, f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value and table")
+        scope.refuse(
+            node,
+            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value and table",
+        )
     scope.only(node, ("name",))
     if node.text.strip():
-        scope.refuse(node, f"<{node.tag}> has arguments, not text; received {node.text.strip()[:40]!r}")
+        scope.refuse(
+            node, f"<{node.tag}> has arguments, not text; received {node.text.strip()[:40]!r}"
+        )
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
     if node.tag == "ifthen" and len(children) == rule.least:
         return _chosen(scope, children)
     values = [argument(scope, child) for child in children]
     if len(values) < rule.least or (rule.most is not None and len(values) > rule.most):
-        allowed = f"{rule.least}" if rule.most == rule.least else f"{rule.least} to {rule.most or 'any number of'}"
+        allowed = (
+            f"{rule.least}"
+            if rule.most == rule.least
+            else f"{rule.least} to {rule.most or 'any number of'}"
+        )
         scope.refuse(node, f"<{node.tag}> takes {allowed} arguments; received {len(values)}")
     if node.tag == "interpolate1d" and len(values) % 2 == 0:
-        scope.refuse(node, f"<interpolate1d> takes a key and pairs, an odd number of arguments; received {len(values)}")
+        scope.refuse(
+            node,
+            f"<interpolate1d> takes a key and pairs, an odd number of arguments; received {len(values)}",
+        )
     return rule.make(scope, values)
 
 
@@ -93,8 +111,13 @@ def _drawn(scope: Scope, node: Node) -> Value:
     scope.only(node, ("seed", first, second))
     standard = scope.draw(node)
     if standard is None:
-        scope.refuse(node, f"<{node.tag}> draws from JSBSim's generator, and no stream stands for it here")
-    a, b = (scope.number(node, node.attributes[k]) if k in node.attributes else None for k in (first, second))
+        scope.refuse(
+            node, f"<{node.tag}> draws from JSBSim's generator, and no stream stands for it here"
+        )
+    a, b = (
+        scope.number(node, node.attributes[k]) if k in node.attributes else None
+        for k in (first, second)
+    )
     if node.tag == "random":
         return standard * (1.0 if b is None else b) + (0.0 if a is None else a)
     low, high = (-1.0 if a is None else a), (1.0 if b is None else b)

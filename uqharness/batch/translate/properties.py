@@ -9,7 +9,9 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-_LEVERS = r"fcs/.*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm|gear/gear-(cmd|pos)-norm"
+_LEVERS = (
+    r"fcs/.*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm|gear/gear-(cmd|pos)-norm"
+)
 _AIR = (
     r"atmosphere/((gust|wind)-(north|east|down)-fps|wind-mag-fps|psiw-rad|turb-type|delta-T|P-sl-psf"
     r"|turbulence/milspec/(severity|windspeed_at_20ft_AGL-fps))"
@@ -63,12 +65,22 @@ REQUIRED: Mapping[str, float] = MappingProxyType(
         **{
             f"simulation/models/FG{model}/enabled": 1.0
             for model in (
-                "Inertial", "Propagate", "Atmosphere", "Winds", "FCS", "MassBalance", "Auxiliary", "Propulsion", "Aerodynamics",
-                "ExternalReactions", "Aircraft", "Accelerations",
+                "Inertial",
+                "Propagate",
+                "Atmosphere",
+                "Winds",
+                "FCS",
+                "MassBalance",
+                "Auxiliary",
+                "Propulsion",
+                "Aerodynamics",
+                "ExternalReactions",
+                "Aircraft",
+                "Accelerations",
             )
         },
     }
-)  # fmt: skip
+)
 """Settings of JSBSim to the only value that the batch engine has."""
 
 

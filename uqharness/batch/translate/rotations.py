@@ -29,7 +29,9 @@ def _wind_from_body(scope: Scope, alpha: Value, beta: Value, gamma: Value) -> _R
     return x, _mix(cg, y, -sg, z), _mix(sg, y, cg, z)
 
 
-def _mix(f: Value, a: tuple[Value, Value, Value], g: Value, b: tuple[Value, Value, Value]) -> tuple[Value, Value, Value]:
+def _mix(
+    f: Value, a: tuple[Value, Value, Value], g: Value, b: tuple[Value, Value, Value]
+) -> tuple[Value, Value, Value]:
     return (f * a[0] + g * b[0], f * a[1] + g * b[1], f * a[2] + g * b[2])
 
 

@@ -57,7 +57,8 @@ class Scope:
         """The value of the property that the element's text names; a minus sign before the name negates it."""
         if node.children:
             self.refuse(
-                node, f"<{node.tag}> must be the name of a property; received <{node.children[0].tag}>, which JSBSim ignores"
+                node,
+                f"<{node.tag}> must be the name of a property; received <{node.children[0].tag}>, which JSBSim ignores",
             )
         return self.named_property(node, node.text)
 
@@ -68,13 +69,20 @@ class Scope:
         name = property_of(self, node, text.removeprefix("-"))
         value = self.read(name)
         if value is None:
-            self.refuse(node, f'property {name} is not computed by the batch engine; fly this aircraft with engine = "jsbsim"')
+            self.refuse(
+                node,
+                f'property {name} is not computed by the batch engine; fly this aircraft with engine = "jsbsim"',
+            )
         return -value if negative else value
 
     def parameter(self, node: Node, text: str | None = None) -> Value:
         """A number, or the value of a property with or without a minus sign."""
         text = (node.text if text is None else text).strip()
-        return self.builder.constant(self.number(node, text)) if is_number(text) else self.named_property(node, text)
+        return (
+            self.builder.constant(self.number(node, text))
+            if is_number(text)
+            else self.named_property(node, text)
+        )
 
     @property
     def undefined(self) -> Value:
@@ -91,7 +99,9 @@ def property_of(scope: Scope, node: Node, text: str) -> str:
     """The property that a text names; refused if it is no name."""
     name = canonical(text)
     if not _NAME.fullmatch(name):
-        scope.refuse(node, f"<{node.tag}> must be the name of a property; received {text.strip()!r}")
+        scope.refuse(
+            node, f"<{node.tag}> must be the name of a property; received {text.strip()!r}"
+        )
     return name
 
 

@@ -63,10 +63,16 @@ class _Event:
         scope.only(self.node, ("name", "persistent", "continuous"))
         for child in self.node.children:
             if child.tag not in _PARTS:
-                scope.refuse(child, f"<{child.tag}> of an event is not understood; condition, set, delay and notify are")
+                scope.refuse(
+                    child,
+                    f"<{child.tag}> of an event is not understood; condition, set, delay and notify are",
+                )
         for word in ("persistent", "continuous"):
             if self.node.attributes.get(word, "") not in _TRUTHS:
-                scope.refuse(self.node, f"{word}='{self.node.attributes[word]}' of an event: allowed are true and false")
+                scope.refuse(
+                    self.node,
+                    f"{word}='{self.node.attributes[word]}' of an event: allowed are true and false",
+                )
         continuous = self.node.attributes.get("continuous") == "true"
         again = continuous or self.node.attributes.get("persistent") == "true"
         delays = self.node.all("delay")
@@ -106,7 +112,11 @@ class _Event:
             frame.remember(f"{key}/at", frame.get(TIME) + delay_s)
         with frame.section(f"{key}: whether it acts"):
             b = frame.builder
-            acts = b.op("and", frame.memory(f"{key}/triggered").ne(0.0), frame.get(TIME).ge(frame.memory(f"{key}/at")))
+            acts = b.op(
+                "and",
+                frame.memory(f"{key}/triggered").ne(0.0),
+                frame.get(TIME).ge(frame.memory(f"{key}/at")),
+            )
             for number in range(len(sets)):
                 moves = b.op("and", acts, frame.memory(f"{key}/{number}/moves").ne(0.0))
                 frame.remember(f"{key}/{number}/acts", moves.choose(1.0, 0.0))
@@ -126,7 +136,10 @@ class _Event:
             over = b.op("not", since.le(item.tc_s))
             value = over.choose(new, since / item.tc_s * (new - old) + old)
         else:
-            over, value = b.truth(False), (1.0 - b.op("exp", -since / item.tc_s)) * (new - old) + old
+            over, value = (
+                b.truth(False),
+                (1.0 - b.op("exp", -since / item.tc_s)) * (new - old) + old,
+            )
         frame.write(item.name, value)
         if not continuous:
             frame.remember(f"{key}/moves", over.choose(0.0, frame.memory(f"{key}/moves")))
@@ -135,17 +148,39 @@ class _Event:
         scope.only(node, ("name", "value", "type", "action", "tc"))
         name = canonical(node.attributes.get("name", ""))
         if not writable(name):
-            scope.refuse(node, f"property {name} cannot be set by an event: JSBSim does more with it than keep its value")
-        if self.frame.read(name) is None or (self.frame.written is None and name not in self.frame.values):
+            scope.refuse(
+                node,
+                f"property {name} cannot be set by an event: JSBSim does more with it than keep its value",
+            )
+        if self.frame.read(name) is None or (
+            self.frame.written is None and name not in self.frame.values
+        ):
             scope.refuse(node, f"property {name} is not computed by the batch engine")
-        words = [node.attributes.get(word, "").strip().lower().removeprefix("fg_") for word in ("type", "action")]
+        words = [
+            node.attributes.get(word, "").strip().lower().removeprefix("fg_")
+            for word in ("type", "action")
+        ]
         if words[0] not in _TYPES or words[1] not in _ACTIONS:
-            scope.refuse(node, "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or FG_EXP")
+            scope.refuse(
+                node,
+                "a <set> has type FG_VALUE, FG_DELTA or FG_BOOL and action FG_STEP, FG_RAMP or FG_EXP",
+            )
         functions = node.all("function")
-        if bool(node.attributes.get("value", "")) == bool(functions) or len(functions) > 1 or len(node.children) != len(functions):
+        if (
+            bool(node.attributes.get("value", "")) == bool(functions)
+            or len(functions) > 1
+            or len(node.children) != len(functions)
+        ):
             scope.refuse(node, "a <set> has either a value or a function")
         tc_s = scope.number(node, node.attributes["tc"]) if node.attributes.get("tc", "") else 1.0
-        return _Set(node, name, _TYPES[words[0]] == "delta", _ACTIONS[words[1]], tc_s, functions[0] if functions else None)
+        return _Set(
+            node,
+            name,
+            _TYPES[words[0]] == "delta",
+            _ACTIONS[words[1]],
+            tc_s,
+            functions[0] if functions else None,
+        )
 
     def _new_values(self, sets: Sequence[_Set]) -> list[tuple[Value, Value]]:
         """Of each property the value that it has and the one that it is to have."""
@@ -154,7 +189,9 @@ class _Event:
         for item in sets:
             old = self.frame.get(item.name)
             if item.function is None:
-                value = scope.builder.constant(scope.number(item.node, item.node.attributes["value"]))
+                value = scope.builder.constant(
+                    scope.number(item.node, item.node.attributes["value"])
+                )
             else:
                 value = function_value(scope, item.function)
             out.append((old, old + value if item.delta else value))

@@ -16,9 +16,18 @@ Part = tuple[Document, Node]
 
 _SYSTEMS = ("system", "flight_control", "autopilot")
 _READ = (
-    *_SYSTEMS, "fileheader", "metrics", "mass_balance", "ground_reactions", "external_reactions", "aerodynamics", "propulsion",
-    "input", "output", "planet",
-)  # fmt: skip
+    *_SYSTEMS,
+    "fileheader",
+    "metrics",
+    "mass_balance",
+    "ground_reactions",
+    "external_reactions",
+    "aerodynamics",
+    "propulsion",
+    "input",
+    "output",
+    "planet",
+)
 
 
 @dataclass(frozen=True)
@@ -57,12 +66,16 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     """
     files = opened(aircraft)
     # The gate has blanked what JSBSim never sees; lines are the author's.
-    document = parse_document(aircraft.xml, files.own[aircraft.xml.relative_to(aircraft.folder).as_posix()].content)
+    document = parse_document(
+        aircraft.xml, files.own[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
+    )
     found: dict[str, Part] = {}
     systems: list[System] = []
     for node in document.root.children:
         if node.tag not in _READ:
-            raise BadInputError(f"{document.where(node)}: <{node.tag}> is not understood by the batch engine")
+            raise BadInputError(
+                f"{document.where(node)}: <{node.tag}> is not understood by the batch engine"
+            )
         part = (document, node)
         if "file" in node.attributes:
             part = _included(aircraft, document, node)
@@ -78,7 +91,9 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     order = {"system": 0, "autopilot": 1, "flight_control": 2}
     systems.sort(key=lambda part: order[part.node.tag])
     if "planet" in found:
-        raise BadInputError(f"{document.where(found['planet'][1])}: <planet> is not understood by the batch engine")
+        raise BadInputError(
+            f"{document.where(found['planet'][1])}: <planet> is not understood by the batch engine"
+        )
     propulsion = found.get("propulsion")
     included = {} if propulsion is None else _engine_files(aircraft, propulsion)
     return Sources(
@@ -89,14 +104,21 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
         propulsion,
         found.get("ground_reactions"),
         found.get("mass_balance"),
-        parse_document(Path("no script"), b"<runscript/>") if script is None else parse_document(script, read_xml(script)),
+        parse_document(Path("no script"), b"<runscript/>")
+        if script is None
+        else parse_document(script, read_xml(script)),
         included,
     )
 
 
 def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Part]:
     document, root = propulsion
-    nodes = [node for engine in root.all("engine") for node in (engine, *engine.all("thruster")) if "file" in node.attributes]
+    nodes = [
+        node
+        for engine in root.all("engine")
+        for node in (engine, *engine.all("thruster"))
+        if "file" in node.attributes
+    ]
     return {node: _included(aircraft, document, node) for node in nodes}
 
 
@@ -106,7 +128,11 @@ def _included(aircraft: Aircraft | Files, document: Document, node: Node) -> Par
     name = name if name.endswith(".xml") else f"{name}.xml"
     kind = "systems" if node.tag in _SYSTEMS else "engine"
     # What <engine> and <thruster> name does not lie beside the aircraft's own file.
-    places = [aircraft.folder / inside / name for inside in INSIDE[kind] if inside or node.tag not in ("engine", "thruster")]
+    places = [
+        aircraft.folder / inside / name
+        for inside in INSIDE[kind]
+        if inside or node.tag not in ("engine", "thruster")
+    ]
     shared = aircraft.systems_path if kind == "systems" else aircraft.engine_path
     for path in (*places, shared / name):
         if path.is_file():

@@ -34,7 +34,9 @@ class Axis:
         b = self.key.builder
         numbers = [c if isinstance(c, float) else c.constant for c in choices]
         if len(numbers) >= _MANY and None not in numbers:
-            return b.op("lookup", b.table([float(x) for x in numbers if x is not None]), self.interval())
+            return b.op(
+                "lookup", b.table([float(x) for x in numbers if x is not None]), self.interval()
+            )
         result = b.value(choices[0])
         for point, choice in zip(self.points[1:-1], choices[1:], strict=True):
             result = self.key.gt(point).choose(choice, result)
@@ -77,13 +79,18 @@ def table(scope: Scope, node: Node) -> Value:
     scope.only(node, ("name",))
     for child in node.children:
         if child.tag not in ("independentVar", "tableData", "description"):
-            scope.refuse(child, f"<{child.tag}> in a <table> is not understood; allowed are independentVar and tableData")
+            scope.refuse(
+                child,
+                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and tableData",
+            )
     keys = _keys(scope, node)
     data = node.all("tableData")
     if "table" in keys:
         return _three(scope, node, keys, data)
     if len(data) != 1:
-        scope.refuse(node, f"a <table> of {len(keys)} dimensions has one <tableData>; received {len(data)}")
+        scope.refuse(
+            node, f"a <table> of {len(keys)} dimensions has one <tableData>; received {len(data)}"
+        )
     scope.only(data[0])
     grid = read_grid(scope, data[0], "column" in keys)
     return interpolated(grid, keys["row"], keys.get("column"))
@@ -119,7 +126,8 @@ def _between_corners(grid: Grid, along: Axis, across: Axis) -> Value:
     place = along.interval() * float(width) + across.interval()
     t = along.weight()
     left, right = (
-        (1.0 - t) * b.op("lookup", numbers, place + float(side)) + t * b.op("lookup", numbers, place + float(width + side))
+        (1.0 - t) * b.op("lookup", numbers, place + float(side))
+        + t * b.op("lookup", numbers, place + float(width + side))
         for side in (0, 1)
     )
     return across.weight() * (right - left) + left
@@ -129,16 +137,23 @@ def read_grid(scope: Scope, node: Node, columns: bool) -> Grid:
     """The numbers of a ``<tableData>``: with ``columns`` its first line has the breakpoints of the columns."""
     if node.children:
         scope.refuse(
-            node.children[0], f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have attribute breakPoint"
+            node.children[0],
+            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have attribute breakPoint",
         )
-    lines = [[scope.number(node, word) for word in line.split()] for line in node.text.splitlines() if line.strip()]
+    lines = [
+        [scope.number(node, word) for word in line.split()]
+        for line in node.text.splitlines()
+        if line.strip()
+    ]
     head = lines.pop(0) if columns and lines else []
     if not lines:
         scope.refuse(node, "<tableData> has no numbers; a line has a breakpoint and its values")
     wanted = len(head) + 1 if columns else 2
     for line in lines:
         if len(line) != wanted:
-            scope.refuse(node, f"every line of this <tableData> has {wanted} numbers; received {len(line)}")
+            scope.refuse(
+                node, f"every line of this <tableData> has {wanted} numbers; received {len(line)}"
+            )
     rows = tuple(line[0] for line in lines)
     _increasing(scope, node, rows, "rows")
     _increasing(scope, node, tuple(head), "columns")
@@ -150,13 +165,22 @@ def _three(scope: Scope, node: Node, keys: dict[str, Value], data: list[Node]) -
     for part in data:
         scope.only(part, ("breakPoint",))
         if "breakPoint" not in part.attributes:
-            scope.refuse(part, "<tableData> of a table in three dimensions has attribute breakPoint")
+            scope.refuse(
+                part, "<tableData> of a table in three dimensions has attribute breakPoint"
+            )
         points.append(scope.number(part, part.attributes["breakPoint"]))
     if len(points) < 2:
-        scope.refuse(node, f"a <table> of three dimensions has two <tableData> or more; received {len(points)}")
+        scope.refuse(
+            node,
+            f"a <table> of three dimensions has two <tableData> or more; received {len(points)}",
+        )
     _increasing(scope, node, tuple(points), "tables")
     grids = [read_grid(scope, part, True) for part in data]
-    return _line(Axis(tuple(points), keys["table"]), [interpolated(g, keys["row"], keys["column"]) for g in grids], True)
+    return _line(
+        Axis(tuple(points), keys["table"]),
+        [interpolated(g, keys["row"], keys["column"]) for g in grids],
+        True,
+    )
 
 
 def _keys(scope: Scope, node: Node) -> dict[str, Value]:
@@ -170,7 +194,10 @@ def _keys(scope: Scope, node: Node) -> dict[str, Value]:
             scope.refuse(variable, f"lookup='{axis}': each of {', '.join(_AXES)} is allowed once")
         keys[axis] = scope.property_value(variable)
     if set(keys) != set(_AXES[: len(keys)]) or not keys:
-        scope.refuse(node, f"a <table> looks up row, then column, then table; received {', '.join(keys) or 'no independentVar'}")
+        scope.refuse(
+            node,
+            f"a <table> looks up row, then column, then table; received {', '.join(keys) or 'no independentVar'}",
+        )
     return keys
 
 

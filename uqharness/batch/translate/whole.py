@@ -106,7 +106,9 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) ->
     fed = {name for stream in asked.fed for name in stream.columns}
     if propulsion.tanks and not asked.reweighed and set(asked.inputs) & set(MASS):
         raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
-    models = _Models(sources, Systems(sources.systems, dt_s, len(propulsion.engines)), propulsion, methods, asked)
+    models = _Models(
+        sources, Systems(sources.systems, dt_s, len(propulsion.engines)), propulsion, methods, asked
+    )
     every = Frame(dt_s, values, None, any_step=asked.any_step)
     _trace(every, models, 0)
     written = every.writes | fed
@@ -116,13 +118,23 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, asked: Asked) ->
         _trace(frame, models, phase)
     for name in asked.records:
         if not name.startswith("#") and frames[2].read(name) is None:
-            raise BadInputError(f"property {name} is not computed by the batch engine, so it cannot be recorded")
+            raise BadInputError(
+                f"property {name} is not computed by the batch engine, so it cannot be recorded"
+            )
     first, second, flight = frames
-    streams = [*asked.fed, *([winds.NORMALS] if any(s.when.mask == winds.MASK for s in flight.sections) else [])]
+    streams = [
+        *asked.fed,
+        *([winds.NORMALS] if any(s.when.mask == winds.MASK for s in flight.sections) else []),
+    ]
     return Flight(
-        first.program(()), second.program(()), flight.program(asked.records, streams), tuple(flight.draws), len(first.draws),
-        propulsion, *_settling(models, values, written, inputs),
-    )  # fmt: skip
+        first.program(()),
+        second.program(()),
+        flight.program(asked.records, streams),
+        tuple(flight.draws),
+        len(first.draws),
+        propulsion,
+        *_settling(models, values, written, inputs),
+    )
 
 
 def _settling(
@@ -148,13 +160,17 @@ def _require(values: Values, inputs: Collection[str]) -> None:
             raise BadInputError(f"{name} = {values[name]:g}: the batch engine has {wanted:g} alone")
     for name in inputs:
         if not settable(name):
-            raise BadInputError(f"property {name} cannot be set in the batch engine: JSBSim does more with it than keep its value")
+            raise BadInputError(
+                f"property {name} cannot be set in the batch engine: JSBSim does more with it than keep its value"
+            )
 
 
 def _integrator(values: Values, name: str) -> int:
     number = int(values[name])
     if number not in WEIGHTS:
-        raise BadInputError(f"{name} = {number}: the batch engine has JSBSim's integrators {', '.join(map(str, WEIGHTS))}")
+        raise BadInputError(
+            f"{name} = {number}: the batch engine has JSBSim's integrators {', '.join(map(str, WEIGHTS))}"
+        )
     return number
 
 
@@ -195,7 +211,9 @@ def _trace(frame: Frame, models: _Models, phase: int) -> None:
     with frame.section("ground"):
         trace_ground(frame, asked.points)
     with frame.section("accelerations"):
-        trace_totals(frame, ("aero", "prop", "external") if propulsion.engines else ("aero", "external"))
+        trace_totals(
+            frame, ("aero", "prop", "external") if propulsion.engines else ("aero", "external")
+        )
         if phase == 2:
             remember_derivatives(frame)
         trace_accelerations(frame)

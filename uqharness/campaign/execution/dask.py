@@ -19,7 +19,13 @@ from typing import Any
 from uqharness.campaign.execution.dask_orders import Order, answer_from, flight_name, order_text
 from uqharness.campaign.execution.dask_task import content_of, fly_order
 from uqharness.campaign.execution.processes import BATCH_S, PARTS, singly
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne
+from uqharness.campaign.execution.worker import (
+    CaseOutcome,
+    FlightFunction,
+    Group,
+    GroupFunction,
+    OneByOne,
+)
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
@@ -47,11 +53,15 @@ class DaskExecutor:
         self._looked = -_LOOK_S
         self._look()
 
-    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+    def run(
+        self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
+    ) -> Iterator[list[CaseOutcome]]:
         """Outcomes as they come. Raises BadInputError if the scheduler is lost or a worker cannot fly this campaign."""
         return self.run_groups(OneByOne(fly), singly(flights))
 
-    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+    def run_groups(
+        self, fly: GroupFunction, groups: Iterable[Group]
+    ) -> Iterator[list[CaseOutcome]]:
         """The same with cases that fly together."""
         orders = _orders(fly, groups)
         suspects: deque[Order] = deque()
@@ -67,7 +77,9 @@ class DaskExecutor:
                 self._look()
                 while len(flying) < _ORDERS_PER_THREAD * max(self.workers, 1):
                     # Dask suspects all that waited on a lost worker. With one suspect on its way at a time, the guilty is alone.
-                    alone = suspects and not any(order.case_ids in rounds for _, order in flying.values())
+                    alone = suspects and not any(
+                        order.case_ids in rounds for _, order in flying.values()
+                    )
                     order = suspects.popleft() if alone else next(orders, None)
                     if order is None:
                         break
@@ -206,7 +218,10 @@ def _orders(fly: GroupFunction, groups: Iterable[Group]) -> Iterator[Order]:
         aircraft, script = first.aircraft.resolve(), first.script.resolve()
         if (aircraft, script) not in content:
             content[aircraft, script] = content_of(aircraft, script)
-        cases = tuple((case_id, replace(flight, aircraft=aircraft, script=script)) for case_id, flight in group.cases)
+        cases = tuple(
+            (case_id, replace(flight, aircraft=aircraft, script=script))
+            for case_id, flight in group.cases
+        )
         yield Order(name, together, Group(group.engine, cases), content[aircraft, script], versions)
 
 

@@ -15,7 +15,13 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne
+from uqharness.campaign.execution.worker import (
+    CaseOutcome,
+    FlightFunction,
+    Group,
+    GroupFunction,
+    OneByOne,
+)
 from uqharness.errors import BadInputError
 from uqharness.flight import STATUSES
 from uqharness.toml import dotted
@@ -73,16 +79,22 @@ def order_from(text: str) -> Order:
 
 def answer_text(answer: Answer) -> str:
     """The answer as JSON."""
-    return json.dumps(answer, default=_plain, ensure_ascii=False).encode("utf-8", "replace").decode()
+    return (
+        json.dumps(answer, default=_plain, ensure_ascii=False).encode("utf-8", "replace").decode()
+    )
 
 
 def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
     """Outcomes of the cases asked for. Raises BadInputError where the worker refused them, or for any other text."""
     answer = _read(Answer, text, "answer")
     if answer.outcomes is None:
-        raise BadInputError(answer.refused or "a Dask worker gave neither an outcome nor a reason; look at its log")
+        raise BadInputError(
+            answer.refused or "a Dask worker gave neither an outcome nor a reason; look at its log"
+        )
     if len(answer.outcomes) != len(case_ids):
-        raise BadInputError(f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were {len(case_ids)}")
+        raise BadInputError(
+            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were {len(case_ids)}"
+        )
     for outcome, case_id in zip(answer.outcomes, case_ids, strict=True):
         if outcome.case_id != case_id or outcome.status not in STATUSES:
             raise BadInputError(
@@ -132,7 +144,9 @@ def _function(name: str) -> Any:
     try:
         found = vars(importlib.import_module(module)).get(qualname)
     except (ImportError, ValueError) as error:
-        raise BadInputError(f"the module of the flight function {name!r} cannot be imported: {error}") from None
+        raise BadInputError(
+            f"the module of the flight function {name!r} cannot be imported: {error}"
+        ) from None
     if not isinstance(found, types.FunctionType):
         raise BadInputError(f"there is no flight function {name!r}")
     return found

@@ -13,7 +13,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from sysid.digests import file_sha256
-from uqharness.campaign.execution.dask_orders import Answer, Order, answer_text, group_function, order_from
+from uqharness.campaign.execution.dask_orders import (
+    Answer,
+    Order,
+    answer_text,
+    group_function,
+    order_from,
+)
 from uqharness.campaign.execution.flying import why_not
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome
@@ -50,7 +56,11 @@ def _flown(order: Order) -> list[CaseOutcome]:
     _refuse_without_engine(order.group.engine)
     executor = _take(order.fly)
     try:
-        found = {item.case_id: item for batch in executor.run_groups(fly, [order.group]) for item in batch}
+        found = {
+            item.case_id: item
+            for batch in executor.run_groups(fly, [order.group])
+            for item in batch
+        }
     finally:
         _idle.append((order.fly, executor))
     return [found[case_id] for case_id in order.case_ids]
@@ -86,7 +96,9 @@ def _take(fly: str) -> ProcessExecutor:
 _versions_here = lru_cache(maxsize=1)(binding_versions)
 
 
-def _refuse_unlike(versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path) -> None:
+def _refuse_unlike(
+    versions: tuple[tuple[str, str], ...], content: tuple[str, str], aircraft: Path, script: Path
+) -> None:
     there, here = dict(versions), dict(_versions_here())
     unlike = [
         f"{name} {there.get(name, 'unknown')} there, {here.get(name, 'unknown')} here"
@@ -94,7 +106,9 @@ def _refuse_unlike(versions: tuple[tuple[str, str], ...], content: tuple[str, st
         if there.get(name) != here.get(name)
     ]
     found = content_of(aircraft, script)
-    for what, path, wanted, have in zip(("aircraft", "script"), (aircraft, script), content, found, strict=True):
+    for what, path, wanted, have in zip(
+        ("aircraft", "script"), (aircraft, script), content, found, strict=True
+    ):
         if have == ABSENT:
             unlike.append(f"{what} {path} is not here")
         elif have != wanted:

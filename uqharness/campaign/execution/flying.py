@@ -62,7 +62,10 @@ def fly_group(engine: str, flights: Sequence[FlightSpec]) -> Sequence[FlightResu
 
     if engine == ONE_ULP_OFF:
         return [fly_one_ulp_off(flight) for flight in flights]
-    return [with_distances(fly(flight), flight) if engine == JUDGE else fly(flight) for flight in flights]
+    return [
+        with_distances(fly(flight), flight) if engine == JUDGE else fly(flight)
+        for flight in flights
+    ]
 
 
 def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
@@ -71,6 +74,10 @@ def with_distances(result: FlightResult, flight: FlightSpec) -> FlightResult:
     for radius in flight.excursion_radius_m:
         for signal, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             distance = np.abs(result.signals.get(signal, np.zeros(0)))
-            gaps = [np.min(np.abs(distance - limit)) for limit in (radius, radius - flight.rearm_m) if distance.size]
+            gaps = [
+                np.min(np.abs(distance - limit))
+                for limit in (radius, radius - flight.rearm_m)
+                if distance.size
+            ]
             found[f"{NEAREST}excursions_{radius:g}m{suffix}"] = float(min(gaps, default=np.nan))
     return replace(result, metrics={**result.metrics, **found})

@@ -17,7 +17,15 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from uqharness.arguments import whole
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction, Group, GroupFunction, OneByOne, attempt_group, work
+from uqharness.campaign.execution.worker import (
+    CaseOutcome,
+    FlightFunction,
+    Group,
+    GroupFunction,
+    OneByOne,
+    attempt_group,
+    work,
+)
 from uqharness.child_process import child_settings, ending, main_not_imported
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
@@ -48,11 +56,15 @@ class Executor(Protocol):
 
     workers: int
 
-    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+    def run(
+        self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
+    ) -> Iterator[list[CaseOutcome]]:
         """Fly every (case id, flight) and hand on outcomes in batches, in any order, each case exactly once."""
         ...
 
-    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+    def run_groups(
+        self, fly: GroupFunction, groups: Iterable[Group]
+    ) -> Iterator[list[CaseOutcome]]:
         """The same with cases that fly together."""
         ...
 
@@ -72,11 +84,15 @@ class SerialExecutor:
 
     workers = 1
 
-    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+    def run(
+        self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
+    ) -> Iterator[list[CaseOutcome]]:
         """Fly one after another in this process; see :meth:`Executor.run`."""
         yield from self.run_groups(OneByOne(fly), singly(flights))
 
-    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+    def run_groups(
+        self, fly: GroupFunction, groups: Iterable[Group]
+    ) -> Iterator[list[CaseOutcome]]:
         """Fly one group after another in this process; see :meth:`Executor.run_groups`."""
         batch: list[CaseOutcome] = []
         handed_on = time.monotonic()
@@ -131,16 +147,23 @@ class ProcessExecutor:
         self._keep = keep
         self._kept: list[_Worker] = []
 
-    def run(self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[list[CaseOutcome]]:
+    def run(
+        self, fly: FlightFunction, flights: Iterable[tuple[str, FlightSpec]]
+    ) -> Iterator[list[CaseOutcome]]:
         """Fly in worker processes that are replaced when they die or hang; see :meth:`Executor.run`."""
         return self.run_groups(OneByOne(fly), singly(flights))
 
-    def run_groups(self, fly: GroupFunction, groups: Iterable[Group]) -> Iterator[list[CaseOutcome]]:
+    def run_groups(
+        self, fly: GroupFunction, groups: Iterable[Group]
+    ) -> Iterator[list[CaseOutcome]]:
         """Fly groups in worker processes; see :meth:`Executor.run_groups`."""
         source = (_Task(group) for group in groups)
         again: deque[_Task] = deque()
         pool: list[_Worker] = self._kept
-        self._start_failures, self._scripted = 0, _of_the_script(fly.fly if isinstance(fly, OneByOne) else fly)
+        self._start_failures, self._scripted = (
+            0,
+            _of_the_script(fly.fly if isinstance(fly, OneByOne) else fly),
+        )
         done = False
         with child_settings():
             try:
@@ -164,9 +187,14 @@ class ProcessExecutor:
             busy = [worker for worker in pool if worker.tasks]
             if not busy:
                 break
-            wait([item for worker in pool for item in (worker.pipe, worker.process.sentinel)], timeout=BATCH_S)
+            wait(
+                [item for worker in pool for item in (worker.pipe, worker.process.sentinel)],
+                timeout=BATCH_S,
+            )
             for worker in list(pool):
-                alive = worker.process.is_alive()  # asked before reading, so that nothing sent before death is missed
+                alive = (
+                    worker.process.is_alive()
+                )  # asked before reading, so that nothing sent before death is missed
                 batch += self._receive(worker)
                 if not alive:
                     pool.remove(worker)
@@ -181,7 +209,9 @@ class ProcessExecutor:
                 batch, handed_on = [], time.monotonic()
         yield batch
 
-    def _feed(self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]) -> None:
+    def _feed(
+        self, fly: GroupFunction, source: Iterator[_Task], again: deque[_Task], pool: list[_Worker]
+    ) -> None:
         """Top up every worker, the emptiest first; start a worker only for a case that needs one."""
         tasks = itertools.chain(_drained(again), source)
         for depth in range(_QUEUED_PER_WORKER):
@@ -229,21 +259,32 @@ class ProcessExecutor:
         worker.pipe.close()
         if not worker.ready:
             self._start_failures += 1
-            if self._start_failures > (0 if self._scripted else _START_FAILURES_ALLOWED) and code not in _OUTSIDE_SIGNALS:
+            if (
+                self._start_failures > (0 if self._scripted else _START_FAILURES_ALLOWED)
+                and code not in _OUTSIDE_SIGNALS
+            ):
                 advice = _GUARD if self._scripted else ""
-                raise BadInputError(f"worker processes end before they start ({ending(code)}); see their message above{advice}")
+                raise BadInputError(
+                    f"worker processes end before they start ({ending(code)}); see their message above{advice}"
+                )
             again.extendleft(reversed(worker.tasks))
             return []
         outside = code in _OUTSIDE_SIGNALS
-        return self._second_chance(worker, again, outside, "crashed", f"the worker process ended: {ending(code)}")
+        return self._second_chance(
+            worker, again, outside, "crashed", f"the worker process ended: {ending(code)}"
+        )
 
     def _give_up(self, worker: _Worker, again: deque[_Task], limit_s: float) -> list[CaseOutcome]:
         worker.process.kill()
         worker.process.join()
         worker.pipe.close()
-        return self._second_chance(worker, again, False, "timeout", f"no result after {limit_s:g} s")
+        return self._second_chance(
+            worker, again, False, "timeout", f"no result after {limit_s:g} s"
+        )
 
-    def _second_chance(self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str) -> list[CaseOutcome]:
+    def _second_chance(
+        self, worker: _Worker, again: deque[_Task], outside: bool, status: str, reason: str
+    ) -> list[CaseOutcome]:
         """The group at the head of the dead worker's queue gets the blame; those behind it were not begun."""
         if not worker.tasks:
             return []

@@ -28,7 +28,10 @@ class Group:
     def parts(self, number: int) -> list[Group]:
         """At most that many groups of the same cases in the same order, sizes as even as can be."""
         share = -(-len(self.cases) // number)
-        return [Group(self.engine, self.cases[first : first + share]) for first in range(0, len(self.cases), share)]
+        return [
+            Group(self.engine, self.cases[first : first + share])
+            for first in range(0, len(self.cases), share)
+        ]
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,10 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
     """Fly a group; of a case that raises, flown by itself, that becomes a crashed outcome with its reason."""
     try:
         results = fly(group.engine, [flight for _, flight in group.cases])
-        return [_outcome(case_id, result) for (case_id, _), result in zip(group.cases, results, strict=True)]
+        return [
+            _outcome(case_id, result)
+            for (case_id, _), result in zip(group.cases, results, strict=True)
+        ]
     except Exception as error:
         if len(group.cases) > 1:
             return [outcome for part in group.parts(2) for outcome in attempt_group(fly, part)]
@@ -76,14 +82,19 @@ def attempt_group(fly: GroupFunction, group: Group) -> list[CaseOutcome]:
 
 def _outcome(case_id: str, result: FlightResult) -> CaseOutcome:
     if result.status not in STATUSES:
-        raise ValueError(f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}")
+        raise ValueError(
+            f"the flight function returned status '{result.status}', not one of {', '.join(STATUSES)}"
+        )
     return CaseOutcome(
         case_id,
         result.status,
         result.reason,
         float(result.flown_s),
         # Text carries one NaN, so that tables have the same bytes wherever a case was flown.
-        {name: math.nan if math.isnan(value) else float(value) for name, value in result.metrics.items()},
+        {
+            name: math.nan if math.isnan(value) else float(value)
+            for name, value in result.metrics.items()
+        },
         dict(result.undefined),
     )
 

@@ -10,7 +10,12 @@ from typing import Any
 import pyarrow as pa
 
 from uqharness.campaign.cases import Case
-from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, counted_radii, excursion_columns
+from uqharness.campaign.columns import (
+    ERROR_METRICS,
+    UNCOMMANDED_METRICS,
+    counted_radii,
+    excursion_columns,
+)
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.errors import BadInputError
@@ -18,7 +23,17 @@ from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
 
 CASES = "cases.parquet"
 _ENGINE = "engine"
-_ALWAYS = ("case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "seed", "duration_s", "status", "reason")
+_ALWAYS = (
+    "case_id",
+    "epistemic_id",
+    "aleatory_id",
+    "wind_mps",
+    "turbulence",
+    "seed",
+    "duration_s",
+    "status",
+    "reason",
+)
 
 
 def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
@@ -48,7 +63,9 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     Raises BadInputError naming the first column that is missing or of another type.
     """
     variables = campaign["aleatory"]["variables"]
-    means = tuple(f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list))
+    means = tuple(
+        f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list)
+    )
     found = {field.name: field.type for field in table.schema}
     for field in _schema(counted_radii(campaign["metrics"]), (), means):
         if field.name == _ENGINE and field.name not in found:
@@ -60,17 +77,26 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
                 f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
             )
     wrong = [name for name in _ALWAYS if table[name].null_count]
-    allowed: dict[str, tuple[str, ...]] = {"status": STATUSES, "turbulence": tuple(TURBULENCE_W20_KT)}
+    allowed: dict[str, tuple[str, ...]] = {
+        "status": STATUSES,
+        "turbulence": tuple(TURBULENCE_W20_KT),
+    }
     for name, known in (allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in found else {})).items():
         wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
     if wrong or not table.num_rows:
-        raise BadInputError(f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again")
+        raise BadInputError(
+            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
+        )
     return table
 
 
 def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
     text, real, whole = pa.string(), pa.float64(), pa.int64()
-    fields = [("case_id", text), ("epistemic_id", text), *((f"level_{name}", real) for name in COEFFICIENTS)]
+    fields = [
+        ("case_id", text),
+        ("epistemic_id", text),
+        *((f"level_{name}", real) for name in COEFFICIENTS),
+    ]
     fields += [
         ("aleatory_id", whole),
         ("wind_mps", real),
@@ -81,14 +107,24 @@ def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]
     ]
     fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
     fields += [(name, whole) for name in excursion_columns(radii_m)]
-    fields += [("loss_of_control", whole), ("extrapolated_share", real), *((name, real) for name in (*more, *inputs))]
+    fields += [
+        ("loss_of_control", whole),
+        ("extrapolated_share", real),
+        *((name, real) for name in (*more, *inputs)),
+    ]
     return pa.schema(fields)
 
 
-def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]) -> dict[str, Any]:
+def _row(
+    case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]
+) -> dict[str, Any]:
     ok = outcome.status == "ok"
     flight = case.flight
-    scored_s = flight.duration_s if ok else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
+    scored_s = (
+        flight.duration_s
+        if ok
+        else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
+    )
     row: dict[str, Any] = {
         "case_id": case.case_id,
         "epistemic_id": case.epistemic_id,
@@ -99,10 +135,14 @@ def _row(case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Seque
         _ENGINE: case.engine,
         "duration_s": scored_s,
         "status": outcome.status,
-        "reason": outcome.reason or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
+        "reason": outcome.reason
+        or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
     }
     row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
-    row |= {name: _finite(outcome, name) if ok else None for name in (*ERROR_METRICS, "extrapolated_share", *more)}
+    row |= {
+        name: _finite(outcome, name) if ok else None
+        for name in (*ERROR_METRICS, "extrapolated_share", *more)
+    }
     for name in (*excursion_columns(radii_m), "loss_of_control"):
         value = _finite(outcome, name)
         row[name] = None if value is None else round(value)

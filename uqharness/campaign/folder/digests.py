@@ -43,5 +43,9 @@ def digest_of_rows(digests: Iterable[str]) -> str:
 
 def summed(total: str, added: Iterable[str], removed: Iterable[str] = ()) -> str:
     """Sum of digests as numbers: tells whether a set of rows is complete, and may be kept up to date row by row."""
-    number = int(total, 16) + sum(int(item, 16) for item in added) - sum(int(item, 16) for item in removed)
+    number = (
+        int(total, 16)
+        + sum(int(item, 16) for item in added)
+        - sum(int(item, 16) for item in removed)
+    )
     return f"{number % _MODULUS:064x}"

@@ -21,8 +21,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TABLE_NAMES = (
-    CASES, "pbox.parquet", "excursions.csv", "statements.csv", DECISIONS, "sensitivity.csv", "convergence.csv", "area.csv",
-)  # fmt: skip
+    CASES,
+    "pbox.parquet",
+    "excursions.csv",
+    "statements.csv",
+    DECISIONS,
+    "sensitivity.csv",
+    "convergence.csv",
+    "area.csv",
+)
 """Names of the tables that a campaign's folder may have."""
 MOST_BYTES = 1_000_000_000
 """A table of a million flights has a third of it."""
@@ -46,7 +53,9 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
         except FileNotFoundError:
             found[name] = None
         except OSError as error:
-            raise BadInputError(f"{folder / name}: cannot be read: {error.strerror or error}") from None
+            raise BadInputError(
+                f"{folder / name}: cannot be read: {error.strerror or error}"
+            ) from None
     return found
 
 
@@ -56,13 +65,19 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
     try:
         content = read_regular(path, MOST_BYTES if path.suffix == ".parquet" else _MOST_TEXT_BYTES)
     except FileNotFoundError:
-        raise BadInputError(f"{path}: not there; run the campaign first: uqharness campaign run") from None
+        raise BadInputError(
+            f"{path}: not there; run the campaign first: uqharness campaign run"
+        ) from None
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if is_sealed(manifest):
         expected = manifest.get("tables", {}).get(name)
         if expected is None:
-            raise DamageError(path, "the manifest knows of no such table; the command that wrote it writes it again", folder)
+            raise DamageError(
+                path,
+                "the manifest knows of no such table; the command that wrote it writes it again",
+                folder,
+            )
         if sha256_hex(content) != expected:
             raise DamageError(path, "its content does not fit the digest in the manifest", folder)
     return content

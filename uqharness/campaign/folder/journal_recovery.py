@@ -9,7 +9,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.folder.store import COLUMNS, JOURNAL, LONGEST_BYTES, create_tables, outcome_of
+from uqharness.campaign.folder.store import (
+    COLUMNS,
+    JOURNAL,
+    LONGEST_BYTES,
+    create_tables,
+    outcome_of,
+)
 
 LEFTOVER = f"{JOURNAL}-journal"
 """What a writer that was killed leaves beside the journal; SQLite takes back what was half written by it."""
@@ -52,18 +58,37 @@ class JournalScan:
         if _give_first_page(mended, begun / "empty.sqlite"):
             yield mended
 
-    def _found(self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]) -> Iterator[tuple[Any, ...]]:
+    def _found(
+        self, database: sqlite3.Connection, wanted: Collection[str], seen: Collection[str]
+    ) -> Iterator[tuple[Any, ...]]:
         met = set[Any]()
         for direction in ("asc", "desc"):
-            yield from self._sound(database, f"select {COLUMNS} from outcome order by case_id {direction}", (), seen, met)
+            yield from self._sound(
+                database,
+                f"select {COLUMNS} from outcome order by case_id {direction}",
+                (),
+                seen,
+                met,
+            )
             if not self.unreadable:
                 return
         for case_id in wanted:
             if case_id not in seen:
-                yield from self._sound(database, f"select {COLUMNS} from outcome where case_id = ?", (case_id,), seen, met)
+                yield from self._sound(
+                    database,
+                    f"select {COLUMNS} from outcome where case_id = ?",
+                    (case_id,),
+                    seen,
+                    met,
+                )
 
     def _sound(
-        self, database: sqlite3.Connection, query: str, values: tuple[str, ...], seen: Collection[str], met: set[Any]
+        self,
+        database: sqlite3.Connection,
+        query: str,
+        values: tuple[str, ...],
+        seen: Collection[str],
+        met: set[Any],
     ) -> Iterator[tuple[Any, ...]]:
         try:
             for row in database.execute(query, values):

@@ -14,7 +14,13 @@ import uqharness
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.folder.digests import DamageError, digest_of_text
-from uqharness.campaign.folder.manifest_content import COMPLETE, FORMAT, FORMAT_WITHOUT_DIGESTS, RUNNING, checked_content
+from uqharness.campaign.folder.manifest_content import (
+    COMPLETE,
+    FORMAT,
+    FORMAT_WITHOUT_DIGESTS,
+    RUNNING,
+    checked_content,
+)
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.read import campaign_from
 from uqharness.errors import BadInputError
@@ -57,7 +63,11 @@ def describe(spec: CampaignSpec, mission: Mission, cases: int, command: str) -> 
         "campaign": spec.as_dict(),
         "campaign_file": str(spec.path.resolve()),
         "versions": versions(),
-        "hashes": {"aircraft": mission.aircraft_hash, "script": mission.script_hash, **inputs.hashes},
+        "hashes": {
+            "aircraft": mission.aircraft_hash,
+            "script": mission.script_hash,
+            **inputs.hashes,
+        },
         **({} if inputs.confidence is None else {"bounds": bounds}),
     }
 
@@ -97,7 +107,11 @@ def _parsed(content: bytes, path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ValueError(f"not JSON: {error}") from None
     known = (FORMAT, FORMAT_WITHOUT_DIGESTS)
-    if not isinstance(manifest, dict) or type(found := manifest.get("format")) is not int or found not in known:
+    if (
+        not isinstance(manifest, dict)
+        or type(found := manifest.get("format")) is not int
+        or found not in known
+    ):
         raise BadInputError(f"{path}: written by another version of uqharness, or not by uqharness")
     digest = manifest.pop("digest", None)
     if digest != (digest_of_text(manifest) if found == FORMAT else None):
@@ -123,7 +137,9 @@ def read_complete(folder: Path) -> dict[str, Any]:
     manifest = read_manifest(folder)
     if manifest["state"] != COMPLETE:
         command = manifest["command"] or "the command that began it"
-        raise BadInputError(f"{folder}: the campaign is not complete; finish it first with: {command}")
+        raise BadInputError(
+            f"{folder}: the campaign is not complete; finish it first with: {command}"
+        )
     return manifest
 
 
@@ -133,7 +149,9 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     write_bytes(folder / MANIFEST, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()) -> None:
+def refuse_if_different(
+    folder: Path, old: Mapping[str, Any], new: Mapping[str, Any], but_for: tuple[str, ...] = ()
+) -> None:
     """BadInputError naming every difference that makes the folder's flights no part of the campaign now asked for.
 
     Versions and hashes named in ``but_for`` may differ.
@@ -149,16 +167,24 @@ def refuse_if_different(folder: Path, old: Mapping[str, Any], new: Mapping[str, 
             continue  # whichever flew before
         if key not in ("campaign.aircraft", "campaign.mission") and was.get(key) != now.get(key):
             section, _, name = key.partition(".")
-            differences.append(f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}")
+            differences.append(
+                f"[{section}] {name} was {json.dumps(was.get(key))}, is {json.dumps(now.get(key))}"
+            )
     for name, setting in (("aircraft", "aircraft"), ("script", "mission")):
         before, after = old["hashes"][name], new["hashes"][name]
         if name not in but_for and before != after:
             what = now.get(f"campaign.{setting}")
-            differences.append(f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now")
+            differences.append(
+                f"the content of the {name} ({what}) has changed: {before[:12]} then, {after[:12]} now"
+            )
     for role in sorted((old["hashes"].keys() | new["hashes"].keys()) - {"aircraft", "script"}):
-        before, after = (hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"]))
+        before, after = (
+            hashes.get(role, "absent")[:12] for hashes in (old["hashes"], new["hashes"])
+        )
         if before != after:
-            differences.append(f"the content of the file named as {role} has changed: {before} then, {after} now")
+            differences.append(
+                f"the content of the file named as {role} has changed: {before} then, {after} now"
+            )
     if differences:
         raise BadInputError(
             f"{folder}: this folder holds another campaign: {'; '.join(differences)}. Choose another --out, or restore what changed"

@@ -75,7 +75,9 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError as error:
         raise ValueError(_words(error, "campaign")) from None
     if settings["campaign"]["seed"] != found.seed:
-        raise ValueError(f"seed is {found.seed}, that of the campaign in it {settings['campaign']['seed']}")
+        raise ValueError(
+            f"seed is {found.seed}, that of the campaign in it {settings['campaign']['seed']}"
+        )
     return {**data, "campaign": settings}
 
 
@@ -85,7 +87,11 @@ def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
     if isinstance(section := campaign.get("campaign"), dict):
         filled["campaign"] = {"engine": "jsbsim", **section}
     section = campaign.get("epistemic")
-    if isinstance(section, dict) and section.get("method") == "corners" and isinstance(section.get("bounds"), str):
+    if (
+        isinstance(section, dict)
+        and section.get("method") == "corners"
+        and isinstance(section.get("bounds"), str)
+    ):
         filled["epistemic"] = {"interior": 0, **section}
     return filled
 

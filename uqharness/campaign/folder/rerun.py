@@ -15,12 +15,25 @@ from uqharness.campaign.cases import Case, build_cases
 from uqharness.campaign.execution.flying import JSBSIM, fly_group, why_not
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.manifest import describe, read_manifest, refuse_if_different, refuse_without_digests, spec_of
+from uqharness.campaign.folder.manifest import (
+    describe,
+    read_manifest,
+    refuse_if_different,
+    refuse_without_digests,
+    spec_of,
+)
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
-from uqharness.flight import COEFFICIENTS, FlightResult, FlightSpec, record_mission, staged_mission, write_record
+from uqharness.flight import (
+    COEFFICIENTS,
+    FlightResult,
+    FlightSpec,
+    record_mission,
+    staged_mission,
+    write_record,
+)
 from uqharness.simulator import Source
 from uqharness.simulator import signals as properties
 
@@ -55,8 +68,16 @@ class RecordedFlight:
 
         (result,) = fly_group(self.engine, [spec])
         mission = staged_mission(spec)
-        table = {name: source for name, source in properties.sources(mission.aircraft).items() if name != "time_s"}
-        optional = {} if mission.aircraft.has_card else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
+        table = {
+            name: source
+            for name, source in properties.sources(mission.aircraft).items()
+            if name != "time_s"
+        }
+        optional = (
+            {}
+            if mission.aircraft.has_card
+            else {name: table.pop(name) for name in set(table) - set(properties.STANDARD)}
+        )
         optional |= properties.standard_positions() | _more(mission.aircraft.card.metrics)
         rate_hz = min(RECORD_HZ, 1.0 / mission.aircraft.dt_s)
         full = record_mission(mission, _at_rate(spec, rate_hz), table, optional, keep_burn_in=True)
@@ -79,7 +100,9 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     case = _find_case(build_cases(spec, mission), case_id, folder)
     reason = why_not(case.engine)
     if reason is not None:
-        raise BadInputError(f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where it was flown")
+        raise BadInputError(
+            f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where it was flown"
+        )
     if needs_copy(spec):
         make_copy(spec, mission, folder)
     stored = _stored(folder, case.case_id)
@@ -87,9 +110,15 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     record = target / "record.parquet"
     record.unlink(missing_ok=True)
     # A case that ends the interpreter must end another one than ours.
-    executor = ProcessExecutor(1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0)
+    executor = ProcessExecutor(
+        1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0
+    )
     (outcome,) = [
-        item for batch in executor.run(RecordedFlight(record, case.engine), [(case.case_id, case.flight)]) for item in batch
+        item
+        for batch in executor.run(
+            RecordedFlight(record, case.engine), [(case.case_id, case.flight)]
+        )
+        for item in batch
     ]
     if outcome.bad_input:
         raise BadInputError(outcome.reason)
@@ -108,7 +137,11 @@ def _at_rate(spec: FlightSpec, rate_hz: float) -> FlightSpec:
 def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
     """What stands beside a flight record: errors as scored, position, levels, bounds and deltas, air."""
     table = {f"error_{key}": Source(card.true) for key, card in metrics.items()}
-    table |= {f"error_{key}_measured": Source(card.measured) for key, card in metrics.items() if card.measured}
+    table |= {
+        f"error_{key}_measured": Source(card.measured)
+        for key, card in metrics.items()
+        if card.measured
+    }
     table |= {
         "north_m": Source("nav/north-m"),
         "east_m": Source("nav/east-m"),
@@ -118,7 +151,10 @@ def _more(metrics: Mapping[str, Any]) -> dict[str, Source]:
         for what in ("level", "lower", "upper", "delta", "transient-level"):
             table[f"{what.replace('-', '_')}_{name}"] = Source(f"uq/{name}/{what}")
     table |= {name: Source(f"uq/{name}") for name in ("extrapolated", "extrapolation")}
-    return table | {f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", FT_M) for axis in ("north", "east", "down")}
+    return table | {
+        f"wind_{axis}_mps": Source(f"atmosphere/total-wind-{axis}-fps", FT_M)
+        for axis in ("north", "east", "down")
+    }
 
 
 def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
@@ -126,7 +162,9 @@ def _find_case(cases: tuple[Case, ...], case_id: str, folder: Path) -> Case:
     if len(found) == 1:
         return found[0]
     if found:
-        raise BadInputError(f"--case {case_id}: {len(found)} cases of {folder} begin so; give more of the id")
+        raise BadInputError(
+            f"--case {case_id}: {len(found)} cases of {folder} begin so; give more of the id"
+        )
     raise BadInputError(
         f"--case {case_id}: {folder} has no such case; ids stand in cases.parquet and, for failed ones, in report.html"
     )
@@ -142,7 +180,11 @@ def _stored(folder: Path, case_id: str) -> CaseOutcome | None:
 
 
 def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:
-    found = [] if stored.status == outcome.status else [f"status {stored.status} then, {outcome.status} now"]
+    found = (
+        []
+        if stored.status == outcome.status
+        else [f"status {stored.status} then, {outcome.status} now"]
+    )
     for name in sorted(stored.metrics.keys() | outcome.metrics.keys()):
         then, now = (item.metrics.get(name, math.nan) for item in (stored, outcome))
         if then != now and not (math.isnan(then) and math.isnan(now)):
@@ -151,7 +193,12 @@ def _differences(stored: CaseOutcome, outcome: CaseOutcome) -> list[str]:
 
 
 def _write(
-    target: Path, case: Case, outcome: CaseOutcome, same: bool | None, differences: tuple[str, ...], record: Path
+    target: Path,
+    case: Case,
+    outcome: CaseOutcome,
+    same: bool | None,
+    differences: tuple[str, ...],
+    record: Path,
 ) -> tuple[Path, ...]:
     document = {
         "case_id": case.case_id,
@@ -164,7 +211,10 @@ def _write(
         "flown_s": outcome.flown_s,
         "same_as_stored": same,
         "differences": list(differences),
-        "metrics": {name: value if math.isfinite(value) else None for name, value in sorted(outcome.metrics.items())},
+        "metrics": {
+            name: value if math.isfinite(value) else None
+            for name, value in sorted(outcome.metrics.items())
+        },
         "properties": dict(case.flight.properties),
         "levels": None if case.flight.levels is None else vars(case.flight.levels) | {},
         "transient": None if case.flight.transient is None else vars(case.flight.transient) | {},

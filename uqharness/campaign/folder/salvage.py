@@ -77,7 +77,9 @@ class Flying:
     fly: FlightFunction | Engines | None = None
 
 
-def salvage(folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = "") -> Salvaged:
+def salvage(
+    folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = ""
+) -> Salvaged:
     """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is damaged or gone, and ``command``
     that of the command in it.
 
@@ -86,14 +88,18 @@ def salvage(folder: Path, flying: Flying, campaign: CampaignSpec | None = None, 
     parts = part_folders(folder)
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
-    done = tuple(_salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part))
+    done = tuple(
+        _salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part)
+    )
     aside: list[str] = []
     if (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         with run_lock(folder):
             aside = _mend_merged(folder)
     merged = merge(folder)
     kept = sum(merged.statuses.values()) - sum(part.flown for part in done)
-    return Salvaged(folder, kept, 0, merged.missing, merged.statuses, merged.rewritten, tuple(aside), done)
+    return Salvaged(
+        folder, kept, 0, merged.missing, merged.statuses, merged.rewritten, tuple(aside), done
+    )
 
 
 def _is_whole(folder: Path) -> bool:
@@ -138,7 +144,9 @@ def _mend_merged(folder: Path) -> list[str]:
             raise
         manifest = None
     try:
-        _refuse_damage(folder, {"state": INTERRUPTED, "format": 2} if manifest is None else manifest)
+        _refuse_damage(
+            folder, {"state": INTERRUPTED, "format": 2} if manifest is None else manifest
+        )
     except DamageError:
         if manifest is not None:
             write_manifest(folder, _not_complete(manifest))
@@ -146,13 +154,19 @@ def _mend_merged(folder: Path) -> list[str]:
     return aside + ([] if manifest is None else _put_tables_aside(folder, manifest))
 
 
-def _salvage_campaign(folder: Path, flying: Flying, campaign: CampaignSpec | None, command: str) -> Salvaged:
+def _salvage_campaign(
+    folder: Path, flying: Flying, campaign: CampaignSpec | None, command: str
+) -> Salvaged:
     if not (folder / MANIFEST).exists() and not (folder / JOURNAL).exists():
-        raise BadInputError(f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage")
+        raise BadInputError(
+            f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage"
+        )
     with run_lock(folder):
         spec, manifest, aside = _known_campaign(folder, campaign, command)
         if manifest["state"] == SPOILT:
-            raise BadInputError(f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again")
+            raise BadInputError(
+                f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again"
+            )
         wanted = _case_ids(folder, spec, manifest)
         try:
             _refuse_damage(folder, manifest)
@@ -166,14 +180,22 @@ def _salvage_campaign(folder: Path, flying: Flying, campaign: CampaignSpec | Non
             kept = store.statuses().total()
     shard = None if "shard" not in manifest else parse_shard(manifest["shard"])
     summary = run_campaign(
-        spec, _out_of(folder, shard), executor=flying.executor, on_progress=flying.on_progress, fly=flying.fly,
-        command=manifest["command"], shard=shard, before_flying=flying.before_flying,
-    )  # fmt: skip
+        spec,
+        _out_of(folder, shard),
+        executor=flying.executor,
+        on_progress=flying.on_progress,
+        fly=flying.fly,
+        command=manifest["command"],
+        shard=shard,
+        before_flying=flying.before_flying,
+    )
     flown = sum(summary.statuses.values()) - kept
     return Salvaged(folder, kept, flown, 0, summary.statuses, summary.rewritten, tuple(aside))
 
 
-def _known_campaign(folder: Path, campaign: CampaignSpec | None, command: str) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
+def _known_campaign(
+    folder: Path, campaign: CampaignSpec | None, command: str
+) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
     """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged; what was put aside."""
     try:
         manifest = read_manifest(folder)
@@ -191,7 +213,9 @@ def _known_campaign(folder: Path, campaign: CampaignSpec | None, command: str) -
             made = describe(campaign, mission, len(cases), command)
         else:
             share = len(cases[shard.number - 1 :: shard.count])
-            made = describe(campaign, mission, share, f"{command} --shard {shard}") | {"shard": str(shard)}
+            made = describe(campaign, mission, share, f"{command} --shard {shard}") | {
+                "shard": str(shard)
+            }
         _refuse_foreign_flights(folder, campaign, made)
         aside = [_put_aside(folder / MANIFEST)] if (folder / MANIFEST).exists() else []
         return campaign, made | {"state": INTERRUPTED}, aside
@@ -203,12 +227,20 @@ def _refuse_other_versions(folder: Path) -> None:
     """A damaged manifest can often still be read for the versions that flew; flights of two are not mixed."""
     with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
         said = json.loads(read_regular(folder / MANIFEST)).get("versions")
-        differences = [f"{name} {said[name]} then, {now} now" for name, now in binding_versions() if said.get(name, now) != now]
+        differences = [
+            f"{name} {said[name]} then, {now} now"
+            for name, now in binding_versions()
+            if said.get(name, now) != now
+        ]
         if differences:
-            raise BadInputError(f"{folder}: this folder holds flights of other versions: {'; '.join(differences)}")
+            raise BadInputError(
+                f"{folder}: this folder holds flights of other versions: {'; '.join(differences)}"
+            )
 
 
-def _refuse_foreign_flights(folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]) -> None:
+def _refuse_foreign_flights(
+    folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]
+) -> None:
     wanted = _case_ids(folder, campaign, manifest)
     found = _sound_ids(folder, wanted)
     foreign = len(found - wanted)
@@ -221,17 +253,28 @@ def _refuse_foreign_flights(folder: Path, campaign: CampaignSpec, manifest: Mapp
 
 def _sound_ids(folder: Path, wanted: Collection[str]) -> set[str]:
     with _work_folder(folder) as work:
-        return {row[0] for source in _sources(folder) for row in JournalScan(source, work / "scan").rows(wanted)}
+        return {
+            row[0]
+            for source in _sources(folder)
+            for row in JournalScan(source, work / "scan").rows(wanted)
+        }
 
 
 def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
     """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves it to the first run."""
     if campaign.campaign.engine != "auto":
         return campaign
-    both = {engine: {case.case_id for case in build_cases(campaign.with_engine(engine), mission)} for engine in (JSBSIM, BATCH)}
+    both = {
+        engine: {case.case_id for case in build_cases(campaign.with_engine(engine), mission)}
+        for engine in (JSBSIM, BATCH)
+    }
     found = _sound_ids(folder, set().union(*both.values()))
     hits = {engine: len(found & ids) for engine, ids in both.items()}
-    return campaign.with_engine(max(hits, key=lambda engine: hits[engine])) if any(hits.values()) else campaign
+    return (
+        campaign.with_engine(max(hits, key=lambda engine: hits[engine]))
+        if any(hits.values())
+        else campaign
+    )
 
 
 def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:
@@ -242,7 +285,9 @@ def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> 
 
 
 def _not_complete(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in manifest.items() if name != "journal"} | {"state": INTERRUPTED}
+    return {name: value for name, value in manifest.items() if name != "journal"} | {
+        "state": INTERRUPTED
+    }
 
 
 def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
@@ -251,7 +296,9 @@ def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
         with Store(work) as store:
             for source in _sources(folder):
                 rows = JournalScan(source, work / "scan").rows(wanted or ())
-                for batch in _batches(outcome_of(row) for row in rows if wanted is None or row[0] in wanted):
+                for batch in _batches(
+                    outcome_of(row) for row in rows if wanted is None or row[0] in wanted
+                ):
                     store.add(batch)
         moved = _keep_copy(folder)
         # Beside a new journal it would be taken for what is to be taken back of that one.
@@ -285,7 +332,10 @@ def _keep_copy(folder: Path) -> list[str]:
     if not (folder / JOURNAL).exists():
         return []
     aside = _free_name(folder / JOURNAL)
-    for source, target in ((folder / LEFTOVER, Path(f"{aside}-journal")), (folder / JOURNAL, aside)):
+    for source, target in (
+        (folder / LEFTOVER, Path(f"{aside}-journal")),
+        (folder / JOURNAL, aside),
+    ):
         if source.exists():
             try:
                 os.link(source, target)
@@ -305,7 +355,9 @@ def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     aside = [_put_aside(folder / name) for name in (*damaged, *unknown) if (folder / name).exists()]
     if damaged and (folder / MANIFEST).exists():
         now = read_manifest(folder)
-        write_manifest(folder, now | {"tables": {k: v for k, v in now["tables"].items() if k not in damaged}})
+        write_manifest(
+            folder, now | {"tables": {k: v for k, v in now["tables"].items() if k not in damaged}}
+        )
     return aside
 
 
@@ -316,7 +368,10 @@ def _put_aside(path: Path) -> str:
 
 
 def _free_name(path: Path) -> Path:
-    names = (path.with_name(f"{path.stem}.damaged-{number}{path.suffix}") for number in itertools.count(1))
+    names = (
+        path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")
+        for number in itertools.count(1)
+    )
     return next(name for name in names if not name.exists())
 
 
@@ -354,5 +409,7 @@ def _out_of(folder: Path, shard: Shard | None) -> Path:
         return folder
     place = folder.resolve()
     if (place.parent.name, place.name) != (SHARDS, shard.folder):
-        raise BadInputError(f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder")
+        raise BadInputError(
+            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder"
+        )
     return place.parent.parent

@@ -18,9 +18,13 @@ from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
 
 
-def sealed(manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]) -> dict[str, Any]:
+def sealed(
+    manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
+) -> dict[str, Any]:
     """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
-    digests = dict(manifest.get("tables", {})) | {name: sha256_hex(content) for name, content in tables.items()}
+    digests = dict(manifest.get("tables", {})) | {
+        name: sha256_hex(content) for name, content in tables.items()
+    }
     return {**manifest, "state": COMPLETE, "tables": digests, "journal": store.summary()}
 
 
@@ -28,18 +32,26 @@ def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any])
     """DamageError where the journal of a complete campaign is not the one that the manifest lists."""
     store.finished()
     if store.summary() != manifest["journal"]:
-        raise DamageError(folder / JOURNAL, "its flights are not those that the manifest lists", folder)
+        raise DamageError(
+            folder / JOURNAL, "its flights are not those that the manifest lists", folder
+        )
 
 
 def mend_tables(
-    folder: Path, manifest: Mapping[str, Any], spec: CampaignSpec, cases: Sequence[Case], store: Store
+    folder: Path,
+    manifest: Mapping[str, Any],
+    spec: CampaignSpec,
+    cases: Sequence[Case],
+    store: Store,
 ) -> tuple[str, ...]:
     """Write the tables of a complete campaign again if one is not as it was written; names of those that were not.
 
     The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
     """
     written = manifest.get("tables", {})
-    damaged = {name for name, digest in table_digests(folder, manifest).items() if digest != written[name]}
+    damaged = {
+        name for name, digest in table_digests(folder, manifest).items() if digest != written[name]
+    }
     if not damaged:
         return ()
     rounds = Rounds(spec, cases, None)

@@ -104,7 +104,9 @@ def merge(folder: Path) -> Merged:
             refuse_without_digests(part, found)
             refuse_if_different(part, found, manifest)
             if found["state"] == SPOILT:
-                raise BadInputError(f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again")
+                raise BadInputError(
+                    f"{part}: aircraft or script was edited while it flew; remove it and fly that shard again"
+                )
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
                 refuse_if_not_whole(folder, store, old)
@@ -149,8 +151,12 @@ def _merged_before(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any] 
 
 
 def _merged(
-    folder: Path, cases: Sequence[Case], statuses: Mapping[str, int], missing: int, folders: Sequence[Path],
+    folder: Path,
+    cases: Sequence[Case],
+    statuses: Mapping[str, int],
+    missing: int,
+    folders: Sequence[Path],
     rewritten: tuple[str, ...],
-) -> Merged:  # fmt: skip
+) -> Merged:
     names = tuple(path.name for path in folders)
     return Merged(folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten)

@@ -61,10 +61,23 @@ def read_status(folder: Path) -> Status:
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
     # Answers are of a campaign as a whole.
     answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
-    engine, why = manifest["campaign"]["campaign"]["engine"], tuple(manifest.get("engine", {}).get("why", ()))
+    engine, why = (
+        manifest["campaign"]["campaign"]["engine"],
+        tuple(manifest.get("engine", {}).get("why", ())),
+    )
     joint = tuple(joint_words(manifest))
     counts = dict(sorted(counted.items()))
-    return Status(state, cases, counts, answers, manifest["command"], engine, why, joint, joint_level(manifest))
+    return Status(
+        state,
+        cases,
+        counts,
+        answers,
+        manifest["command"],
+        engine,
+        why,
+        joint,
+        joint_level(manifest),
+    )
 
 
 def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
@@ -74,19 +87,33 @@ def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
         found = store.statuses()
     if is_sealed(manifest) and found.total() != manifest["journal"]["rows"]:
         rows = manifest["journal"]["rows"]
-        raise DamageError(folder / JOURNAL, f"{found.total()} flights are in it, the manifest lists {rows}", folder)
+        raise DamageError(
+            folder / JOURNAL,
+            f"{found.total()} flights are in it, the manifest lists {rows}",
+            folder,
+        )
     return found
 
 
 def _counted_without_digests(path: Path) -> Mapping[str, int]:
     """The journal of uqharness 0.1."""
     if not path.is_file():
-        raise BadInputError(f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole")
+        raise BadInputError(
+            f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole"
+        )
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)) as database:
-            found = dict(database.execute("select status, count(*) from outcome group by status").fetchall())
+        with closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
+        ) as database:
+            found = dict(
+                database.execute("select status, count(*) from outcome group by status").fetchall()
+            )
     except (sqlite3.Error, OverflowError, MemoryError, UnicodeError) as error:
-        raise BadInputError(f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1") from None
+        raise BadInputError(
+            f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1"
+        ) from None
     if not all(isinstance(status, str) for status in found):
-        raise BadInputError(f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1")
+        raise BadInputError(
+            f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1"
+        )
     return found

@@ -24,7 +24,13 @@ from typing import Any
 
 from sysid.foreign.regular_files import require_regular
 from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.digests import DamageError, digest_of_rows, digest_of_text, row_digest, summed
+from uqharness.campaign.folder.digests import (
+    DamageError,
+    digest_of_rows,
+    digest_of_text,
+    row_digest,
+    summed,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import lock_at_once
 from uqharness.flight import STATUSES
@@ -46,9 +52,16 @@ LONGEST_BYTES = 16_000_000
 
 # Failures of the machine and not of the file: what was stored is still there.
 _OF_THE_MACHINE = {
-    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_CANTOPEN,
-    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_AUTH,
-}  # fmt: skip
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_AUTH,
+}
 
 
 class Store:
@@ -83,19 +96,25 @@ class Store:
         except FileNotFoundError:
             return False
         except OSError as error:
-            raise BadInputError(f"{self._path}: cannot be read: {error.strerror or error}") from None
+            raise BadInputError(
+                f"{self._path}: cannot be read: {error.strerror or error}"
+            ) from None
         return True
 
     def _connected(self, read_only: bool, begun: bool) -> sqlite3.Connection:
         if read_only and not begun:
             return sqlite3.connect(":memory:")
         if read_only and not os.access(self._path, os.W_OK):
-            return sqlite3.connect(f"{self._path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
+            return sqlite3.connect(
+                f"{self._path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0
+            )
         return sqlite3.connect(self._path, timeout=30.0)
 
     def _schema(self) -> bool:
         """Whether the tables are there; False in a file whose making was cut short, in which nothing was counted."""
-        found = [row[0] for row in self._database.execute("select sql from sqlite_master order by name")]
+        found = [
+            row[0] for row in self._database.execute("select sql from sqlite_master order by name")
+        ]
         if not found:
             # Tables are made in one transaction: without them there is not one page.
             if self._database.execute("pragma page_count").fetchone() != (0,):
@@ -136,7 +155,9 @@ class Store:
             self._database.execute("begin")
             try:
                 expected = self._tally()
-                for row in self._database.execute(f"select {COLUMNS} from outcome order by case_id"):
+                for row in self._database.execute(
+                    f"select {COLUMNS} from outcome order by case_id"
+                ):
                     yield (outcome := self._outcome(row))
                     counted[outcome.status] += 1
                     total += int(row[-1], 16)
@@ -152,7 +173,9 @@ class Store:
         with self._explained("read"):
             if not self._schema():
                 return None
-            row = self._database.execute(f"select {COLUMNS} from outcome where case_id = ?", (case_id,)).fetchone()
+            row = self._database.execute(
+                f"select {COLUMNS} from outcome where case_id = ?", (case_id,)
+            ).fetchone()
             return None if row is None else self._outcome(row)
 
     def summary(self) -> dict[str, Any]:
@@ -161,7 +184,10 @@ class Store:
         Takes the rows' digests as they stand: whoever must not trust them goes through ``outcomes`` as well.
         """
         with self._explained("read"):
-            digests = [row[0] for row in self._database.execute("select digest from outcome order by case_id")]
+            digests = [
+                row[0]
+                for row in self._database.execute("select digest from outcome order by case_id")
+            ]
             return {"rows": len(digests), "digest": digest_of_rows(digests)}
 
     def _tally(self) -> tuple[Counter[str], str]:
@@ -216,10 +242,14 @@ def create_tables(database: sqlite3.Connection) -> None:
         if database.execute("select count(*) from sqlite_master").fetchone() == (0,):
             for statement in SCHEMA:
                 database.execute(statement)
-            database.execute("insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ())))
+            database.execute(
+                "insert into tally values (?,?,?)", _tally_row(Counter(), summed("0", ()))
+            )
 
 
-def add_rows(database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str) -> None:
+def add_rows(
+    database: sqlite3.Connection, rows: Iterable[Sequence[Any]], statuses: Counter[str], total: str
+) -> None:
     """Write rows within the transaction that is open and bring the tally, which was ``statuses`` and ``total``, up to date."""
     statuses, added, removed = statuses.copy(), [], []
     for row in rows:
@@ -231,7 +261,9 @@ def add_rows(database: sqlite3.Connection, rows: Iterable[Sequence[Any]], status
         statuses[row[1]] += 1
         added.append(row[-1])
     total = summed(total, added, removed)
-    database.execute("update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total))
+    database.execute(
+        "update tally set statuses = ?, digest_sum = ?, digest = ?", _tally_row(+statuses, total)
+    )
 
 
 def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
@@ -245,7 +277,9 @@ def row_of(outcome: CaseOutcome) -> tuple[Any, ...]:
 def outcome_of(row: Sequence[Any]) -> CaseOutcome:
     """The outcome that a row holds. ValueError saying what is wrong where it is not the row that was written."""
     case_id, status, reason, flown_s, metrics, undefined, digest = row
-    whole = all(isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest))
+    whole = all(
+        isinstance(item, str) for item in (case_id, status, reason, metrics, undefined, digest)
+    )
     if not (whole and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
         name = f"flight {case_id}" if isinstance(case_id, str) and case_id.isalnum() else "a flight"
         raise ValueError(f"the row of {name} does not fit its digest")
@@ -258,7 +292,11 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
 def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
     """Number of rows by status and the sum of their digests. ValueError where they are not what was written."""
     rows = database.execute("select statuses, digest_sum, digest from tally").fetchall()
-    if len(rows) != 1 or not all(isinstance(item, str) for item in rows[0]) or digest_of_text(rows[0][:2]) != rows[0][2]:
+    if (
+        len(rows) != 1
+        or not all(isinstance(item, str) for item in rows[0])
+        or digest_of_text(rows[0][:2]) != rows[0][2]
+    ):
         raise ValueError("its tally of flights does not fit its digest")
     statuses = _mapping(rows[0][0], (int,))
     if statuses is None or not set(statuses) <= set(STATUSES):
@@ -301,7 +339,9 @@ def run_lock(folder: Path) -> Iterator[None]:
     try:
         handle = path.open("a+", encoding="utf-8")
     except OSError as error:
-        raise BadInputError(f"{folder}: cannot be written: {error.strerror or error}; choose another --out") from None
+        raise BadInputError(
+            f"{folder}: cannot be written: {error.strerror or error}; choose another --out"
+        ) from None
     with handle:
         # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal is not yet an answer.
         if not _try_lock(handle.fileno(), attempts=5):
@@ -332,7 +372,9 @@ def is_running(folder: Path) -> bool:
 
 
 def _in_use(folder: Path, holder: str) -> BadInputError:
-    return BadInputError(f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out")
+    return BadInputError(
+        f"{folder}: another run is using this folder ({holder}); wait for it, stop it, or choose another --out"
+    )
 
 
 # A record lock does not exclude its own process: a second run in another thread would pass.

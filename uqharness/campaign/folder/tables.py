@@ -25,20 +25,44 @@ PBOXES = "pbox.parquet"
 EXCURSIONS = "excursions.csv"
 
 _EXCURSION_COLUMNS = (
-    "condition", "wind_mps", "turbulence", "radius_m", "distance", "epistemic_id", "best", "worst", "flights", "failed",
-    "hours", "excursions", "excursions_upper", "rate_per_h", "rate_upper_per_h", "limit_lower_per_h", "limit_upper_per_h",
-    "simultaneous_lower_per_h", "simultaneous_upper_per_h", "flights_lower_per_h", "flights_upper_per_h", "dispersion",
+    "condition",
+    "wind_mps",
+    "turbulence",
+    "radius_m",
+    "distance",
+    "epistemic_id",
+    "best",
+    "worst",
+    "flights",
+    "failed",
+    "hours",
+    "excursions",
+    "excursions_upper",
+    "rate_per_h",
+    "rate_upper_per_h",
+    "limit_lower_per_h",
+    "limit_upper_per_h",
+    "simultaneous_lower_per_h",
+    "simultaneous_upper_per_h",
+    "flights_lower_per_h",
+    "flights_upper_per_h",
+    "dispersion",
     "extrapolated_share",
-)  # fmt: skip
+)
 
 
 def make_tables(
-    spec: CampaignSpec, cases: Sequence[Case], outcomes: Iterable[CaseOutcome], decisions: bytes | None = None
+    spec: CampaignSpec,
+    cases: Sequence[Case],
+    outcomes: Iterable[CaseOutcome],
+    decisions: bytes | None = None,
 ) -> dict[str, bytes]:
     """cases.parquet, pbox.parquet, excursions.csv and statements.csv of what was flown, and ``decisions``, by name."""
     table = build_table(cases, outcomes)
     frame, campaign = table.to_pandas(), spec.as_dict()
-    found = statements(frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS)))
+    found = statements(
+        frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS))
+    )
     made = {
         CASES: table_bytes(table),
         PBOXES: table_bytes(_pbox_table(frame, band_confidence(campaign, CONFIDENCE))),
@@ -62,9 +86,18 @@ def _pbox_table(frame: pd.DataFrame, confidence: float) -> pa.Table:
     parts = []
     for metric, condition, box in pboxes(frame, confidence):
         rows = box.value.size
-        columns = [[metric] * rows, [condition.label] * rows, box.value, box.lower, box.upper, box.band_lower]
+        columns = [
+            [metric] * rows,
+            [condition.label] * rows,
+            box.value,
+            box.lower,
+            box.upper,
+            box.band_lower,
+        ]
         columns += [box.band_upper, box.corner_lower.tolist(), box.corner_upper.tolist()]
-        arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
+        arrays = [
+            pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)
+        ]
         parts.append(pa.table(arrays, schema=schema))
     return pa.concat_tables(parts).combine_chunks() if parts else schema.empty_table()
 
@@ -76,13 +109,40 @@ def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
     for statement in found:
         cell = statement.cell
         best, worst = best_and_worst(cell.rates)
-        shares = in_condition(frame, cell.condition).groupby("epistemic_id", sort=False)["extrapolated_share"].mean()
-        for item, limits, dispersion in zip(cell.rates, statement.corner_limits, statement.dispersions, strict=True):
+        shares = (
+            in_condition(frame, cell.condition)
+            .groupby("epistemic_id", sort=False)["extrapolated_share"]
+            .mean()
+        )
+        for item, limits, dispersion in zip(
+            cell.rates, statement.corner_limits, statement.dispersions, strict=True
+        ):
             writer.writerow(
-                [cell.condition.label, f"{cell.condition.wind_mps:g}", cell.condition.turbulence, f"{cell.radius_m:g}"]
-                + [cell.distance, item.epistemic_id, int(item is best), int(item is worst), item.flights, item.failed]
-                + [f"{item.hours:.6f}", item.events, item.events_upper, f"{item.rate:.6g}", f"{item.rate_upper:.6g}"]
-                + [f"{limit:.6g}" for limit in (*item.limits, *item.simultaneous, *limits, dispersion)]
+                [
+                    cell.condition.label,
+                    f"{cell.condition.wind_mps:g}",
+                    cell.condition.turbulence,
+                    f"{cell.radius_m:g}",
+                ]
+                + [
+                    cell.distance,
+                    item.epistemic_id,
+                    int(item is best),
+                    int(item is worst),
+                    item.flights,
+                    item.failed,
+                ]
+                + [
+                    f"{item.hours:.6f}",
+                    item.events,
+                    item.events_upper,
+                    f"{item.rate:.6g}",
+                    f"{item.rate_upper:.6g}",
+                ]
+                + [
+                    f"{limit:.6g}"
+                    for limit in (*item.limits, *item.simultaneous, *limits, dispersion)
+                ]
                 + [number(shares[item.epistemic_id])]
             )
     return buffer.getvalue().encode()

@@ -45,7 +45,9 @@ class Verified:
     @property
     def whole(self) -> bool:
         """Whether everything is as it was written."""
-        return all(item.state == WHOLE for item in self.items) and all(part.whole for part in self.shards)
+        return all(item.state == WHOLE for item in self.items) and all(
+            part.whole for part in self.shards
+        )
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,18 @@ def verify(folder: Path) -> Verified:
     parts = part_folders(folder)
     own = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
     if not own and not parts:
-        raise BadInputError(f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}, no {SHARDS}/)")
+        raise BadInputError(
+            f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}, no {SHARDS}/)"
+        )
     complete, items = _verify_own(folder) if own else (None, ())
     return Verified(folder, complete, items, tuple(verify(part) for part in parts))
 
 
 def part_folders(folder: Path) -> list[Path]:
     """Folders of shards, also of those that have lost their manifest."""
-    found = {path.parent for name in (MANIFEST, JOURNAL) for path in (folder / SHARDS).glob(f"*/{name}")}
+    found = {
+        path.parent for name in (MANIFEST, JOURNAL) for path in (folder / SHARDS).glob(f"*/{name}")
+    }
     return sorted(found)
 
 
@@ -129,7 +135,10 @@ def look_at_journal(folder: Path, manifest: Mapping[str, Any] | None) -> Journal
             return JournalFound(0, 0, None, f"cannot be read: {error}")
     if manifest is not None and is_sealed(manifest):
         expected = int(manifest["journal"]["rows"])
-        fits = digest_of_rows(digests[name] for name in sorted(digests)) == manifest["journal"]["digest"]
+        fits = (
+            digest_of_rows(digests[name] for name in sorted(digests))
+            == manifest["journal"]["digest"]
+        )
         problem = problem or ("" if fits else "its flights are not those that the manifest lists")
     missing = None if expected is None else max(expected - len(digests) - scan.damaged, 0)
     return JournalFound(len(digests), scan.damaged, missing, problem)

@@ -74,21 +74,30 @@ class LoiterPaths:
     Excursions are those of the campaign's tables, from the recorded rows between two checkpoints.
     """
 
-    def __init__(self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch) -> None:
+    def __init__(
+        self, specs: Sequence[FlightSpec], aleatory_ids: Sequence[int], root: int, watch: Watch
+    ) -> None:
         """Raises BadInputError for what the batch engine cannot fly, an aircraft without a commanded path, and a step that is no
         whole number of recorded rows."""
         first = specs[0]
         made = ready(first)
         if DISTANCE not in made.table:
-            raise BadInputError(f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave")
+            raise BadInputError(
+                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to leave"
+            )
         source, dt_s = made.table[DISTANCE], made.lanes.dt_s
         self._stride = record_stride(first, dt_s)
         self._row_s = self._stride * dt_s
         rows = round(watch.step_s / self._row_s)
         if rows < 2 or abs(rows * self._row_s - watch.step_s) > 1e-9:
-            raise BadInputError(f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of them at least")
+            raise BadInputError(
+                f"step_s = {watch.step_s:g}: a multiple of the recorded {self._row_s:g} s, two of them at least"
+            )
         self._step, self._watch, self._root = rows * self._stride, watch, root
-        self._channel, self._factor = list(made.lanes.program.records).index(source.property), source.factor
+        self._channel, self._factor = (
+            list(made.lanes.program.records).index(source.property),
+            source.factor,
+        )
         self._course = Course.begun(made, specs)
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
         self._course.taken()
@@ -124,11 +133,16 @@ class LoiterPaths:
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
         """Go on with these paths in that order; those with a level branch here."""
         keys = [
-            None if level == 0 else self._key(int(self._ids[parent]), level) for parent, level in zip(parents, levels, strict=True)
+            None if level == 0 else self._key(int(self._ids[parent]), level)
+            for parent, level in zip(parents, levels, strict=True)
         ]
         self._course.follow(parents, keys)
         chosen = list(parents)
-        self._ids, self._outside, self._had = self._ids[chosen], self._outside[chosen], self._had[chosen]
+        self._ids, self._outside, self._had = (
+            self._ids[chosen],
+            self._outside[chosen],
+            self._had[chosen],
+        )
 
     def _key(self, aleatory_id: int, level: int) -> Branch:
         number = self._numbers.get((aleatory_id, level), 0)
@@ -148,4 +162,6 @@ class LoiterPaths:
         for path, kind in np.argwhere(first):
             if sum(hit.kind == kind for hit in self.hits) < self._watch.noted:
                 splits = self._course.splits[path]
-                self.hits.append(Hit(int(self._ids[path]), int(kind), frame, float(distance[path]), splits))
+                self.hits.append(
+                    Hit(int(self._ids[path]), int(kind), frame, float(distance[path]), splits)
+                )

@@ -38,19 +38,32 @@ class Predicted:
     def score(self, regressors: Array, distance_m: Array) -> Array:
         """Standard deviations to the radius (...), negative inside it, of regressors (..., k) and distances (...)."""
         # One regressor after the other: a matrix product would round differently with the number of paths.
-        slopes, expected = np.array(self.coefficients), np.zeros((*distance_m.shape, len(self.constants))) + self.constants
+        slopes, expected = (
+            np.array(self.coefficients),
+            np.zeros((*distance_m.shape, len(self.constants))) + self.constants,
+        )
         for place in range(slopes.shape[1]):
             expected += regressors[..., place, None] * slopes[:, place]
         ahead = ((expected - self.radius_m) / np.array(self.sigmas)).max(axis=-1)
         return np.asarray(np.maximum(ahead, (distance_m - self.radius_m) / NOW_M))
 
 
-def fit(regressors: Array, distance_m: Array, row_s: float, radius_m: float, horizons_s: Sequence[float] = HORIZONS_S) -> Predicted:
+def fit(
+    regressors: Array,
+    distance_m: Array,
+    row_s: float,
+    radius_m: float,
+    horizons_s: Sequence[float] = HORIZONS_S,
+) -> Predicted:
     """Least squares at each horizon that is a whole number of rows, from flights (flights, rows, k) and (flights, rows).
 
     Raises ValueError for flights no longer than the last horizon, and where no horizon is a whole number of rows.
     """
-    ahead = {h: round(h / row_s) for h in horizons_s if round(h / row_s) > 0 and abs(round(h / row_s) * row_s - h) < 1e-9}
+    ahead = {
+        h: round(h / row_s)
+        for h in horizons_s
+        if round(h / row_s) > 0 and abs(round(h / row_s) * row_s - h) < 1e-9
+    }
     if not ahead or max(ahead.values()) >= distance_m.shape[1]:
         raise ValueError(
             f"{distance_m.shape[1]} rows {row_s:g} s apart: more than {max(horizons_s):g} s of rows are needed, and horizons that "
@@ -63,7 +76,10 @@ def fit(regressors: Array, distance_m: Array, row_s: float, radius_m: float, hor
         centre, spread = x.mean(axis=0), x.std(axis=0)
         unit = np.where(spread > 0.0, spread, 1.0)
         z = (x - centre) / unit
-        slopes = np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean())) / unit
+        slopes = (
+            np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean()))
+            / unit
+        )
         constants.append(float(y.mean() - centre @ slopes))
         coefficients.append(tuple(map(float, slopes)))
         sigmas.append(float((y - x @ slopes - constants[-1]).std()))

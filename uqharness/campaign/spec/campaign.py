@@ -43,7 +43,9 @@ class AleatorySection(Section):
     flights: int = Field(ge=1, le=1_000_000)
     duration_s: Number = Field(gt=0, le=86_400)
     burn_in_s: Number = Field(default=120.0, ge=0, le=86_400)
-    wind_mps: Annotated[tuple[Annotated[Number, Field(ge=0, le=60)], ...], BeforeValidator(listed)] = (0.0,)
+    wind_mps: Annotated[
+        tuple[Annotated[Number, Field(ge=0, le=60)], ...], BeforeValidator(listed)
+    ] = (0.0,)
     wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
     turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(listed)] = ("none",)
     turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
@@ -66,12 +68,16 @@ class MetricsSection(Section):
     where the same air does not show one at a smaller radius; ``dispersion_radius_m`` are further radii counted for that alone.
     """
 
-    excursion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)] = (15.0, 25.0)
+    excursion_radius_m: Annotated[
+        tuple[Annotated[Number, Field(gt=0)], ...], BeforeValidator(listed)
+    ] = (15.0, 25.0)
     rearm_m: Number = Field(default=2.0, ge=0)
     acceptable_per_h: Number = Field(default=0.1, gt=0)
     acceptable_loss_per_h: Number | None = Field(default=None, gt=0)
     dispersion: Number = Field(default=2.0, ge=1, le=1000)
-    dispersion_radius_m: Annotated[tuple[Annotated[Number, Field(gt=0)], ...] | None, BeforeValidator(listed)] = None
+    dispersion_radius_m: Annotated[
+        tuple[Annotated[Number, Field(gt=0)], ...] | None, BeforeValidator(listed)
+    ] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> MetricsSection:
@@ -84,7 +90,9 @@ class MetricsSection(Section):
                 "dispersion_radius_m must name radii below the largest of excursion_radius_m, none twice and none of those again"
             )
         if self.rearm_m >= min(radii):
-            raise ValueError(f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m")
+            raise ValueError(
+                f"rearm_m = {self.rearm_m:g} must be less than the smallest radius, {min(radii):g} m"
+            )
         return self
 
 
@@ -126,7 +134,9 @@ class CampaignSpec:
         """Every setting, defaults included, as plain JSON types: two files that mean the same give the same."""
         sections = {name: getattr(self, name) for name in Document.model_fields}
         found = {
-            name: section.model_dump(mode="json", exclude_none=True) for name, section in sections.items() if section is not None
+            name: section.model_dump(mode="json", exclude_none=True)
+            for name, section in sections.items()
+            if section is not None
         }
         epistemic = found["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
@@ -138,23 +148,37 @@ class CampaignSpec:
         if self.inputs.has_parts and self.epistemic.method != "none":
             epistemic["transient"] = bool(self.inputs.transient_rates)
         if self.epistemic.method == "walk":
-            epistemic["walk_rate_per_sqrt_s"] = {name: self.inputs.walk_rates[name] for name in self.inputs.coefficients}
+            epistemic["walk_rate_per_sqrt_s"] = {
+                name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
+            }
         return found
 
     def with_hours(self, hours: float) -> CampaignSpec:
         """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
         if not (math.isfinite(hours) and hours > 0):
-            raise BadInputError(f"--hours {hours:g}: must be a number of flight hours greater than 0")
+            raise BadInputError(
+                f"--hours {hours:g}: must be a number of flight hours greater than 0"
+            )
         if self.stop.rule == "band-width":
-            raise BadInputError(f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them')
+            raise BadInputError(
+                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out one of them'
+            )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
-        given = self.stop.model_copy(update={"hours": float(hours)}) if self.stop.rule == "hours" else self.stop
+        given = (
+            self.stop.model_copy(update={"hours": float(hours)})
+            if self.stop.rule == "hours"
+            else self.stop
+        )
         return dataclasses.replace(self.with_flights(max(1, flights)), stop=given)
 
     def with_engine(self, engine: str) -> CampaignSpec:
         """The same campaign flown in the engine of that name."""
-        return dataclasses.replace(self, campaign=self.campaign.model_copy(update={"engine": engine}))
+        return dataclasses.replace(
+            self, campaign=self.campaign.model_copy(update={"engine": engine})
+        )
 
     def with_flights(self, flights: int) -> CampaignSpec:
         """The same campaign with another number of flights per corner and condition."""
-        return dataclasses.replace(self, aleatory=self.aleatory.model_copy(update={"flights": flights}))
+        return dataclasses.replace(
+            self, aleatory=self.aleatory.model_copy(update={"flights": flights})
+        )

@@ -22,7 +22,9 @@ def joint_radius(dof: int, confidence: float) -> float:
     3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence not between 0 and 1 - 1e-9.
     """
     if dof < 1 or not 0.0 < confidence <= 1.0 - 1e-9:
-        raise ValueError(f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1 are needed")
+        raise ValueError(
+            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1 are needed"
+        )
     low, high = 0.0, _MOST_SIGMA
     while True:
         middle = 0.5 * (low + high)

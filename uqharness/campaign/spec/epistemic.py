@@ -38,7 +38,9 @@ class ParametersSection(Section):
     @model_validator(mode="after")
     def _consistent(self) -> ParametersSection:
         if self.confidence is not None and self.distribution != "box":
-            raise ValueError('confidence belongs to distribution = "box"; a normal distribution has no edge')
+            raise ValueError(
+                'confidence belongs to distribution = "box"; a normal distribution has no edge'
+            )
         names = self.parameters
         if names is not None and (not names or len(set(names)) != len(names)):
             raise ValueError("parameters must name at least one property, and none twice")
@@ -78,14 +80,22 @@ class EpistemicSection(Section):
     @classmethod
     def _bounds(cls, value: Any) -> Any:
         if isinstance(value, str) and not value.endswith(".json"):
-            raise ValueError('must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"')
-        return {n: _interval(str(n), item) for n, item in value.items()} if isinstance(value, dict) else value
+            raise ValueError(
+                'must be numbers, as { CX = 0.008, ... }, or the file of a model form, as "model-form.json"'
+            )
+        return (
+            {n: _interval(str(n), item) for n, item in value.items()}
+            if isinstance(value, dict)
+            else value
+        )
 
     @field_validator("levels", mode="before")
     @classmethod
     def _levels(cls, value: Any) -> Any:
         value = tupled(value)
-        if isinstance(value, tuple) and not all(is_number(item) and 0 <= item <= 1 for item in value):
+        if isinstance(value, tuple) and not all(
+            is_number(item) and 0 <= item <= 1 for item in value
+        ):
             raise ValueError("every level must be a number from 0 (lower bound) to 1 (upper bound)")
         if isinstance(value, tuple) and (not value or len(set(value)) != len(value)):
             raise ValueError("must name at least one level, and none twice")
@@ -106,7 +116,9 @@ class EpistemicSection(Section):
     @model_validator(mode="after")
     def _consistent(self) -> EpistemicSection:
         if (self.method == "levels") != (self.levels is not None):
-            raise ValueError('levels belongs to method = "levels", which needs it: levels = [0, 0.5, 1]')
+            raise ValueError(
+                'levels belongs to method = "levels", which needs it: levels = [0, 0.5, 1]'
+            )
         self._check_bounds()
         self._check_samples()
         self._check_rates()
@@ -133,12 +145,16 @@ class EpistemicSection(Section):
                 raise ValueError(f"bounds are given for {name}, which is not among coefficients")
         missing = [name for name in self.coefficients if name not in self.bounds]
         if missing:
-            raise ValueError(f"bounds lack {', '.join(missing)}: give them, or leave them out of coefficients")
+            raise ValueError(
+                f"bounds lack {', '.join(missing)}: give them, or leave them out of coefficients"
+            )
 
     def _check_samples(self) -> None:
         wanted = self.method in SAMPLED or self.parameters is not None
         if wanted and self.samples is None:
-            what = f'method = "{self.method}"' if self.method in SAMPLED else "[epistemic.parameters]"
+            what = (
+                f'method = "{self.method}"' if self.method in SAMPLED else "[epistemic.parameters]"
+            )
             raise ValueError(f"{what} needs samples, the number of draws: samples = 2000")
         if not wanted and self.samples is not None:
             raise ValueError(
@@ -150,14 +166,20 @@ class EpistemicSection(Section):
         if self.walk_rate_per_sqrt_s is None:
             return
         if self.method != "walk":
-            raise ValueError(f'walk_rate_per_sqrt_s belongs to method = "walk", not to "{self.method}"')
+            raise ValueError(
+                f'walk_rate_per_sqrt_s belongs to method = "walk", not to "{self.method}"'
+            )
         missing = [name for name in self.coefficients if name not in self.walk_rate_per_sqrt_s]
         if missing and not isinstance(self.bounds, str):
-            raise ValueError(f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients")
+            raise ValueError(
+                f"walk_rate_per_sqrt_s lacks {', '.join(missing)}: give them, or leave them out of coefficients"
+            )
 
     def _check_set(self) -> None:
         if self.set == "ellipsoid" and self.method not in ("corners", "lhs"):
-            raise ValueError(f'set = "ellipsoid" belongs to the methods corners and lhs, not to "{self.method}"')
+            raise ValueError(
+                f'set = "ellipsoid" belongs to the methods corners and lhs, not to "{self.method}"'
+            )
         if self.interior and self.method != "corners":
             raise ValueError(
                 f'interior = {self.interior}: interior points are flown beside corners, not with method = "{self.method}"'
@@ -170,10 +192,14 @@ def _interval(name: str, item: Any) -> Any:
     """``0.008`` means ±0.008; a pair means [lower, upper] with 0 between."""
     if is_number(item):
         if item < 0:
-            raise ValueError(f"{name} = {item:g}: a single bound is a half-width and cannot be negative")
+            raise ValueError(
+                f"{name} = {item:g}: a single bound is a half-width and cannot be negative"
+            )
         return (-float(item), float(item))
     if not (isinstance(item, list) and len(item) == 2 and all(map(is_number, item))):
         raise ValueError(f"{name} = {as_toml(item)}: must be a number (±) or a pair [lower, upper]")
     if not item[0] <= 0 <= item[1]:
-        raise ValueError(f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside")
+        raise ValueError(
+            f"{name} = {as_toml(item)}: must have lower <= 0 <= upper, so that the model itself lies inside"
+        )
     return (float(item[0]), float(item[1]))

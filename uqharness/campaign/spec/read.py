@@ -125,4 +125,6 @@ def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
         )
     if not 1 <= samples <= MOST_SAMPLES:
         raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
-    return planned(dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples})))
+    return planned(
+        dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples}))
+    )

@@ -17,7 +17,14 @@ from uqharness.campaign.inputs import Estimates
 from uqharness.campaign.spec import ellipsoid
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED, ParametersSection
-from uqharness.flight import COEFFICIENTS, LevelDriver, exact, named_stream, normals, numbered_stream
+from uqharness.flight import (
+    COEFFICIENTS,
+    LevelDriver,
+    exact,
+    named_stream,
+    normals,
+    numbered_stream,
+)
 
 Array = NDArray[np.float64]
 
@@ -47,7 +54,9 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     the points between corners as those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
     ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
     """
-    means = [name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None]
+    means = [
+        name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
+    ]
     draws = _parameter_draws(spec)
     if spec.epistemic.method in SAMPLED:
         return tuple(_drawn(spec, means, draws))
@@ -55,13 +64,17 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     return tuple(_with_draws(points, draws))
 
 
-def _with_draws(points: Sequence[Epistemic], draws: Sequence[Mapping[str, float]]) -> Iterator[Epistemic]:
+def _with_draws(
+    points: Sequence[Epistemic], draws: Sequence[Mapping[str, float]]
+) -> Iterator[Epistemic]:
     """Every point with every draw of parameters, draws fastest."""
     for point in points:
         if not draws:
             yield point
         for number, parameters in enumerate(draws):
-            yield replace(point, epistemic_id=f"{point.epistemic_id}+p{number:06d}", parameters=parameters)
+            yield replace(
+                point, epistemic_id=f"{point.epistemic_id}+p{number:06d}", parameters=parameters
+            )
 
 
 def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
@@ -74,7 +87,10 @@ def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
     if section.set == "ellipsoid":
         points = list(_on_ellipsoid(spec))
     else:
-        points = [(_marked(c, separator), c) for c in (dict(zip(moved, c, strict=True)) for c in _product(values, len(moved)))]
+        points = [
+            (_marked(c, separator), c)
+            for c in (dict(zip(moved, c, strict=True)) for c in _product(values, len(moved)))
+        ]
     for (name, levels), combination in itertools.product(points, _product(values, len(means))):
         mean_levels = dict(zip(means, combination, strict=True))
         name = name if moved else "nominal"
@@ -88,7 +104,9 @@ def _product(values: Sequence[float], repeat: int) -> Iterator[tuple[float, ...]
 
 
 def _marked(levels: Mapping[str, float], separator: str = "") -> str:
-    return separator.join(f"{levels[name]:.17g}" if name in levels else "-" for name in COEFFICIENTS)
+    return separator.join(
+        f"{levels[name]:.17g}" if name in levels else "-" for name in COEFFICIENTS
+    )
 
 
 def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
@@ -97,12 +115,19 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
     for corner in _product((0.0, 1.0), len(moved)):
         levels = ellipsoid.at([share * (2.0 * end - 1.0) for end in corner], radius)
-        yield f"e{_marked(dict(zip(moved, corner, strict=True)))}", dict(zip(moved, levels, strict=True))
+        yield (
+            f"e{_marked(dict(zip(moved, corner, strict=True)))}",
+            dict(zip(moved, levels, strict=True)),
+        )
     if len(moved) == 1:
         return  # its two directions are the axis
     for axis, end in itertools.product(moved, (0, 1)):
-        marks = "".join(str(end) if name == axis else "." if name in moved else "-" for name in COEFFICIENTS)
-        levels = ellipsoid.at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
+        marks = "".join(
+            str(end) if name == axis else "." if name in moved else "-" for name in COEFFICIENTS
+        )
+        levels = ellipsoid.at(
+            [(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius
+        )
         yield f"a{marks}", dict(zip(moved, levels, strict=True))
 
 
@@ -114,10 +139,16 @@ def _reach(spec: CampaignSpec) -> float:
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
     """Points of a Latin hypercube over the same set."""
     number = spec.epistemic.interior_samples
-    columns = {name: latin_column(spec.campaign.seed, name, number) for name in (*spec.inputs.coefficients, *means)}
+    columns = {
+        name: latin_column(spec.campaign.seed, name, number)
+        for name in (*spec.inputs.coefficients, *means)
+    }
     for k in range(number):
         yield Epistemic(
-            f"{INTERIOR_MARK}{k:06d}", _inside(spec, columns, k), None, {name: float(columns[name][k]) for name in means}
+            f"{INTERIOR_MARK}{k:06d}",
+            _inside(spec, columns, k),
+            None,
+            {name: float(columns[name][k]) for name in means},
         )
 
 
@@ -129,7 +160,9 @@ def _inside(spec: CampaignSpec, columns: Mapping[str, Array], number: int) -> di
     return dict(zip(spec.inputs.coefficients, levels, strict=True))
 
 
-def _drawn(spec: CampaignSpec, means: Sequence[str], draws: Sequence[Mapping[str, float]]) -> Iterator[Epistemic]:
+def _drawn(
+    spec: CampaignSpec, means: Sequence[str], draws: Sequence[Mapping[str, float]]
+) -> Iterator[Epistemic]:
     section, root_seed = spec.epistemic, spec.campaign.seed
     moved = spec.inputs.coefficients
     assert section.samples is not None
@@ -168,17 +201,24 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
     return [dict(zip(estimates.names, map(float, row), strict=True)) for row in rows]
 
 
-def parameter_draws(section: ParametersSection, estimates: Estimates, samples: int, root_seed: int) -> Array:
+def parameter_draws(
+    section: ParametersSection, estimates: Estimates, samples: int, root_seed: int
+) -> Array:
     """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
     if section.distribution == "normal":
-        rows = [normals.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names)) for n in range(samples)]
+        rows = [
+            normals.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
+            for n in range(samples)
+        ]
         found = np.tile(estimates.values, (samples, 1))
         # Column by column: a matrix product's order, and so its last bits, is the library's and the processor's.
         for column, weights in zip(np.vstack(rows).T, estimates.factor().T, strict=True):
             found += column[:, None] * weights
         return found
     # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
-    reach = exact.normal_quantile(1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names)))
+    reach = exact.normal_quantile(
+        1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))
+    )
     columns = [latin_column(root_seed, f"parameter {name}", samples) for name in estimates.names]
     unit = 2.0 * np.column_stack(columns) - 1.0
     return np.asarray(estimates.values + unit * reach * np.sqrt(np.diag(estimates.covariance)))

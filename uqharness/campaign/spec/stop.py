@@ -13,7 +13,14 @@ _OF_RULE: Mapping[str, tuple[str, ...]] = {
     "flights": (),
     "hours": ("hours",),
     "band-width": ("band_width",),
-    "decide": ("radius_m", "indifference_per_h", "error_rate", "simultaneous_over", "answer_for", "look_every"),
+    "decide": (
+        "radius_m",
+        "indifference_per_h",
+        "error_rate",
+        "simultaneous_over",
+        "answer_for",
+        "look_every",
+    ),
 }
 _SETS_FLIGHTS = {"hours": "hours", "band-width": "band_width"}
 
@@ -51,7 +58,10 @@ class StopSection(Section):
                 raise ValueError(f'{strange[0]} belongs to rule = "{rule}", not to "{self.rule}"')
         if self.rule == "band-width" and self.band_width is None:
             raise ValueError('rule = "band-width" needs band_width, a probability such as 0.1')
-        if self.indifference_per_h is not None and self.indifference_per_h[0] > self.indifference_per_h[1]:
+        if (
+            self.indifference_per_h is not None
+            and self.indifference_per_h[0] > self.indifference_per_h[1]
+        ):
             raise ValueError("indifference_per_h must be [lower, upper]")
         return self
 

@@ -27,16 +27,28 @@ class VariableSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> VariableSection:
-        given = {name for name in ("mean", "std", "low", "high", "half_width") if getattr(self, name) is not None}
-        allowed = [{"mean", "std"}] if self.distribution == "normal" else [{"low", "high"}, {"mean", "half_width"}]
+        given = {
+            name
+            for name in ("mean", "std", "low", "high", "half_width")
+            if getattr(self, name) is not None
+        }
+        allowed = (
+            [{"mean", "std"}]
+            if self.distribution == "normal"
+            else [{"low", "high"}, {"mean", "half_width"}]
+        )
         if given not in allowed:
             needs = " or ".join(" and ".join(sorted(names, key=_ORDER.index)) for names in allowed)
             got = ", ".join(sorted(given, key=_ORDER.index)) or "none"
-            raise ValueError(f'distribution = "{self.distribution}" needs {needs}, and no more; received {got}')
+            raise ValueError(
+                f'distribution = "{self.distribution}" needs {needs}, and no more; received {got}'
+            )
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise ValueError(f"low = {self.low:g} must be less than high = {self.high:g}")
         if isinstance(self.mean, tuple) and not self.mean[0] < self.mean[1]:
-            raise ValueError(f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low < high")
+            raise ValueError(
+                f"mean = [{self.mean[0]:g}, {self.mean[1]:g}]: an interval is [low, high] with low < high"
+            )
         return self
 
     @property

@@ -41,21 +41,34 @@ _BURN_IN_S = 60.0
 
 
 def measure_batch(
-    aircraft_name: str, duration_s: float, rounds: int, model_form: Path | None = None, campaign_airs: int = CAMPAIGN_AIRS
+    aircraft_name: str,
+    duration_s: float,
+    rounds: int,
+    model_form: Path | None = None,
+    campaign_airs: int = CAMPAIGN_AIRS,
 ) -> dict[str, float]:
     """Microseconds per step and flight of a, c and each d, flight hours per core hour of d and e, and their ratios."""
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
-        flown = aircraft if model_form is None else with_model_form(aircraft, model_form, scratch.path)
+        flown = (
+            aircraft if model_form is None else with_model_form(aircraft, model_form, scratch.path)
+        )
         found = _in_turns(flown, duration_s, rounds)
         return found | _campaigns(aircraft, duration_s, scratch.path, model_form, campaign_airs)
 
 
 def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, float]:
     one = FlightSpec(
-        aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", sensor_noise=True,
-        seed_turbulence=11, seed_noise=12, properties=_corner((1.0,) * 6),
-    )  # fmt: skip
+        aircraft.folder,
+        find_script("loiter"),
+        duration_s,
+        wind_mps=3.0,
+        turbulence="moderate",
+        sensor_noise=True,
+        seed_turbulence=11,
+        seed_noise=12,
+        properties=_corner((1.0,) * 6),
+    )
     corners = [
         replace(one, seed_turbulence=11 + air, seed_noise=30 + air, properties=_corner(levels))
         for air in range(_AIRS)
@@ -81,13 +94,21 @@ def _in_turns(aircraft: Aircraft, duration_s: float, rounds: int) -> dict[str, f
                     record_many(flights[:8])
                     begun = time.process_time()
                     record_many(flights)
-                    timed(f"d_{name}_{source}_us_per_step", time.process_time() - begun, len(flights))
-    ratios = {key.replace("us_per_step", "over_a"): best["a_us_per_step"] / value for key, value in best.items() if key[0] == "d"}
+                    timed(
+                        f"d_{name}_{source}_us_per_step", time.process_time() - begun, len(flights)
+                    )
+    ratios = {
+        key.replace("us_per_step", "over_a"): best["a_us_per_step"] / value
+        for key, value in best.items()
+        if key[0] == "d"
+    }
     return best | ratios
 
 
 def _corner(levels: tuple[float, ...]) -> dict[str, float]:
-    return {"uq/active": 1.0} | {f"uq/{name}/level": level for name, level in zip(COEFFICIENTS, levels, strict=True)}
+    return {"uq/active": 1.0} | {
+        f"uq/{name}/level": level for name, level in zip(COEFFICIENTS, levels, strict=True)
+    }
 
 
 @contextmanager
@@ -104,25 +125,45 @@ def _compiled_for(name: str) -> Iterator[None]:
         forget()
 
 
-def _campaigns(aircraft: Aircraft, duration_s: float, folder: Path, model_form: Path | None, airs: int) -> dict[str, float]:
+def _campaigns(
+    aircraft: Aircraft, duration_s: float, folder: Path, model_form: Path | None, airs: int
+) -> dict[str, float]:
     """Flight hours per hour of the clock of whole campaigns; the least worker time would leave out what the parent does."""
     found: dict[str, float] = {}
     bounds = dict.fromkeys(COEFFICIENTS, 0.001) if model_form is None else str(model_form.resolve())
     for workers in (1, 2):
         spec = campaign_from(
             {
-                "campaign": {"aircraft": str(aircraft.folder), "mission": str(find_script("loiter")), "seed": 1, "engine": "batch"},
-                "aleatory": {
-                    "flights": airs, "duration_s": duration_s, "burn_in_s": _BURN_IN_S, "wind_mps": [3],
-                    "turbulence": ["moderate"], "sensor_noise": True,
+                "campaign": {
+                    "aircraft": str(aircraft.folder),
+                    "mission": str(find_script("loiter")),
+                    "seed": 1,
+                    "engine": "batch",
                 },
-                "epistemic": {"method": "corners", "coefficients": list(COEFFICIENTS), "bounds": bounds},
+                "aleatory": {
+                    "flights": airs,
+                    "duration_s": duration_s,
+                    "burn_in_s": _BURN_IN_S,
+                    "wind_mps": [3],
+                    "turbulence": ["moderate"],
+                    "sensor_noise": True,
+                },
+                "epistemic": {
+                    "method": "corners",
+                    "coefficients": list(COEFFICIENTS),
+                    "bounds": bounds,
+                },
                 "metrics": {"excursion_radius_m": [15, 25], "rearm_m": 2},
             },
             folder / "campaign.toml",
-        )  # fmt: skip
+        )
         begun = time.monotonic()
-        summary = run_campaign(spec, folder / f"campaign-{workers}", workers=workers, mission=find_mission(spec, folder))
+        summary = run_campaign(
+            spec,
+            folder / f"campaign-{workers}",
+            workers=workers,
+            mission=find_mission(spec, folder),
+        )
         assert summary.failed == 0, summary
         hours = summary.cases * (duration_s + _BURN_IN_S) / 3600.0
         found[f"e_{workers}_flight_hours_per_hour"] = hours / ((time.monotonic() - begun) / 3600.0)
@@ -133,15 +174,21 @@ def _campaigns(aircraft: Aircraft, duration_s: float, folder: Path, model_form: 
 def said(found: Mapping[str, float]) -> str:
     """The figures for a reader."""
     lines = [f"  a  JSBSim's bare loop                     {found['a_us_per_step']:8.3f} us/step"]
-    lines.append(f"  c  the product through JSBSim             {found['c_us_per_step']:8.3f} us/step")
+    lines.append(
+        f"  c  the product through JSBSim             {found['c_us_per_step']:8.3f} us/step"
+    )
     for key, value in found.items():
         if key.startswith("d_") and key.endswith("us_per_step"):
             _, name, source, *_ = key.split("_")
             ratio = found[key.replace("us_per_step", "over_a")]
-            lines.append(f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and flight   a/d {ratio:5.1f}")
+            lines.append(
+                f"  d  batch, {name:7s} air from {source:7s}          {value:8.3f} us/step and flight   a/d {ratio:5.1f}"
+            )
     for workers in (1, 2):
         hours = found[f"e_{workers}_flight_hours_per_hour"]
-        lines.append(f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h per h")
+        lines.append(
+            f"  e  corner campaign, {workers} process(es), by the clock  {hours:8.0f} flight h per h"
+        )
     lines.append(f"     two processes over one                {found['e_2_over_1']:8.2f}")
     if "f_replays_per_s" in found:
         lines += said_of_replays(found)
@@ -151,13 +198,25 @@ def said(found: Mapping[str, float]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmarks.batch", description="The batch engine beside JSBSim's bare loop."
+        prog="python -m uqharness.cli.benchmarks.batch",
+        description="The batch engine beside JSBSim's bare loop.",
     )
     parser.add_argument("--aircraft", default="espaaro")
-    parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
-    parser.add_argument("--rounds", type=int, default=3, help="rounds; the least time counts (default 3)")
-    parser.add_argument("--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state")
-    parser.add_argument("--flight", type=Path, metavar="flight.parquet", help="a flight of 90 s with manoeuvres: replays of it")
+    parser.add_argument(
+        "--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)"
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="rounds; the least time counts (default 3)"
+    )
+    parser.add_argument(
+        "--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state"
+    )
+    parser.add_argument(
+        "--flight",
+        type=Path,
+        metavar="flight.parquet",
+        help="a flight of 90 s with manoeuvres: replays of it",
+    )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     found = measure_batch(args.aircraft, args.duration_s, args.rounds, args.model_form)

@@ -26,10 +26,25 @@ from pathlib import Path
 from uqharness.campaign import put_bounds
 from uqharness.campaign.execution import CaseOutcome, FlightFunction, ProcessExecutor, attempt
 from uqharness.campaign.folder import Store
-from uqharness.flight import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, FlightResult, FlightSpec, LevelDriver, set_conditions
+from uqharness.flight import (
+    COEFFICIENTS,
+    DEFAULT_TURBULENCE_SOURCE,
+    FlightResult,
+    FlightSpec,
+    LevelDriver,
+    set_conditions,
+)
 from uqharness.flight.fly import fly
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft, StagedMission, copy_folder, engine, find_aircraft, find_script, parse_xml
+from uqharness.simulator import (
+    Aircraft,
+    StagedMission,
+    copy_folder,
+    engine,
+    find_aircraft,
+    find_script,
+    parse_xml,
+)
 
 REFERENCE_HOURS_PER_CORE_HOUR = 890.0
 """Flight hours per core hour at 100 Hz of a hand-written loop with compiled intervals, the figure to beat."""
@@ -43,13 +58,17 @@ def without_plugin(aircraft: Aircraft, folder: Path) -> Aircraft:
     tree = parse_xml(path)
     for element in list(tree.getroot().iter("system", "function")):
         parent = element.getparent()
-        if parent is not None and (element.get("file") == "model-form" or element.get("name", "").startswith("uq/")):
+        if parent is not None and (
+            element.get("file") == "model-form" or element.get("name", "").startswith("uq/")
+        ):
             parent.remove(element)
     tree.write(str(path), encoding="UTF-8", xml_declaration=True)
     return find_aircraft(target)
 
 
-def bare_loop(aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time) -> Callable[[], float]:
+def bare_loop(
+    aircraft: Aircraft, spec: FlightSpec, clock: Callable[[], float] = time.process_time
+) -> Callable[[], float]:
     """A function that flies ``spec`` with JSBSim's bare loop and returns the seconds spent in it by ``clock``."""
     mission = StagedMission(aircraft, find_script(spec.script), end_s=spec.duration_s)
 
@@ -98,11 +117,19 @@ def bare_flight(spec: FlightSpec) -> FlightResult:
     return FlightResult("ok", "", spec.duration_s, {"loop_s": loop_s}, {}, {})
 
 
-def side_by_side(bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2) -> dict[str, float]:
+def side_by_side(
+    bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int = 2
+) -> dict[str, float]:
     """Flight seconds per second by the clock: that many bare loops at once, as many workers, and the ratio."""
 
-    def fly_all(executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int) -> list[CaseOutcome]:
-        found = [item for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)]) for item in batch]
+    def fly_all(
+        executor: ProcessExecutor, function: FlightFunction, spec: FlightSpec, count: int
+    ) -> list[CaseOutcome]:
+        found = [
+            item
+            for batch in executor.run(function, [(f"{n:016x}", spec) for n in range(count)])
+            for item in batch
+        ]
         assert all(item.status == "ok" for item in found), found
         return found
 
@@ -117,7 +144,9 @@ def side_by_side(bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int 
             elapsed = time.monotonic() - start
         finally:
             executor.close()
-        clocks = [item.metrics["loop_s"] for item in found] if name == "bare" else [elapsed / rounds]
+        clocks = (
+            [item.metrics["loop_s"] for item in found] if name == "bare" else [elapsed / rounds]
+        )
         rates[name] = workers * spec.duration_s * len(clocks) / sum(clocks)
     return {
         f"bare_{workers}_flight_s_per_s": rates["bare"],
@@ -127,9 +156,14 @@ def side_by_side(bare: FlightSpec, flown: FlightSpec, rounds: int, workers: int 
 
 
 def measure(
-    aircraft_name: str, duration_s: float, rounds: int, source: str, levels: str,
-    model_form: Path | None = None, together: bool = False,
-) -> dict[str, float]:  # fmt: skip
+    aircraft_name: str,
+    duration_s: float,
+    rounds: int,
+    source: str,
+    levels: str,
+    model_form: Path | None = None,
+    together: bool = False,
+) -> dict[str, float]:
     """Least microseconds per step of a, b and c, their ratios, and flight hours per core hour of c."""
     with scratch_folder() as scratch:
         aircraft = find_aircraft(aircraft_name)
@@ -138,13 +172,27 @@ def measure(
         return _measure(aircraft, duration_s, rounds, source, levels, together)
 
 
-def _measure(aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool) -> dict[str, float]:
+def _measure(
+    aircraft: Aircraft, duration_s: float, rounds: int, source: str, levels: str, together: bool
+) -> dict[str, float]:
     deltas = {"uq/active": 1.0} | {f"uq/{name}/level": 1.0 for name in COEFFICIENTS}
     spec = FlightSpec(
-        aircraft.folder, find_script("loiter"), duration_s, wind_mps=3.0, turbulence="moderate", turbulence_source=source,
-        sensor_noise=True, seed_turbulence=11, seed_noise=12, properties=deltas,
-    )  # fmt: skip
-    flown = spec if levels == "corner" else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
+        aircraft.folder,
+        find_script("loiter"),
+        duration_s,
+        wind_mps=3.0,
+        turbulence="moderate",
+        turbulence_source=source,
+        sensor_noise=True,
+        seed_turbulence=11,
+        seed_noise=12,
+        properties=deltas,
+    )
+    flown = (
+        spec
+        if levels == "corner"
+        else replace(spec, levels=_driver(levels), properties={"uq/active": 1.0})
+    )
     # Without a host JSBSim has only its own turbulence: that is the air of the bare loops, whatever the harness flies.
     bare = replace(spec, turbulence_source="jsbsim")
     with scratch_folder() as scratch:
@@ -185,20 +233,31 @@ def _driver(levels: str) -> LevelDriver | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; the process's exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmarks.loop", description="Cost of the harness over JSBSim's bare loop."
+        prog="python -m uqharness.cli.benchmarks.loop",
+        description="Cost of the harness over JSBSim's bare loop.",
     )
     parser.add_argument("--aircraft", default="espaaro")
-    parser.add_argument("--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)")
-    parser.add_argument("--rounds", type=int, default=5, help="rounds; the least time counts (default 5)")
-    parser.add_argument("--turbulence-source", choices=("jsbsim", "spec"), default=DEFAULT_TURBULENCE_SOURCE)
+    parser.add_argument(
+        "--duration-s", type=float, default=900.0, help="flight per round and loop (default 900)"
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=5, help="rounds; the least time counts (default 5)"
+    )
+    parser.add_argument(
+        "--turbulence-source", choices=("jsbsim", "spec"), default=DEFAULT_TURBULENCE_SOURCE
+    )
     parser.add_argument(
         "--levels",
         choices=("corner", "walk", "white"),
         default="walk",
         help="of the harness's flights (default %(default)s)",
     )
-    parser.add_argument("--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state")
-    parser.add_argument("--side-by-side", action="store_true", help="two workers against two bare loops as well")
+    parser.add_argument(
+        "--model-form", type=Path, metavar="model-form.json", help="bounds that depend on the state"
+    )
+    parser.add_argument(
+        "--side-by-side", action="store_true", help="two workers against two bare loops as well"
+    )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     figures = measure(
@@ -213,10 +272,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.json:
         print(json.dumps(figures))
         return 0
-    print(f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s")
+    print(
+        f"{args.aircraft}, loiter, moderate turbulence ({args.turbulence_source}), {args.rounds} rounds of {args.duration_s:g} s"
+    )
     print(f"  a  bare loop, plugin, air, sensors  {figures['a_us_per_step']:7.2f} us/step")
-    print(f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}")
-    print(f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}")
+    print(
+        f"  b  the same without the plugin      {figures['b_us_per_step']:7.2f} us/step   a/b {figures['a_over_b']:.3f}"
+    )
+    print(
+        f"  c  harness with levels, stored      {figures['c_us_per_step']:7.2f} us/step   c/a {figures['c_over_a']:.3f}"
+    )
     print(
         f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat: {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )

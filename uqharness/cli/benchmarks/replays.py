@@ -17,7 +17,15 @@ import numpy as np
 from sysid.aerodynamics import Piece
 from uqharness.errors import BadInputError
 from uqharness.identification.identify import identify
-from uqharness.replay import Flight, ReplayFolder, ReplayJob, Segment, fly_all, forget_programs, read_flights
+from uqharness.replay import (
+    Flight,
+    ReplayFolder,
+    ReplayJob,
+    Segment,
+    fly_all,
+    forget_programs,
+    read_flights,
+)
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
 
@@ -26,12 +34,17 @@ _SPREAD = 0.02
 """Standard deviation of a lane's parameters, in their values."""
 
 
-def measure_replays(aircraft: Aircraft, flight: Path, rounds: int, replays: int = 400) -> dict[str, float]:
+def measure_replays(
+    aircraft: Aircraft, flight: Path, rounds: int, replays: int = 400
+) -> dict[str, float]:
     """Figures of f, g and h, the least processor time of all rounds. Raises BadInputError for a flight shorter than 90 s."""
     flights, measured = read_flights([flight], aircraft)
     best: dict[str, float] = {}
     for _ in range(rounds):
-        for key, seconds in (_replays(aircraft, flights[0], measured, replays) | _identify(aircraft, flights, measured)).items():
+        for key, seconds in (
+            _replays(aircraft, flights[0], measured, replays)
+            | _identify(aircraft, flights, measured)
+        ).items():
             best[key] = min(best.get(key, float("inf")), seconds)
     return {
         "f_replays_per_s": replays / best["f_s"],
@@ -40,7 +53,9 @@ def measure_replays(aircraft: Aircraft, flight: Path, rounds: int, replays: int 
     }
 
 
-def _replays(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], count: int) -> dict[str, float]:
+def _replays(
+    aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], count: int
+) -> dict[str, float]:
     whole = _whole(aircraft, flight, measured)
     rng = np.random.default_rng(1)
     forget_programs()
@@ -48,7 +63,12 @@ def _replays(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], coun
         fdm = model.open(aircraft.dt_s)
         values = {name: float(fdm[name]) for name in aircraft.card.parameters}
         lanes = rng.normal(1.0, _SPREAD, (count, len(values)))
-        jobs = [ReplayJob(model, whole, dict(zip(values, row * [*values.values()], strict=True)), whole.start) for row in lanes]
+        jobs = [
+            ReplayJob(
+                model, whole, dict(zip(values, row * [*values.values()], strict=True)), whole.start
+            )
+            for row in lanes
+        ]
         begun = time.process_time()
         fly_all(jobs[:1])
         compiled = time.process_time()
@@ -57,7 +77,9 @@ def _replays(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...], coun
         return {"g_s": compiled - begun, "f_s": ended - compiled}
 
 
-def _identify(aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ...]) -> dict[str, float]:
+def _identify(
+    aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ...]
+) -> dict[str, float]:
     forget_programs()
     begun = time.process_time()
     identify(aircraft, flights, measured, workers=1)
@@ -67,7 +89,9 @@ def _identify(aircraft: Aircraft, flights: list[Flight], measured: tuple[str, ..
 def _whole(aircraft: Aircraft, flight: Flight, measured: tuple[str, ...]) -> Segment:
     rows = round(_FLIGHT_S / flight.record.dt_s) + 1
     if len(flight.record) < rows:
-        raise BadInputError(f"{flight.name}: {_FLIGHT_S:g} s of flight are needed, it has {len(flight.record)} rows of {rows}")
+        raise BadInputError(
+            f"{flight.name}: {_FLIGHT_S:g} s of flight are needed, it has {len(flight.record)} rows of {rows}"
+        )
     pieces = (Piece("whole", slice(0, rows), 0.0, _FLIGHT_S),)
     return segments(replace(flight, pieces=pieces), measured, aircraft.accelerometer_m)[0]
 

@@ -14,8 +14,14 @@ VERBS: Table = {
     "merge": ("campaign.folder:add_merge", "merge shards and write the tables"),
     "rerun": ("campaign.folder:add_rerun", "fly one case again with full output and a plot"),
     "verify": ("campaign.whole:add_verify", "check a folder against its digests"),
-    "salvage": ("campaign.whole:add_salvage", "repair a damaged campaign: keep sound flights, fly the rest again"),
-    "convergence": ("campaign.studies:add_convergence", "convergence over flights and epistemic samples"),
+    "salvage": (
+        "campaign.whole:add_salvage",
+        "repair a damaged campaign: keep sound flights, fly the rest again",
+    ),
+    "convergence": (
+        "campaign.studies:add_convergence",
+        "convergence over flights and epistemic samples",
+    ),
     "area": ("campaign.studies:add_area", "area metric of real flights against the p-boxes"),
 }
 _EXAMPLE = """example:
@@ -26,7 +32,9 @@ uqharness campaign VERB --help gives the options."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Give ``campaign`` its verbs."""
-    parser.description = "Fly a campaign over corners of model-form uncertainty, watch it, and report it."
+    parser.description = (
+        "Fly a campaign over corners of model-form uncertainty, watch it, and report it."
+    )
     parser.epilog = _EXAMPLE
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_commands(parser, VERBS, "campaign_command", "VERB")

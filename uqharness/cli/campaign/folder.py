@@ -10,7 +10,14 @@ from typing import Any
 
 from uqharness.campaign import engine_words, lines
 from uqharness.campaign.answers import as_json
-from uqharness.campaign.folder import RERUN, merge, read_cases, read_manifest, read_status, rerun_case
+from uqharness.campaign.folder import (
+    RERUN,
+    merge,
+    read_cases,
+    read_manifest,
+    read_status,
+    rerun_case,
+)
 from uqharness.cli.campaign.run import failures, say_rewritten
 from uqharness.cli.options import describe
 from uqharness.errors import BadInputError
@@ -47,7 +54,14 @@ def add_folder(parser: argparse.ArgumentParser) -> None:
 
 def add_status(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``status``."""
-    describe(parser, _status, "Print the progress of a campaign.", _STATUS_EXAMPLE, done="complete", no="not complete")
+    describe(
+        parser,
+        _status,
+        "Print the progress of a campaign.",
+        _STATUS_EXAMPLE,
+        done="complete",
+        no="not complete",
+    )
     add_folder(parser)
 
 
@@ -55,29 +69,44 @@ def add_report(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
     describe(parser, _report, "Write report.html and the figures.", _REPORT_EXAMPLE)
     add_folder(parser)
-    parser.add_argument("--no-tracks", action="store_true", help="do not fly two flights again for the ground track")
+    parser.add_argument(
+        "--no-tracks", action="store_true", help="do not fly two flights again for the ground track"
+    )
 
 
 def add_merge(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``merge``."""
-    text, no = "Merge shards and write the tables.", "flights are missing (the message lists the shards to run)"
+    text, no = (
+        "Merge shards and write the tables.",
+        "flights are missing (the message lists the shards to run)",
+    )
     describe(parser, _merge, text, _MERGE_EXAMPLE, done="complete", no=no)
     add_folder(parser)
 
 
 def add_rerun(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``rerun``."""
-    text, done = "Fly one case again with full output and a plot.", "the result is as stored (or was not stored yet)"
+    text, done = (
+        "Fly one case again with full output and a plot.",
+        "the result is as stored (or was not stored yet)",
+    )
     describe(parser, _rerun, text, _RERUN_EXAMPLE, done=done, no="the result differs")
     add_folder(parser)
-    parser.add_argument("--case", required=True, metavar="ID", help="case id, or the beginning of one")
+    parser.add_argument(
+        "--case", required=True, metavar="ID", help="case id, or the beginning of one"
+    )
 
 
 def _status(args: argparse.Namespace) -> int:
     found = read_status(args.folder)
     done, statuses = found.done, dict(found.statuses)
     if args.json:
-        document = {"state": found.state, "cases": found.cases, "done": done, "failed": done - statuses.get("ok", 0)}
+        document = {
+            "state": found.state,
+            "cases": found.cases,
+            "done": done,
+            "failed": done - statuses.get("ok", 0),
+        }
         document |= {"statuses": statuses, "engine": found.engine, "engine_why": list(found.why)}
         document |= {"joint_level": found.joint_level, "joint": list(found.joint)}
         print(json.dumps(document | {"answers": as_json(found.answers)}))
@@ -112,7 +141,9 @@ def _fly_shown(folder: Path) -> list[str]:
     if manifest.get("state") != "complete" or any((folder / RERUN).glob("*/record.parquet")):
         return []
     cases = shown_cases(read_cases(folder, manifest))
-    seconds = len(cases) * sum(float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s"))
+    seconds = len(cases) * sum(
+        float(manifest["campaign"]["aleatory"][key]) for key in ("duration_s", "burn_in_s")
+    )
     if seconds > MOST_SHOWN_S:
         return []
     flown: list[str] = []
@@ -130,10 +161,17 @@ def _merge(args: argparse.Namespace) -> int:
     say_rewritten(merged.folder, merged.rewritten)
     done = merged.cases - merged.missing
     if args.json:
-        found = {"cases": merged.cases, "done": done, "missing": merged.missing, "statuses": merged.statuses}
+        found = {
+            "cases": merged.cases,
+            "done": done,
+            "missing": merged.missing,
+            "statuses": merged.statuses,
+        }
         print(json.dumps(found | {"shards": list(merged.shards)}))
     else:
-        print(f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {failures(merged.statuses)}")
+        print(
+            f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {failures(merged.statuses)}"
+        )
     if merged.missing and not args.json:
         print(
             f"{merged.missing} flights are in none of {', '.join(merged.shards)}; fly the shards that lack, then merge again",
@@ -147,13 +185,19 @@ def _rerun(args: argparse.Namespace) -> int:
     files = [*found.files, *draw_rerun(found)]
     outcome = found.outcome
     if args.json:
-        document: dict[str, Any] = {"case_id": found.case.case_id, "status": outcome.status, "reason": outcome.reason}
+        document: dict[str, Any] = {
+            "case_id": found.case.case_id,
+            "status": outcome.status,
+            "reason": outcome.reason,
+        }
         document |= {"same_as_stored": found.same, "differences": list(found.differences)}
         print(json.dumps(document | {"files": [str(path) for path in files]}))
     else:
         how = {True: "as stored", False: "NOT as stored", None: "not flown before"}[found.same]
         end = f" ({outcome.reason})" if outcome.reason else ""
-        print(f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in files)}")
+        print(
+            f"{found.folder}: {outcome.status}{end}, {how}; {', '.join(path.name for path in files)}"
+        )
         for difference in found.differences:
             print(f"  {difference}")
     return 1 if found.same is False else 0

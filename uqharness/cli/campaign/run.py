@@ -55,7 +55,10 @@ if the file has such a part (transient = false leaves it out); set = "ellipsoid"
 def add_check(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``check``."""
     text = "Print the cost of a campaign before it is flown."
-    done, no = "done (a model that cannot be flown is bad input)", "the batch engine differs from JSBSim"
+    done, no = (
+        "done (a model that cannot be flown is bad input)",
+        "the batch engine differs from JSBSim",
+    )
     describe(parser, _check, text, _CHECK_EXAMPLE, done=done, no=no)
     _add_campaign(parser)
 
@@ -68,21 +71,36 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     _add_campaign(parser)
     add_out(parser)
     parser.add_argument(
-        "--start-method", choices=("spawn", "forkserver", "fork"), default="spawn", help="of the processes (default spawn)"
+        "--start-method",
+        choices=("spawn", "forkserver", "fork"),
+        default="spawn",
+        help="of the processes (default spawn)",
     )
-    parser.add_argument("--dask", metavar="ADDRESS", help="fly on the Dask cluster of this scheduler (address or scheduler file)")
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="fly on the Dask cluster of this scheduler (address or scheduler file)",
+    )
     parser.add_argument("--serial", action="store_true", help="fly in this process, for debugging")
-    parser.add_argument("--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later")
+    parser.add_argument(
+        "--shard", metavar="i/n", help="fly the i-th of n shares only, to be merged later"
+    )
     add_yes(parser)
 
 
 def _add_campaign(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="a file, or the name of a folder under campaigns/")
+    parser.add_argument(
+        "campaign",
+        type=Path,
+        metavar="CAMPAIGN.toml",
+        help="a file, or the name of a folder under campaigns/",
+    )
     add_size(parser)
     parser.add_argument(
-        "--engine", choices=("auto", "batch", "jsbsim"),
+        "--engine",
+        choices=("auto", "batch", "jsbsim"),
         help="engine, in place of [campaign] engine; auto: batch where it understands aircraft and mission, else jsbsim",
-    )  # fmt: skip
+    )
     add_workers(parser)
 
 
@@ -90,12 +108,19 @@ def add_size(parser: argparse.ArgumentParser) -> None:
     """``--hours`` and ``--samples``, which stand in place of the file's numbers."""
     text = "flight hours per corner and condition, in place of [aleatory] flights"
     parser.add_argument("--hours", type=float, metavar="H", help=text)
-    parser.add_argument("--samples", type=int, metavar="N", help="epistemic samples to draw, in place of [epistemic] samples")
+    parser.add_argument(
+        "--samples",
+        type=int,
+        metavar="N",
+        help="epistemic samples to draw, in place of [epistemic] samples",
+    )
 
 
 def add_yes(parser: argparse.ArgumentParser) -> None:
     """``--yes``."""
-    parser.add_argument("--yes", action="store_true", help="fly even if it takes more than a day on this machine")
+    parser.add_argument(
+        "--yes", action="store_true", help="fly even if it takes more than a day on this machine"
+    )
 
 
 def asked_campaign(args: argparse.Namespace) -> CampaignSpec:
@@ -129,7 +154,10 @@ def tell_cost(agreed: bool, name: Path) -> Callable[[Cost], None]:
 def say_rewritten(folder: Path, names: Sequence[str]) -> None:
     """Say which files were not as they had been written."""
     for name in names:
-        print(f"note: {folder / name} was not as it had been written; it is written again from the journal", file=sys.stderr)
+        print(
+            f"note: {folder / name} was not as it had been written; it is written again from the journal",
+            file=sys.stderr,
+        )
 
 
 def failures(statuses: Mapping[str, int]) -> str:
@@ -150,9 +178,18 @@ def _check(args: argparse.Namespace) -> int:
     cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
     described = describe_campaign(settled.spec, mission, cost.size.flights, "")
     joint = joint_words(described)
-    asked = "; more than a day of this machine: `campaign run` needs --yes or --hours" if cost.is_long else ""
+    asked = (
+        "; more than a day of this machine: `campaign run` needs --yes or --hours"
+        if cost.is_long
+        else ""
+    )
     if args.json:
-        found = {"engine": settled.engine, "engine_why": list(settled.why), "joint_level": joint_level(described), "joint": joint}
+        found = {
+            "engine": settled.engine,
+            "engine_why": list(settled.why),
+            "joint_level": joint_level(described),
+            "joint": joint,
+        }
         print(json.dumps(_cost_json(cost) | found))
     else:
         told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint]
@@ -191,15 +228,31 @@ def _run(args: argparse.Namespace) -> int:
             executor = _executor(args, stack)
             # Before anything is made or tried out: what is too long at any pace need not be.
             size = size_of(spec, 1 if shard is None else shard.count)
-            fastest = "jsbsim" if spec.campaign.engine == "jsbsim" or why_not("batch") is not None else "batch"
-            refuse_if_long(Cost(size, _done_before(args.out), None, executor.workers, fastest), agreed, args.campaign)
+            fastest = (
+                "jsbsim"
+                if spec.campaign.engine == "jsbsim" or why_not("batch") is not None
+                else "batch"
+            )
+            refuse_if_long(
+                Cost(size, _done_before(args.out), None, executor.workers, fastest),
+                agreed,
+                args.campaign,
+            )
             view = stack.enter_context(ProgressView())
             summary = campaign_run.run_campaign(
-                spec, args.out, executor=executor, on_progress=view.update, command=shlex.join(command), shard=shard,
+                spec,
+                args.out,
+                executor=executor,
+                on_progress=view.update,
+                command=shlex.join(command),
+                shard=shard,
                 before_flying=tell_cost(agreed, args.campaign),
-            )  # fmt: skip
+            )
     except KeyboardInterrupt:
-        print(f"{args.out}: stopped; every finished flight is kept, the same command resumes", file=sys.stderr)
+        print(
+            f"{args.out}: stopped; every finished flight is kept, the same command resumes",
+            file=sys.stderr,
+        )
         raise
     say_rewritten(summary.folder, summary.rewritten)
     print(json.dumps(_summary_json(summary)) if args.json else _sentence(summary))

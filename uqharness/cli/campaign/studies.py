@@ -31,7 +31,13 @@ Writes DIR/area.csv: the area by which the flights lie outside the p-box, in the
 def add_convergence(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``convergence``."""
     text = "Convergence over flights and epistemic samples."
-    describe(parser, _convergence, text, _CONVERGENCE_EXAMPLE, done="done (too few flights or samples are bad input)")
+    describe(
+        parser,
+        _convergence,
+        text,
+        _CONVERGENCE_EXAMPLE,
+        done="done (too few flights or samples are bad input)",
+    )
     add_folder(parser)
     parser.add_argument(
         "--repeats",
@@ -40,29 +46,61 @@ def add_convergence(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of parts into which the flights are divided (default %(default)s)",
     )
-    parser.add_argument("--metric", action="append", default=[], metavar="NAME", help="column of cases.parquet; repeatable")
+    parser.add_argument(
+        "--metric",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="column of cases.parquet; repeatable",
+    )
 
 
 def add_area(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``area``."""
-    text, no = "Area metric of real flights against the p-boxes.", "flights lie outside by more than sampling error"
+    text, no = (
+        "Area metric of real flights against the p-boxes.",
+        "flights lie outside by more than sampling error",
+    )
     describe(parser, _area, text, _AREA_EXAMPLE, done="no contradiction", no=no)
     add_folder(parser)
-    parser.add_argument("--flight", type=Path, metavar="FILE", help="table of flights, .csv or .parquet")
     parser.add_argument(
-        "--value", action="append", default=[], metavar="METRIC=NUMBER", help="metric of a single flight; repeatable"
+        "--flight", type=Path, metavar="FILE", help="table of flights, .csv or .parquet"
+    )
+    parser.add_argument(
+        "--value",
+        action="append",
+        default=[],
+        metavar="METRIC=NUMBER",
+        help="metric of a single flight; repeatable",
     )
 
 
 def _convergence(args: argparse.Namespace) -> int:
     found = study(args.folder, args.metric, args.repeats)
     record_table(args.folder, CONVERGENCE, table(found))
-    sections = [convergence_section(item) for item in found if item.repeats is not None or item.growth]
+    sections = [
+        convergence_section(item) for item in found if item.repeats is not None or item.growth
+    ]
     paths = write_figures(args.folder, sections, "Convergence")
     if args.json:
-        print(json.dumps({"table": str(args.folder / CONVERGENCE), "figures": list(map(str, paths)), "rows": as_rows(found)}))
+        print(
+            json.dumps(
+                {
+                    "table": str(args.folder / CONVERGENCE),
+                    "figures": list(map(str, paths)),
+                    "rows": as_rows(found),
+                }
+            )
+        )
     else:
-        print("\n".join([*sentences(found), f"{args.folder / CONVERGENCE}: written, with {len(paths)} figures"]))
+        print(
+            "\n".join(
+                [
+                    *sentences(found),
+                    f"{args.folder / CONVERGENCE}: written, with {len(paths)} figures",
+                ]
+            )
+        )
     return 0
 
 
@@ -70,7 +108,9 @@ def _area(args: argparse.Namespace) -> int:
     found = compare(args.folder, read_flights(args.flight, dict(map(_value, args.value))))
     record_table(args.folder, AREAS, area_table(found))
     rows = [
-        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict} | asdict(item.found) for item in found
+        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
+        | asdict(item.found)
+        for item in found
     ]
     if args.json:
         print(json.dumps({"table": str(args.folder / AREAS), "rows": rows}))
@@ -88,4 +128,6 @@ def _value(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(number)
     except ValueError:
-        raise BadInputError(f"--value {text}: must be METRIC=NUMBER, such as cross_track_median_m_measured=9.41") from None
+        raise BadInputError(
+            f"--value {text}: must be METRIC=NUMBER, such as cross_track_median_m_measured=9.41"
+        ) from None

@@ -31,14 +31,25 @@ _SALVAGE_EXAMPLE = """
 Keeps every flight that fits its digest, gives damaged files another name (journal.damaged-1.sqlite), flies the rest again and
 writes the tables: the bytes of an undamaged run. Nothing is deleted; the same command resumes after an interruption.
 Give --hours and --samples with --campaign if the campaign was flown with them."""
-_REMADE = {"sensitivity": "sensitivity", "convergence": "campaign convergence", "area": "campaign area"}
+_REMADE = {
+    "sensitivity": "sensitivity",
+    "convergence": "campaign convergence",
+    "area": "campaign area",
+}
 """Tables that other commands write: the command by the table's name."""
 
 
 def add_verify(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``verify``."""
     no = "something is damaged or has no digests (made by uqharness 0.1)"
-    describe(parser, _verify, "Check a folder against its digests.", _VERIFY_EXAMPLE, done="all whole", no=no)
+    describe(
+        parser,
+        _verify,
+        "Check a folder against its digests.",
+        _VERIFY_EXAMPLE,
+        done="all whole",
+        no=no,
+    )
     add_folder(parser)
 
 
@@ -49,9 +60,14 @@ def add_salvage(parser: argparse.ArgumentParser) -> None:
         "flights of shards that were never flown are missing",
     )
     describe(parser, _salvage, text, _SALVAGE_EXAMPLE, no=no)
-    parser.add_argument("folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard")
     parser.add_argument(
-        "--campaign", type=Path, metavar="CAMPAIGN.toml", help="the campaign file, where manifest.json is damaged or missing"
+        "folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard"
+    )
+    parser.add_argument(
+        "--campaign",
+        type=Path,
+        metavar="CAMPAIGN.toml",
+        help="the campaign file, where manifest.json is damaged or missing",
     )
     add_size(parser)
     add_workers(parser)
@@ -65,7 +81,15 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _verified_json(found: Verified) -> dict[str, Any]:
-    items = [{"name": item.name, "state": item.state, "remark": item.remark, "digest": item.digest or None} for item in found.items]
+    items = [
+        {
+            "name": item.name,
+            "state": item.state,
+            "remark": item.remark,
+            "digest": item.digest or None,
+        }
+        for item in found.items
+    ]
     document: dict[str, Any] = {
         "folder": str(found.folder),
         "whole": found.whole,
@@ -77,10 +101,16 @@ def _verified_json(found: Verified) -> dict[str, Any]:
 
 def _verified_lines(found: Verified) -> Iterator[str]:
     state = "whole" if found.whole else "NOT whole"
-    running = "" if found.complete in (True, None) else "; the campaign is not complete; existing files were checked"
+    running = (
+        ""
+        if found.complete in (True, None)
+        else "; the campaign is not complete; existing files were checked"
+    )
     yield f"{found.folder}: {state}{running}"
     for item in found.items:
-        said = "; ".join(text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text)
+        said = "; ".join(
+            text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text
+        )
         yield f"  {item.name}: {item.state}" + (f" ({said})" if said else "")
     for part in found.shards:
         yield from _verified_lines(part)
@@ -88,11 +118,17 @@ def _verified_lines(found: Verified) -> Iterator[str]:
 
 def _salvage(args: argparse.Namespace) -> int:
     if args.campaign is None and (args.hours is not None or args.samples is not None):
-        raise BadInputError("--hours and --samples belong to --campaign, the file they were given with")
+        raise BadInputError(
+            "--hours and --samples belong to --campaign, the file they were given with"
+        )
     spec = None if args.campaign is None else asked_campaign(args)
     command = "" if spec is None else shlex.join(flying_command(args, args.folder))
     with ProgressView() as view:
-        flying = Flying(ProcessExecutor(args.workers or usable_cores()), tell_cost(args.yes, args.folder), view.update)
+        flying = Flying(
+            ProcessExecutor(args.workers or usable_cores()),
+            tell_cost(args.yes, args.folder),
+            view.update,
+        )
         found = salvage(args.folder, flying, spec, command)
     print(json.dumps(_salvaged_json(found)) if args.json else "\n".join(_salvaged_lines(found)))
     return 1 if found.missing else 0
@@ -105,7 +141,11 @@ def _salvaged_json(found: Salvaged) -> dict[str, Any]:
         "flown": found.flown,
         "missing": found.missing,
     }
-    document |= {"statuses": dict(found.statuses), "rewritten": list(found.rewritten), "aside": list(found.aside)}
+    document |= {
+        "statuses": dict(found.statuses),
+        "rewritten": list(found.rewritten),
+        "aside": list(found.aside),
+    }
     return document | {"shards": [_salvaged_json(part) for part in found.parts]}
 
 

@@ -13,7 +13,16 @@ from sysid.parallel import Processes
 from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.types import Flown, Point, Setup
 from uqharness.identification.replay_fit import jumping_in
-from uqharness.replay import CONTROLS, ReplayModel, Segment, StatesOf, altitudes, by_run, force_all, surface_positions
+from uqharness.replay import (
+    CONTROLS,
+    ReplayModel,
+    Segment,
+    StatesOf,
+    altitudes,
+    by_run,
+    force_all,
+    surface_positions,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,7 +42,11 @@ def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> lis
     held = np.array([c not in model.measured for c in model.controls])
     servos = {} if point is None else setup.properties(point)
     ends = surface_positions(model, cut, CONTROLS, servos)
-    halves = surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos) if held.any() else [None] * len(cut)
+    halves = (
+        surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos)
+        if held.any()
+        else [None] * len(cut)
+    )
     jumps = np.array([c in model.jumping for c in model.controls])
     made = zip(cut, ends, halves, setup.segments, strict=True)
     return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
@@ -48,9 +61,16 @@ def _halved(segment: Segment) -> Segment:
 
 
 def _middle(
-    segment: Segment, ends: Array, half: Array | None, held: NDArray[np.bool_], jumps: NDArray[np.bool_], k: int
-) -> Array:  # fmt: skip
-    middle = np.where(held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2])
+    segment: Segment,
+    ends: Array,
+    half: Array | None,
+    held: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
+    k: int,
+) -> Array:
+    middle = np.where(
+        held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2]
+    )
     if half is not None:
         middle[:, held] = half[1::2][:, held]
     last = np.where(jumps, middle, ends[1:])
@@ -62,19 +82,37 @@ def _middle(
 
 
 def bends_of(
-    straight: ReplayModel, setup: Setup, flown: Flown, found: Sequence[Probe], away: Sequence[Array], map_: Processes
-) -> list[Array]:  # fmt: skip
+    straight: ReplayModel,
+    setup: Setup,
+    flown: Flown,
+    found: Sequence[Probe],
+    away: Sequence[Array],
+    map_: Processes,
+) -> list[Array]:
     """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of its ends, and at its end from
     the next row's: what the model says there, the surfaces where they stand by their `middles`, the motion half-way."""
     asked = []
-    for segment, p, height, (middle, end) in zip(setup.segments, found, flown.height, away, strict=True):
-        x, u, h = (np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]]) for v in (p.reference.x, p.controls, height))
+    for segment, p, height, (middle, end) in zip(
+        setup.segments, found, flown.height, away, strict=True
+    ):
+        x, u, h = (
+            np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]])
+            for v in (p.reference.x, p.controls, height)
+        )
         motion = {name: x[:, k] for k, name in enumerate(STATES)}
-        asked.append(StatesOf(segment, motion, u + np.concatenate([middle, end]), altitudes(straight, segment, h)))
+        asked.append(
+            StatesOf(
+                segment, motion, u + np.concatenate([middle, end]), altitudes(straight, segment, h)
+            )
+        )
     out = []
-    for p, forced in zip(found, force_all(straight, asked, setup.properties(flown.point), map_), strict=True):
+    for p, forced in zip(
+        found, force_all(straight, asked, setup.properties(flown.point), map_), strict=True
+    ):
         own = np.hstack([p.reference.force, p.reference.moment])
-        there = np.hstack([forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment])
+        there = np.hstack(
+            [forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment]
+        )
         middle, end = np.split(there, 2)
         out.append(np.stack([middle - 0.5 * (own[:-1] + own[1:]), end - own[1:]]))
     return out

@@ -36,7 +36,9 @@ HERE = "@here"
 """What the term of a rate limit above the servo's own has besides, as the column of its slope where it flies."""
 
 
-def effect_columns(setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]) -> MadeColumns:
+def effect_columns(
+    setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]
+) -> MadeColumns:
     """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
 
     def make(k: int, names: Collection[str]) -> Columns:
@@ -127,7 +129,9 @@ def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
     def felt(z: Array) -> Array:
         air = np.zeros((3, 1)) if gusts is None else np.array(gusts.rotation(z))
         rates = z[3:6] - air
-        return np.array([s * rates[AIR_RATES.index(rate)] / np.maximum(z[0], 1.0) for _, rate, s in _VANES])
+        return np.array(
+            [s * rates[AIR_RATES.index(rate)] / np.maximum(z[0], 1.0) for _, rate, s in _VANES]
+        )
 
     for k, step in enumerate(_SLOPE_STEP * np.eye(len(at))[:, :, None]):
         slope = (felt(at + step) - felt(at - step)) / (2.0 * _SLOPE_STEP)
@@ -138,7 +142,7 @@ def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
 
 def _input(
     e: Effect, setup: Setup, segment: Segment, p: Probe, found: Mapping[str, Array], point: Point
-) -> tuple[int, Array]:  # fmt: skip
+) -> tuple[int, Array]:
     """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1, values (n, 6)) of all."""
     if (term := e.parsed) is not None:
         return COEFFICIENTS.index(e.coefficient), term.values(found)
@@ -152,7 +156,9 @@ def _input(
         C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
     elif part == "ground":
         h_over_b = found["h_over_b"]
-        C[:, 2] = np.where(h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0)
+        C[:, 2] = np.where(
+            h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0
+        )
     elif part == "propulsion":
         thrust = np.hstack([p.other_force, p.other_moment]) / scale
         if e.term == "thrust_scale":
@@ -179,7 +185,9 @@ def _input(
     elif part == "actuator":
         k = CONTROLS.index(what)
         if e.term == "deadband":
-            moved = in_dead_zone(p.controls[:, k], setup.zones.get(what, _DEADBAND_DEG), flown=e.key in point.effects)
+            moved = in_dead_zone(
+                p.controls[:, k], setup.zones.get(what, _DEADBAND_DEG), flown=e.key in point.effects
+            )
         else:
             servo, limits = _as_flown(setup, what, point)
             if e.term.endswith(HERE):
@@ -192,12 +200,18 @@ def _input(
     return -1, C
 
 
-def _of_sensor(e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, point: Point) -> Array:
+def _of_sensor(
+    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, point: Point
+) -> Array:
     """(n, m) what a unit of a sensor's effect adds to the outputs (n, m)."""
     what = (e.subsystem or "").partition(".")[2]
     if e.term.startswith("place_"):
         axis = np.eye(3)["xyz".index(e.term[-1])]
-        out = _felt_by_vanes(p, y, setup.outputs) if what == "vane" else _felt_at(p, setup.outputs, axis)
+        out = (
+            _felt_by_vanes(p, y, setup.outputs)
+            if what == "vane"
+            else _felt_at(p, setup.outputs, axis)
+        )
         return np.asarray(out * [sensor_gain(c, point) for c in setup.outputs])
     out = np.zeros_like(y)
     for k, c in enumerate(setup.outputs):
@@ -216,13 +230,17 @@ def _felt_by_vanes(p: Probe, y: Array, outputs: Sequence[str]) -> Array:
     return at_vane(seen, outputs)
 
 
-def _as_flown(setup: Setup, surface: str, point: Point) -> tuple[Actuator | None, tuple[float, float] | None]:
+def _as_flown(
+    setup: Setup, surface: str, point: Point
+) -> tuple[Actuator | None, tuple[float, float] | None]:
     """A servo as it flies at a point, and the rate limits whose difference is its rate limit's slope: a slow servo made slower by a
     little does less than a fast one."""
     servo, limits = setup.servos.get(surface), setup.limits.get(surface)
     if servo is None:
         return None, None
-    lag, slowness = (point.effects.get(f"effect/actuator.{surface}/{term}") for term in ("lag", "rate_limit"))
+    lag, slowness = (
+        point.effects.get(f"effect/actuator.{surface}/{term}") for term in ("lag", "rate_limit")
+    )
     if lag is not None:
         servo = replace(servo, lag=servo.lag_with(lag))
     if slowness is not None:
@@ -297,14 +315,26 @@ def _attached(alpha_deg: Array) -> Array:
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
 
 
-def surface_change(kind: str, servo: Actuator | None, segment: Segment, k: int, limits: tuple[float, float] | None = None) -> Array:
+def surface_change(
+    kind: str,
+    servo: Actuator | None,
+    segment: Segment,
+    k: int,
+    limits: tuple[float, float] | None = None,
+) -> Array:
     """(n,) `servo_change` of control ``k`` at a segment's rows."""
     own = segment.at_commands()
     command = own.controls[:, k]
     return segment.on_rows(servo_change(kind, servo, command, own.dt_s, limits))
 
 
-def servo_change(kind: str, servo: Actuator | None, command: Array, h: float, limits: tuple[float, float] | None = None) -> Array:
+def servo_change(
+    kind: str,
+    servo: Actuator | None,
+    command: Array,
+    h: float,
+    limits: tuple[float, float] | None = None,
+) -> Array:
     """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
 
     Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at rows h [s] apart. limits: rate
@@ -315,7 +345,9 @@ def servo_change(kind: str, servo: Actuator | None, command: Array, h: float, li
     step = h / runs_per_row(h)
     before = servo.follow(command, h, step)
     if kind == "lag":
-        return (replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before) / _LAG_S
+        return (
+            replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before
+        ) / _LAG_S
     if limits is None:
         # A limit a quarter below the fastest motion seen.
         fastest = float(np.abs(np.diff(before)).max()) / h

@@ -17,7 +17,16 @@ from sysid.aerodynamics import GustStates, Reference, Steps, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
-from sysid.effects import Columns, Evidence, MadeColumns, White, corrected_each, gather, names_of, whiten
+from sysid.effects import (
+    Columns,
+    Evidence,
+    MadeColumns,
+    White,
+    corrected_each,
+    gather,
+    names_of,
+    whiten,
+)
 from sysid.parallel import ALONE, Processes
 from uqharness.identification.linearised.between_rows import jumped, middles
 from uqharness.identification.linearised.columns import (
@@ -29,9 +38,23 @@ from uqharness.identification.linearised.columns import (
     vane_place_m,
     vane_slopes,
 )
-from uqharness.identification.linearised.reference import Probe, ProbeJob, probe_all, term_column, with_properties
+from uqharness.identification.linearised.reference import (
+    Probe,
+    ProbeJob,
+    probe_all,
+    term_column,
+    with_properties,
+)
 from uqharness.identification.linearised.sensed import as_sensed, late_rate, placed, sensor_late_s
-from uqharness.identification.linearised.types import Flown, Point, Setup, in_dynamics, late_by, unseen, unseen_share
+from uqharness.identification.linearised.types import (
+    Flown,
+    Point,
+    Setup,
+    in_dynamics,
+    late_by,
+    unseen,
+    unseen_share,
+)
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -57,8 +80,14 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         on_time = [c for c in setup.outputs if not sensor_late_s(c, s, point)]
         between, unseen_ = len(on_time) < len(setup.outputs), unseen_share(point, s.flight)
         job = ReplayJob(
-            model, placed(s, point), setup.properties(point), start, late_by(point, s.flight), between, unseen=unseen_
-        )  # fmt: skip
+            model,
+            placed(s, point),
+            setup.properties(point),
+            start,
+            late_by(point, s.flight),
+            between,
+            unseen=unseen_,
+        )
         pieces.append(as_flown(job, on_time))
     flights = iter(fly_all([piece for of in pieces for piece in of], map_))
     columns = [CHANNELS.index(c) for c in setup.outputs]
@@ -68,7 +97,9 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
         outputs.append(as_sensed(raw[-1][:, columns], setup, s, point, between=fine[:, columns]))
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
-    return Flown(point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs))
+    return Flown(
+        point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs)
+    )
 
 
 def cost_of(setup: Setup, outputs: Sequence[Array]) -> float:
@@ -87,15 +118,24 @@ def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: 
 
 def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
     """(n, c) where the controls stood in every segment, servos as they are at a point."""
-    return surface_positions(model, setup.segments, CONTROLS, {} if point is None else setup.properties(point))
+    return surface_positions(
+        model, setup.segments, CONTROLS, {} if point is None else setup.properties(point)
+    )
 
 
 def probes(
-    straight: ReplayModel, setup: Setup, flown: Flown, controls: Sequence[Array], map_: Processes, consistent: bool = True
-) -> list[Probe]:  # fmt: skip
+    straight: ReplayModel,
+    setup: Setup,
+    flown: Flown,
+    controls: Sequence[Array],
+    map_: Processes,
+    consistent: bool = True,
+) -> list[Probe]:
     """Forces, slopes and so on along the flights flown."""
     jobs = [
-        ProbeJob(straight, placed(s, flown.point), x, u, setup.properties(flown.point), consistent, h)
+        ProbeJob(
+            straight, placed(s, flown.point), x, u, setup.properties(flown.point), consistent, h
+        )
         for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
     ]
     return probe_all(jobs, map_)
@@ -107,7 +147,11 @@ def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Ste
 
 
 def steps_of(
-    found: Sequence[Probe], air: Sequence[GustStates | None], setup: Setup, point: Point, by: Processes = ALONE
+    found: Sequence[Probe],
+    air: Sequence[GustStates | None],
+    setup: Setup,
+    point: Point,
+    by: Processes = ALONE,
 ) -> list[Steps]:
     """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in each."""
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
@@ -121,7 +165,11 @@ def steps_of(
 
 
 def parameter_columns(
-    setup: Setup, found: Sequence[Probe], flown: Flown, names: Sequence[str], analytic: Sequence[str]
+    setup: Setup,
+    found: Sequence[Probe],
+    flown: Flown,
+    names: Sequence[str],
+    analytic: Sequence[str],
 ) -> list[Columns]:
     """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
     out = []
@@ -130,12 +178,18 @@ def parameter_columns(
     gain = [sensor_gain(c, flown.point) for c in setup.outputs]
     made = effect_columns(setup, found, flown, active)
     for segment, p, y, effects in zip(setup.segments, found, flown.outputs, made, strict=True):
-        before, variables, share = p.just_before(), p.variables(), unseen_share(flown.point, segment.flight)
+        before, variables, share = (
+            p.just_before(),
+            p.variables(),
+            unseen_share(flown.point, segment.flight),
+        )
         earlier = variables if before is p else before.variables()
         inputs, outputs = dict(effects.inputs), dict(effects.outputs)
         ends, felt = dict(effects.ends), dict(effects.felt)
         for name in own:
-            inputs[name] = term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+            inputs[name] = (
+                term_column(name, variables) if name in analytic else (-1, p.by_property[name])
+            )
             if before is not p and name in analytic:
                 ends[name] = term_column(name, earlier)[1]
                 felt[name] = seen_of(inputs[name][1], ends[name], share)
@@ -144,7 +198,9 @@ def parameter_columns(
             if flight != segment.flight:
                 continue
             if kind == "lateness":
-                inputs[name], ends[name], felt[name] = later_controls(p, late_by(flown.point, flight))
+                inputs[name], ends[name], felt[name] = later_controls(
+                    p, late_by(flown.point, flight)
+                )
                 continue
             outputs[name] = block = np.zeros_like(y)
             if kind == UNSEEN:
@@ -163,8 +219,17 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
     names = (*names_of(first), *names_of(second))
 
     def both(k: int, some: Collection[str]) -> Columns:
-        a, b = (c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k] for c in (first, second))
-        return Columns(names, {**a.inputs, **b.inputs}, {**a.outputs, **b.outputs}, {**a.ends, **b.ends}, {**a.felt, **b.felt})
+        a, b = (
+            c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k]
+            for c in (first, second)
+        )
+        return Columns(
+            names,
+            {**a.inputs, **b.inputs},
+            {**a.outputs, **b.outputs},
+            {**a.ends, **b.ends},
+            {**a.felt, **b.felt},
+        )
 
     return MadeColumns(names, both, len(first))
 
@@ -189,9 +254,14 @@ _STEP_SHARES = tuple(0.35**k for k in range(5))
 
 
 def refit(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Processes,
-) -> Fit:  # fmt: skip
+    model: ReplayModel,
+    straight: ReplayModel,
+    setup: Setup,
+    start: Point,
+    names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
+    map_: Processes,
+) -> Fit:
     """Output error from ``start`` over the properties ``names``, biases, delays and start states. Raises LinAlgError where replays
     from there leave the finite."""
     flown, analytic = fly(model, setup, start, map_), None
@@ -206,7 +276,12 @@ def refit(
         for share in _STEP_SHARES:
             step = dict(zip(fit.columns[0].names, (share * delta).tolist(), strict=True))
             starts = moved_starts(flown.point.starts, white, delta, share)
-            trial = fly(model, setup, replace(stepped(setup, flown.point, step, limits), starts=starts), map_)
+            trial = fly(
+                model,
+                setup,
+                replace(stepped(setup, flown.point, step, limits), starts=starts),
+                map_,
+            )
             if trial.cost < flown.cost:
                 break
         else:
@@ -219,16 +294,26 @@ def refit(
 
 
 def fit_at(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, names: Sequence[str], flown: Flown, map_: Processes,
+    model: ReplayModel,
+    straight: ReplayModel,
+    setup: Setup,
+    names: Sequence[str],
+    flown: Flown,
+    map_: Processes,
     analytic: tuple[str, ...] | None = None,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """The flights linearised at the replays flown: evidence of the properties and active effects ``names`` and the nuisance.
     analytic: properties known to be the coefficient terms their names say."""
     point, own = flown.point, [n for n in names if n not in {e.key for e in setup.active}]
     found = probes(straight, setup, flown, positions(model, setup, point), map_)
-    found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
+    found, analytic = with_properties(
+        straight, setup.segments, found, own, setup.properties(point), analytic, map_
+    )
     if setup.jumping:
-        found = [replace(p, jumped=jumped(a)) for p, a in zip(found, middles(model, setup, point), strict=True)]
+        found = [
+            replace(p, jumped=jumped(a))
+            for p, a in zip(found, middles(model, setup, point), strict=True)
+        ]
     steps = steps_of(found, [None] * len(found), setup, point, map_)
     for s, y in zip(steps, flown.outputs, strict=True):
         s.y_ref[:, setup.which] = y
@@ -238,7 +323,9 @@ def fit_at(
     return Fit(flown, found, steps, columns, evidence, analytic)
 
 
-def moved_starts(starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0) -> tuple[Array, ...]:
+def moved_starts(
+    starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0
+) -> tuple[Array, ...]:
     """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
     order = [STATES.index(s) for s in X_STATES]
     moved = [start.copy() for start in starts]
@@ -253,20 +340,35 @@ def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[Array, fl
     delta, length = evidence.step(setup.held)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
     (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
-    stay = [n for n, share in shares.items() if (share >= high and move[n] > 0.0) or (share <= low and move[n] < 0.0)]
-    stay += [key for key, least in setup.least.items() if point.effects.get(key, 0.0) <= least and move[key] < 0.0]
+    stay = [
+        n
+        for n, share in shares.items()
+        if (share >= high and move[n] > 0.0) or (share <= low and move[n] < 0.0)
+    ]
+    stay += [
+        key
+        for key, least in setup.least.items()
+        if point.effects.get(key, 0.0) <= least and move[key] < 0.0
+    ]
     return evidence.step([*setup.held, *stay]) if stay else (delta, length)
 
 
-def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> Point:
+def stepped(
+    setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
+) -> Point:
     """Properties, active effects and nuisance moved by a step; properties stay within their limits, rate limits where they are
     felt, shares within SHARES."""
     free = (-math.inf, math.inf)
-    values = {n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v for n, v in point.values.items()}
+    values = {
+        n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v
+        for n, v in point.values.items()
+    }
     effects = dict(point.effects)
     for e in setup.active:
         if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
-            effects[e.key] = max(effects.get(e.key, 0.0) + step[e.key], setup.least.get(e.key, -math.inf))
+            effects[e.key] = max(
+                effects.get(e.key, 0.0) + step[e.key], setup.least.get(e.key, -math.inf)
+            )
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
     nuisance |= {n: float(np.clip(nuisance[n], *SHARES)) for n in map(unseen, setup.jumping)}
@@ -274,10 +376,16 @@ def stepped(setup: Setup, point: Point, step: Mapping[str, float], limits: Mappi
 
 
 def in_one_step(
-    evidence: Evidence, names: Sequence[str], fit: Fit, chosen: Sequence[str] = (), moved: bool = True
-) -> dict[str, tuple[float, float]]:  # fmt: skip
+    evidence: Evidence,
+    names: Sequence[str],
+    fit: Fit,
+    chosen: Sequence[str] = (),
+    moved: bool = True,
+) -> dict[str, tuple[float, float]]:
     """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the last step taken unless not
     ``moved``."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
     found, at = corrected_each(evidence, free, names), fit.flown.point.values
-    return {n: (float(at[n] + (delta if moved else 0.0)), std) for n, (delta, std, _) in found.items()}
+    return {
+        n: (float(at[n] + (delta if moved else 0.0)), std) for n, (delta, std, _) in found.items()
+    }

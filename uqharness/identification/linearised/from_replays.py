@@ -28,19 +28,26 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
     return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
 
 
-def point_of(found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None) -> Point:
+def point_of(
+    found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None
+) -> Point:
     """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured; 0 stands for
     what the fit has not estimated."""
     estimates = found.values()
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
-    point = Point({n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {}))
+    point = Point(
+        {n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {})
+    )
     return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
 
 
 def begun_at(point: Point) -> dict[str, float]:
     """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
-    return {n.replace("lateness/", "delay/"): value / _gain(n, point) for n, value in point.nuisance.items()}
+    return {
+        n.replace("lateness/", "delay/"): value / _gain(n, point)
+        for n, value in point.nuisance.items()
+    }
 
 
 def _gain(name: str, point: Point) -> float:

@@ -30,7 +30,14 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised.between_rows import bends_of, jumped, middles, with_jumps
-from uqharness.identification.linearised.columns import as_felt, at_vane, sensor_gain, sensor_offset, unsensed, vane_place_m
+from uqharness.identification.linearised.columns import (
+    as_felt,
+    at_vane,
+    sensor_gain,
+    sensor_offset,
+    unsensed,
+    vane_place_m,
+)
 from uqharness.identification.linearised.fit import (
     PRIOR,
     Fit,
@@ -48,8 +55,16 @@ from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
 
 Array = NDArray[np.float64]
-_KINDS = {c: kind for kind, members in {"attitude": ("phi", "theta", "psi"), "rate": ("p", "q", "r"), "force": ("ax", "ay", "az"),
-          "wind": ("alpha", "beta")}.items() for c in members}  # fmt: skip
+_KINDS = {
+    c: kind
+    for kind, members in {
+        "attitude": ("phi", "theta", "psi"),
+        "rate": ("p", "q", "r"),
+        "force": ("ax", "ay", "az"),
+        "wind": ("alpha", "beta"),
+    }.items()
+    for c in members
+}
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
 SETTLED, SEARCH_BY = 5.0, 5
@@ -104,8 +119,13 @@ def in_step(setup: Setup, point: Point) -> list[Array]:
 
     A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
     """
-    both = [(z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)]
-    return [np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)]) for z, late in both]
+    both = [
+        (z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)
+    ]
+    return [
+        np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)])
+        for z, late in both
+    ]
 
 
 def moved(values: Array, rows: int) -> Array:
@@ -115,18 +135,31 @@ def moved(values: Array, rows: int) -> Array:
 
 
 def predict(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, map_: Processes, path: Sequence[Array] | None = None
-) -> tuple[Flown, list[Probe]]:  # fmt: skip
+    model: ReplayModel,
+    straight: ReplayModel,
+    setup: Setup,
+    point: Point,
+    map_: Processes,
+    path: Sequence[Array] | None = None,
+) -> tuple[Flown, list[Probe]]:
     """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's forces along it."""
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
-    flown = Flown(point, [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments], x, height, float("nan"))
+    flown = Flown(
+        point,
+        [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments],
+        x,
+        height,
+        float("nan"),
+    )
     both, shares = acting(model, setup, point)
     controls = _between([positions(model, acts, point) for acts in both], shares)
     away = _between([middles(model, acts, point) for acts in both], shares)
     found = probes(straight, setup, flown, controls, map_, consistent=False)
     bent = zip(found, bends_of(straight, setup, flown, found, away, map_), away, strict=True)
-    return flown, [replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in bent]
+    return flown, [
+        replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in bent
+    ]
 
 
 def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup], list[float]]:
@@ -138,14 +171,23 @@ def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup],
     places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
-    return [_at_places(model, setup, before, further) for further in (0.0, 1.0) if not further or any(shares)], shares
+    return [
+        _at_places(model, setup, before, further)
+        for further in (0.0, 1.0)
+        if not further or any(shares)
+    ], shares
 
 
-def _at_places(model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float) -> Setup:
+def _at_places(
+    model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float
+) -> Setup:
     """The setup with each flight's commands so many PLACES later."""
     if not further and not any(places.values()):
         return setup
-    later = [f.with_commands_later((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s) for f in setup.flights]
+    later = [
+        f.with_commands_later((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s)
+        for f in setup.flights
+    ]
     cut = [s for f in later for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]
     return replace(setup, segments=tuple(cut))
 
@@ -157,25 +199,43 @@ def _between(both: Sequence[Sequence[Array]], shares: Sequence[float]) -> list[A
 
 
 def gust_refit(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, names: Sequence[str],
-    limits: Mapping[str, tuple[float, float]], map_: Processes, near: Gusts | None = None, iterations: int = ITERATIONS,
-    tune: bool = False, known: bool = False, told: Callable[[int, float], None] | None = None,
-) -> GustFit:  # fmt: skip
+    model: ReplayModel,
+    straight: ReplayModel,
+    setup: Setup,
+    start: Point,
+    names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
+    map_: Processes,
+    near: Gusts | None = None,
+    iterations: int = ITERATIONS,
+    tune: bool = False,
+    known: bool = False,
+    told: Callable[[int, float], None] | None = None,
+) -> GustFit:
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
 
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it. told: is
     told each iteration's number and the length of its step in standard errors.
     """
     setup = with_jumps(setup, model)
-    point = start if near is not None or not setup.late else likelier(model, straight, setup, start, map_)
+    point = (
+        start
+        if near is not None or not setup.late
+        else likelier(model, straight, setup, start, map_)
+    )
     gusts, analytic = near, None
     length, share, since = float("inf"), 1.0, float("inf")
     delta: Array | None = None
     path: list[Array] | None = None
-    own, flights = [n for n in names if n not in {e.key for e in setup.active}], {s.flight for s in setup.segments}
+    own, flights = (
+        [n for n in names if n not in {e.key for e in setup.active}],
+        {s.flight for s in setup.segments},
+    )
     for number in range(1, iterations + 1):
         flown, found = predict(model, straight, setup, point, map_, path)
-        found, analytic = with_properties(straight, setup.segments, found, own, setup.properties(point), analytic, map_)
+        found, analytic = with_properties(
+            straight, setup.segments, found, own, setup.properties(point), analytic, map_
+        )
         steps = _Linear(setup, flown, found, map_)
         # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
         near_enough = length < SETTLED or number == SEARCH_BY
@@ -205,7 +265,11 @@ def gust_refit(
             told(number, length)
         # Air that was sought where estimates were as near as this is what it would be here.
         since = 0.0 if known or (sought and causal) else since
-        if (causal and length < TOLERANCE and since <= DIFFERENT) or number == iterations or not gusts.air:
+        if (
+            (causal and length < TOLERANCE and since <= DIFFERENT)
+            or number == iterations
+            or not gusts.air
+        ):
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
         since += share * length
@@ -214,7 +278,12 @@ def gust_refit(
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    return GustFit(Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic), gusts, setup, length)
+    return GustFit(
+        Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic),
+        gusts,
+        setup,
+        length,
+    )
 
 
 def relaxed(share: float, before: Array, now: Array, information: Array) -> float:
@@ -226,22 +295,38 @@ def relaxed(share: float, before: Array, now: Array, information: Array) -> floa
     """
     change = now - before
     size = float(change @ information @ change)
-    return float(np.clip(-share * (before @ information @ change) / size, *SHARE_WITHIN)) if size > 0.0 else 1.0
+    return (
+        float(np.clip(-share * (before @ information @ change) / size, *SHARE_WITHIN))
+        if size > 0.0
+        else 1.0
+    )
 
 
 def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
     """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
     return [
-        np.column_stack([
-            unsensed(x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before), c, segment, after)
-            for k, c in enumerate(X_STATES)
-        ])
+        np.column_stack(
+            [
+                unsensed(
+                    x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before),
+                    c,
+                    segment,
+                    after,
+                )
+                for k, c in enumerate(X_STATES)
+            ]
+        )
         for segment, x in zip(setup.segments, path, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def unfiltered(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, point: Point, map_: Processes, gusts: Gusts
+    model: ReplayModel,
+    straight: ReplayModel,
+    setup: Setup,
+    point: Point,
+    map_: Processes,
+    gusts: Gusts,
 ) -> tuple[Flown, list[Array]]:
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
     flown, found = predict(model, straight, setup, point, map_)
@@ -250,7 +335,9 @@ def unfiltered(
     return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
 
 
-def likelier(model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, map_: Processes) -> Point:
+def likelier(
+    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, map_: Processes
+) -> Point:
     """``start``, or the same with every sensor in time, whichever is likelier in its likeliest air.
 
     Delays found by replays in turbulence may be far off, and a filter that begins with them stays near them.
@@ -260,8 +347,15 @@ def likelier(model: ReplayModel, straight: ReplayModel, setup: Setup, start: Poi
     for point in (start, replace(start, nuisance=in_time)):
         steps = _Linear(setup, *predict(model, straight, setup, point, map_), map_)
         gusts, _ = _air(setup, steps, None, tune=False)
-        followed = follow(steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process)
-        found.append((minus_twice_log(whitened(followed, [Columns((), {}, {})] * len(setup.segments))), point))
+        followed = follow(
+            steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process
+        )
+        found.append(
+            (
+                minus_twice_log(whitened(followed, [Columns((), {}, {})] * len(setup.segments))),
+                point,
+            )
+        )
     return min(found, key=lambda one: one[0])[1]
 
 
@@ -277,14 +371,27 @@ class _Linear:
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         asked = list(zip(some, states, strict=True))
         missing, point = [key for key in asked if key not in self.made], self.flown.point
-        made = steps_of([self.found[k] for k, _ in missing], [air for _, air in missing], self.setup, point, self.by)
+        made = steps_of(
+            [self.found[k] for k, _ in missing],
+            [air for _, air in missing],
+            self.setup,
+            point,
+            self.by,
+        )
         for (k, acting), s in zip(missing, made, strict=True):
             which, segment = self.setup.which, self.setup.segments[k]
             share, rows = unseen_share(point, segment.flight), rows_late(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
-            y = s.y_ref[:, which] - share * as_felt(self.found[k].felt_jump(0.5 * share), self.setup.outputs)
-            part = [sensor_late_s(c, segment, point) / segment.dt_s - rows[c] for c in self.setup.outputs]
-            behind = self._behind(self.found[k], s, y, acting, np.array(part)) if any(part) else None
+            y = s.y_ref[:, which] - share * as_felt(
+                self.found[k].felt_jump(0.5 * share), self.setup.outputs
+            )
+            part = [
+                sensor_late_s(c, segment, point) / segment.dt_s - rows[c]
+                for c in self.setup.outputs
+            ]
+            behind = (
+                self._behind(self.found[k], s, y, acting, np.array(part)) if any(part) else None
+            )
             s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, behind=behind)
             self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
         for key in asked:
@@ -306,7 +413,10 @@ class _Linear:
         bent = steps.defect + np.diff(x, axis=0) - first[:-1]
         # A sensor that is late sees the step before a row, one that is early the step behind it.
         none = np.zeros_like(bent[:1])
-        ended, bent_before = np.concatenate([first[:1], first[:-1] + 2.0 * bent]), np.concatenate([none, bent])
+        ended, bent_before = (
+            np.concatenate([first[:1], first[:-1] + 2.0 * bent]),
+            np.concatenate([none, bent]),
+        )
         begun, bent_behind = first, np.concatenate([bent, none])
         felt = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
         by_controls = np.diff(felt, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
@@ -341,11 +451,18 @@ def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs] if tune else ()
-    return gust_intensity(steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by, kinds)
+    return gust_intensity(
+        steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by, kinds
+    )
 
 
 def predicted(
-    setup: Setup, flown: Flown, found: Sequence[Probe], steps: Sequence[Steps], followed: Sequence[Followed], gusts: Gusts
+    setup: Setup,
+    flown: Flown,
+    found: Sequence[Probe],
+    steps: Sequence[Steps],
+    followed: Sequence[Followed],
+    gusts: Gusts,
 ) -> tuple[Flown, list[Probe]]:
     """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there, as a filter ``followed``
     the ``steps``.
@@ -353,7 +470,9 @@ def predicted(
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
     """
     out, outputs = [], []
-    for p, s, d, acting in zip(found, steps, (one.alone.path for one in followed), gusts.states, strict=True):
+    for p, s, d, acting in zip(
+        found, steps, (one.alone.path for one in followed), gusts.states, strict=True
+    ):
         x = whole_states(p.reference.x, acting) + d
         air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
         whole = rates(p.reference, p.mass, x, gusts=acting)
@@ -361,8 +480,15 @@ def predicted(
         relative = np.column_stack([x[:, :3], air, x[:, 6:8]])
         coefficients = p.coefficients + _changed(p, (relative - p.reference.x)[:, : len(AIR)])
         out.append(
-            replace(p, coefficients=coefficients, body=x[:, :8], x=relative, rate=whole[:, :8], flow_rate=flow[:, 1:3])
-        )  # fmt: skip
+            replace(
+                p,
+                coefficients=coefficients,
+                body=x[:, :8],
+                x=relative,
+                rate=whole[:, :8],
+                flow_rate=flow[:, 1:3],
+            )
+        )
         outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
     return replace(flown, outputs=outputs), out
 
@@ -370,6 +496,8 @@ def predicted(
 def _changed(p: Probe, moved: Array) -> Array:
     """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
     faster = moved[:, :1] / p.reference.x[:, :1]
-    change = np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients
+    change = (
+        np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients
+    )
     change[:, 0] -= p.by_inflow * faster[:, 0]
     return change

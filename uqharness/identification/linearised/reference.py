@@ -9,13 +9,31 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import AIR, COEFFICIENTS, Reference, regressor, split_name, unforced, variables
+from sysid.aerodynamics import (
+    AIR,
+    COEFFICIENTS,
+    Reference,
+    regressor,
+    split_name,
+    unforced,
+    variables,
+)
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.effects import V_REFERENCE_MPS
 from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
-from uqharness.replay import CONTROLS, ForcedModel, ReplayModel, Segment, StatesOf, altitudes, control_setters, force_all, terrain_m
+from uqharness.replay import (
+    CONTROLS,
+    ForcedModel,
+    ReplayModel,
+    Segment,
+    StatesOf,
+    altitudes,
+    control_setters,
+    force_all,
+    terrain_m,
+)
 from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
@@ -75,7 +93,9 @@ class Probe:
             return np.zeros_like(self.by_control)
         # Slopes are read at every so many rows: as far away as this, none of what is on a row's other side is in them.
         rows = np.arange(len(self.controls))
-        early, late = (self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1))
+        early, late = (
+            self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1)
+        )
         return np.asarray((before * early + (1.0 - before) * late) * self.jumped[:, None, :])
 
     def just_before(self) -> Probe:
@@ -88,9 +108,12 @@ class Probe:
         thrust[:, 0] = jumps[:, 0, k] * self.scale[:, 0]
         aero = jumps.sum(axis=2) - jumps[:, :, k]
         return replace(
-            self, controls=self.controls - self.jumped, coefficients=self.coefficients - aero,
-            other_force=self.other_force - thrust, jumped=None,
-        )  # fmt: skip
+            self,
+            controls=self.controls - self.jumped,
+            coefficients=self.coefficients - aero,
+            other_force=self.other_force - thrust,
+            jumped=None,
+        )
 
     def felt_jump(self, before: float = 0.5) -> Array:
         """(n, 3) what the accelerometers feel of the controls' jumps [m/s2], by `jumps`."""
@@ -113,10 +136,13 @@ class Probe:
         de, da, dr, dt = self.controls.T[:4]
         return {
             **variables(V, alpha, beta, p, q, r, de, da, dr, b, c),
-            "alphadot_hat": self.flow_rate[:, 0] * 0.5 * c / V, "betadot_hat": self.flow_rate[:, 1] * 0.5 * b / V,
-            "dt": dt / 100.0, "CT": self.other_force[:, 0] / (self.reference.qbar * self.mass.S),
-            "V_rel": V / V_REFERENCE_MPS, "h_over_b": np.maximum(self.height_m / b, 0.1),
-        }  # fmt: skip
+            "alphadot_hat": self.flow_rate[:, 0] * 0.5 * c / V,
+            "betadot_hat": self.flow_rate[:, 1] * 0.5 * b / V,
+            "dt": dt / 100.0,
+            "CT": self.other_force[:, 0] / (self.reference.qbar * self.mass.S),
+            "V_rel": V / V_REFERENCE_MPS,
+            "h_over_b": np.maximum(self.height_m / b, 0.1),
+        }
 
 
 def _scale(qbar: Array, mass: MassProperties) -> Array:
@@ -157,7 +183,9 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Ar
         x[k, :, k] += step
     for c in range(controls):
         # Away from the stop, or the change would be none.
-        u[len(AIR) + c, :, c] += np.where(job.controls[coarse, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP)
+        u[len(AIR) + c, :, c] += np.where(
+            job.controls[coarse, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP
+        )
     for k, angle in enumerate(banks):
         # Nothing but weight turns with the bank, and weight changes the rates of alpha and beta.
         x[first + k, :, STATES.index("phi_rad")] += angle
@@ -196,11 +224,18 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
 
     by_flow = None
     if len(x) > air + controls:
-        turned = np.stack([unforced(s) - unforced(job.x[coarse]) for s in x[air + controls :]], axis=1)
-        by_flow = known_before(np.linalg.solve(turned, change[air + controls :].swapaxes(0, 1)).swapaxes(1, 2))
+        turned = np.stack(
+            [unforced(s) - unforced(job.x[coarse]) for s in x[air + controls :]], axis=1
+        )
+        by_flow = known_before(
+            np.linalg.solve(turned, change[air + controls :].swapaxes(0, 1)).swapaxes(1, 2)
+        )
     steps = (u - job.controls[coarse]).sum(axis=0)
     # Along straight lines, the slope about a jump is that half-way up: thrust bends with the throttle.
-    slope = spread(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :]) / scale[:, :, None]
+    slope = (
+        spread(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
+        / scale[:, :, None]
+    )
     coefficients = (load - other) / scale
     if job.consistent:
         # Between the samples that were forced surfaces may have jumped; what is left without them is a straight line.
@@ -210,12 +245,30 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
     slopes = known_before(np.moveaxis(change[:air], 0, 2) / _STEPS)
     arm, rate = np.array(job.segment.arm_m), np.gradient(job.x, job.segment.dt_s, axis=0)
     return Probe(
-        Reference(job.segment.dt_s, job.x, load[:, :3], load[:, 3:], slopes, qbar, arm, job.consistent, by_flow=by_flow),
-        mass, coefficients, other[:, :3], other[:, 3:], slope, job.controls,
+        Reference(
+            job.segment.dt_s,
+            job.x,
+            load[:, :3],
+            load[:, 3:],
+            slopes,
+            qbar,
+            arm,
+            job.consistent,
+            by_flow=by_flow,
+        ),
+        mass,
+        coefficients,
+        other[:, :3],
+        other[:, 3:],
+        slope,
+        job.controls,
         job.x[:, 0] * spread(other_change[0, :, 0] / _STEPS[0]) / scale[:, 0],
         job.height_m if job.segment.above_ground else np.full(n, np.inf),
-        job.x, job.x, rate, rate[:, 1:3],
-    )  # fmt: skip
+        job.x,
+        job.x,
+        rate,
+        rate[:, 1:3],
+    )
 
 
 def property_slopes(
@@ -235,7 +288,17 @@ def property_slopes(
     setters = control_setters(fdm, straight)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = terrain_m(straight, segment) / FT_M
-    places = ("phi-rad", "theta-rad", "u-fps", "v-fps", "w-fps", "p-rad_sec", "q-rad_sec", "r-rad_sec", "h-sl-ft")
+    places = (
+        "phi-rad",
+        "theta-rad",
+        "u-fps",
+        "v-fps",
+        "w-fps",
+        "p-rad_sec",
+        "q-rad_sec",
+        "r-rad_sec",
+        "h-sl-ft",
+    )
     put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
     loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
     get = [engine.handle(fdm, name).get_double_value for name in loads]
@@ -244,12 +307,25 @@ def property_slopes(
     steps = [1e-3 * max(abs(v), 1e-2) for v in values]
     unit = np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
     out = {name: np.empty((len(x), 6)) for name in names}
-    asked = zip(x.tolist(), straight.to_property(controls).tolist(), altitudes(straight, segment, height_m).tolist(), strict=True)
+    asked = zip(
+        x.tolist(),
+        straight.to_property(controls).tolist(),
+        altitudes(straight, segment, height_m).tolist(),
+        strict=True,
+    )
     for k, ((V, alpha, beta, p, q, r, phi, theta), positions, altitude) in enumerate(asked):
         for handles, value in zip(setters, positions, strict=True):
             for setter in handles:
                 setter(value)
-        state = (phi, theta, *(w / FT_M for w in body_velocity(V, alpha, beta)), p, q, r, altitude / FT_M)
+        state = (
+            phi,
+            theta,
+            *(w / FT_M for w in body_velocity(V, alpha, beta)),
+            p,
+            q,
+            r,
+            altitude / FT_M,
+        )
         for setter, value in zip(put, state, strict=True):
             setter(value)
         engine.run_ic(fdm)
@@ -272,9 +348,14 @@ def _between(coarse: NDArray[np.intp], n: int, values: Array) -> Array:
 
 
 def with_properties(
-    straight: ReplayModel, segments: Sequence[Segment], found: Sequence[Probe], names: Sequence[str], values: Mapping[str, float],
-    analytic: tuple[str, ...] | None, map_: Processes,
-) -> tuple[list[Probe], tuple[str, ...]]:  # fmt: skip
+    straight: ReplayModel,
+    segments: Sequence[Segment],
+    found: Sequence[Probe],
+    names: Sequence[str],
+    values: Mapping[str, float],
+    analytic: tuple[str, ...] | None,
+    map_: Processes,
+) -> tuple[list[Probe], tuple[str, ...]]:
     """The probes with what the properties ``names`` do, read at every fourth sample, but for those known, or found, to be
     ``analytic``: the coefficient terms that their names say. And which those are. values: of all properties in force."""
     if analytic is None:
@@ -284,14 +365,22 @@ def with_properties(
         return list(found), analytic
     rows = [_coarse(len(p.x)) for p in found]
     asked = [
-        (straight, s, p.x[k], p.controls[k], p.height_m[k], values, rest) for s, p, k in zip(segments, found, rows, strict=True)
+        (straight, s, p.x[k], p.controls[k], p.height_m[k], values, rest)
+        for s, p, k in zip(segments, found, rows, strict=True)
     ]
     slopes = zip(found, rows, map_(property_slopes, asked), strict=True)
-    return [replace(p, by_property={n: _between(k, len(p.x), v) / p.scale for n, v in by.items()}) for p, k, by in slopes], analytic
+    return [
+        replace(p, by_property={n: _between(k, len(p.x), v) / p.scale for n, v in by.items()})
+        for p, k, by in slopes
+    ], analytic
 
 
 def named_terms(
-    straight: ReplayModel, segment: Segment, probe_: Probe, names: Sequence[str], values: Mapping[str, float]
+    straight: ReplayModel,
+    segment: Segment,
+    probe_: Probe,
+    names: Sequence[str],
+    values: Mapping[str, float],
 ) -> list[str]:
     """Those of ``names`` that are, in this model, the coefficient term their name says: told by moving each of them."""
     known = [name for name in names if split_name(name) is not None]

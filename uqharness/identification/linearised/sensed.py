@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.identification.linearised.columns import at_vane, sensor_gain, sensor_offset, vane_place_m
+from uqharness.identification.linearised.columns import (
+    at_vane,
+    sensor_gain,
+    sensor_offset,
+    vane_place_m,
+)
 from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.types import Point, Setup
 from uqharness.replay import SENSOR_OF, Segment, late_rows
@@ -17,9 +22,14 @@ Array = NDArray[np.float64]
 
 
 def as_sensed(
-    y: Array, setup: Setup, segment: Segment, point: Point, earlier: Mapping[str, int] | None = None,
-    between: Array | None = None, behind: Array | None = None,
-) -> Array:  # fmt: skip
+    y: Array,
+    setup: Setup,
+    segment: Segment,
+    point: Point,
+    earlier: Mapping[str, int] | None = None,
+    between: Array | None = None,
+    behind: Array | None = None,
+) -> Array:
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.

@@ -22,19 +22,38 @@ from uqharness.simulator.actuators import actuators
 Array = NDArray[np.float64]
 
 
-def make_setup(aircraft: Aircraft, flights: Sequence[Flight], measured: Sequence[str], ideal: Sequence[str] = ()) -> Setup:
+def make_setup(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    ideal: Sequence[str] = (),
+) -> Setup:
     """Segments, measured outputs and noise of some flights."""
     arm = aircraft.accelerometer_m
     cut = [s for f in flights for s in segments(f, measured, arm)]
-    outputs = tuple(c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights))
+    outputs = tuple(
+        c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
+    )
     data = [b for f in flights for b in measured_outputs(f, outputs)]
-    late = {f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs)) for f in flights if f.record.metadata.native_hz}
+    late = {
+        f.name: list(dict.fromkeys(SENSOR_OF.get(c, c) for c in outputs))
+        for f in flights
+        if f.record.metadata.native_hz
+    }
     return Setup(
-        tuple(flights), tuple(cut), tuple(states(f, p) for f in flights for p in f.pieces), outputs, tuple(data),
+        tuple(flights),
+        tuple(cut),
+        tuple(states(f, p) for f in flights for p in f.pieces),
+        outputs,
+        tuple(data),
         known_noise(aircraft, data, outputs),
-        tuple(b for b in BIASES if b in outputs), late, tuple(measured), tuple(ideal), servos=servos_of(aircraft, measured, ideal),
+        tuple(b for b in BIASES if b in outputs),
+        late,
+        tuple(measured),
+        tuple(ideal),
+        servos=servos_of(aircraft, measured, ideal),
         timed=tuple(f.name for f in flights if f.name not in late),
-    )  # fmt: skip
+    )
 
 
 def known_noise(aircraft: Aircraft, measured: Sequence[Array], outputs: Sequence[str]) -> Array:
@@ -50,7 +69,9 @@ def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
     return replace(setup, segments=segments, active=(), carriers={}, least={})
 
 
-def servos_of(aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]) -> dict[str, Actuator]:
+def servos_of(
+    aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]
+) -> dict[str, Actuator]:
     """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
     out: dict[str, Actuator] = {}
     for surface in ("elevator", "aileron", "rudder"):
@@ -65,7 +86,10 @@ class Bench(ExitStack):
 
     def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
         super().__init__()
-        self._folders = [ReplayFolder(aircraft, measured=setup.positions, ideal=ideal) for ideal in (setup.ideal, CONTROLS)]
+        self._folders = [
+            ReplayFolder(aircraft, measured=setup.positions, ideal=ideal)
+            for ideal in (setup.ideal, CONTROLS)
+        ]
 
     def __enter__(self) -> Bench:
         self.model, self.straight = map(self.enter_context, self._folders)
@@ -74,9 +98,13 @@ class Bench(ExitStack):
 
 def turbulent(setup: Setup, flown: Flown) -> bool:
     """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
-    columns = [k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")]
+    columns = [
+        k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
+    ]
     residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
-    return process_noise_shown(residual, [y[:, columns] for y in flown.outputs], setup.noise[columns])
+    return process_noise_shown(
+        residual, [y[:, columns] for y in flown.outputs], setup.noise[columns]
+    )
 
 
 def estimated_channels(setup: Setup) -> tuple[str, ...]:

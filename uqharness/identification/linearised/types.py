@@ -48,7 +48,11 @@ class Carrier:
 
     def at(self, value: float) -> float:
         """The property where the effect has a value."""
-        return self.absent + value if self.servo is None else servo_number(self.servo, self.term, value)
+        return (
+            self.absent + value
+            if self.servo is None
+            else servo_number(self.servo, self.term, value)
+        )
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,10 @@ class Setup:
 
     def properties(self, point: Point) -> dict[str, float]:
         """Every property that is set at a point: its values, and those of the active effects."""
-        carried = {carrier.name: carrier.at(point.effects.get(key, 0.0)) for key, carrier in self.carriers.items()}
+        carried = {
+            carrier.name: carrier.at(point.effects.get(key, 0.0))
+            for key, carrier in self.carriers.items()
+        }
         return {**point.values, **carried}
 
     @property

@@ -18,9 +18,13 @@ _LEAST_S = 0.5
 
 
 def disagreements(
-    gap: Sequence[FloatArray], allowed: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], labels: Sequence[str],
-    dt_s: float, most: int = 12,
-) -> list[dict[str, Any]]:  # fmt: skip
+    gap: Sequence[FloatArray],
+    allowed: Sequence[FloatArray],
+    states: Sequence[Mapping[str, FloatArray]],
+    labels: Sequence[str],
+    dt_s: float,
+    most: int = 12,
+) -> list[dict[str, Any]]:
     """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that noise and parameters allow;
     states: name -> (n,), where a region may be looked for; labels: manoeuvre of every segment.
 
@@ -47,14 +51,20 @@ def disagreements(
                 f"interval, {seconds:.1f} s of {len(z) * dt_s:.1f} s; rms {size:.1f} times what noise and parameters allow"
             )
             row = {
-                "coefficient": coefficient, "manoeuvre": kind, "region": {state: [low, high]},
-                "share_outside_95": share, "size": size, "words": words,
-            }  # fmt: skip
+                "coefficient": coefficient,
+                "manoeuvre": kind,
+                "region": {state: [low, high]},
+                "share_outside_95": share,
+                "size": size,
+                "words": words,
+            }
             found.append((size * seconds, row))
     return [row for _, row in sorted(found, key=lambda f: -f[0])][:most]
 
 
-def _telling(outside: NDArray[np.bool_], states: Mapping[str, FloatArray]) -> tuple[tuple[str, float, float], NDArray[np.bool_]]:
+def _telling(
+    outside: NDArray[np.bool_], states: Mapping[str, FloatArray]
+) -> tuple[tuple[str, float, float], NDArray[np.bool_]]:
     """The region, a third of some state's samples, in which most of the samples outside are gathered."""
     found = []
     for name, values in states.items():

@@ -19,7 +19,13 @@ from uqharness.refinement.showing.disagreement import disagreements
 from uqharness.refinement.showing.remains import NOTHING, label, no_place, place_of, states_along
 from uqharness.refinement.showing.scan import dependence
 from uqharness.refinement.showing.show import Shown, gap_document, left_in
-from uqharness.refinement.showing.words import contradicted, separating_manoeuvre, still_asked, unnamed, why
+from uqharness.refinement.showing.words import (
+    contradicted,
+    separating_manoeuvre,
+    still_asked,
+    unnamed,
+    why,
+)
 from uqharness.refinement.types import Bent
 from uqharness.refinement.writing.effects import switch_of
 from uqharness.simulator import Actuator, Aircraft
@@ -29,24 +35,39 @@ MOST_SAID = 3
 _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
 
-def find_disagreements(setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
+def find_disagreements(
+    setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]
+) -> list[dict[str, Any]]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
     because held commands and gusts have their share there; then what it leaves is what is allowed."""
     kinds = [s.kind for s in setup.segments]
     allowed = [settled.floor] * len(kinds)
-    if all(settled.channel_rms(k) <= NOISE_FLOOR * float(settled.noise[k]) for k in range(len(setup.outputs))):
+    if all(
+        settled.channel_rms(k) <= NOISE_FLOOR * float(settled.noise[k])
+        for k in range(len(setup.outputs))
+    ):
         pairs = list(zip(kinds, settled.coefficients, strict=True))
         together = {kind: np.concatenate([g for k, g in pairs if k == kind]) for kind in kinds}
-        allowed = [np.maximum(settled.floor, np.sqrt(np.mean(together[kind] ** 2, axis=0))) for kind in kinds]
-    each_row = [np.broadcast_to(a, g.shape) for a, g in zip(allowed, shown.coefficients, strict=True)]
-    return disagreements(shown.coefficients, each_row, _ranges(shown, controls), kinds, setup.segments[0].dt_s)
+        allowed = [
+            np.maximum(settled.floor, np.sqrt(np.mean(together[kind] ** 2, axis=0)))
+            for kind in kinds
+        ]
+    each_row = [
+        np.broadcast_to(a, g.shape) for a, g in zip(allowed, shown.coefficients, strict=True)
+    ]
+    return disagreements(
+        shown.coefficients, each_row, _ranges(shown, controls), kinds, setup.segments[0].dt_s
+    )
 
 
 def _ranges(shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
     """States in which regions are looked for, one mapping a segment: rates by their size."""
     rates = {rate: f"abs_{rate}" for rate, _, _ in _AXES}
     along = states_along(shown.flown, controls)
-    return [{rates.get(n, n): np.abs(v) if n in rates else v for n, v in states.items()} for states in along]
+    return [
+        {rates.get(n, n): np.abs(v) if n in rates else v for n, v in states.items()}
+        for states in along
+    ]
 
 
 def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[str, Any]:
@@ -62,25 +83,40 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[s
     bent = [] if chosen.bent is None else [chosen.bent]
     where = [_unconfirmed(found.effects[r.key], r) for r in strong]
     where += _disagreeing(setup, after, controls) if left else []
-    where += [_told(effects[c.key], c.t, contradicted(effects[c.key], c, judged.verdicts[c.key].says)) for c in against]
+    where += [
+        _told(effects[c.key], c.t, contradicted(effects[c.key], c, judged.verdicts[c.key].says))
+        for c in against
+    ]
     where += [_bent(b, [effects[k] for k in b.instead]) for b in bent]
     where += [_told(effects[c.key], c.t, unnamed(effects[c.key], c)) for c in chosen.unnamed]
     where += [_still_asked(effects[key], t, k) for k, (key, t) in enumerate(more)]
     where += moments.values()
     contradicts = bool(against) and not found.selection.chosen
-    unexplained = bool(left) or bool(strong) or contradicts or bool(more) or bool(bent) or bool(moments)
-    sides = {"train": [*left.above, *left.coloured, *moments], "test": [*held_out.above, *held_out.coloured]}
+    unexplained = (
+        bool(left) or bool(strong) or contradicts or bool(more) or bool(bent) or bool(moments)
+    )
+    sides = {
+        "train": [*left.above, *left.coloured, *moments],
+        "test": [*held_out.above, *held_out.coloured],
+    }
     if unexplained or any(sides.values()):
-        asked = [*(key for key, _ in more), *(r.key for r in strong), *(c.key for c in (*chosen.unnamed, *judged.withdrawn))]
+        asked = [
+            *(key for key, _ in more),
+            *(r.key for r in strong),
+            *(c.key for c in (*chosen.unnamed, *judged.withdrawn)),
+        ]
         place = place_of(judged, sides, [*asked, *(k for b in bent for k in b.instead)], controls)
     else:
         place = no_place(NOTHING)
     near = strong_of(place["candidates"], {*told, *(key for key, _ in more)})
     where += [_still_asked(effects[key], t, len(more) + k) for k, (key, t) in enumerate(near)]
     return {
-        "unexplained": unexplained, "where": where, "channels_above_noise": left.above,
-        "coloured_channels": list(left.coloured), "place": place,
-    }  # fmt: skip
+        "unexplained": unexplained,
+        "where": where,
+        "channels_above_noise": left.above,
+        "coloured_channels": list(left.coloured),
+        "place": place,
+    }
 
 
 def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
@@ -90,7 +126,10 @@ def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[di
     for k, c in enumerate(COEFFICIENTS):
         ratio = shown.coefficient_rms(k) / float(shown.floor[k])
         if ratio > NOISE_FLOOR:
-            depends = [{"state": n, "share": s} for n, s in dependence([g[:, k] for g in shown.coefficients], states)]
+            depends = [
+                {"state": n, "share": s}
+                for n, s in dependence([g[:, k] for g in shown.coefficients], states)
+            ]
             out.append({"coefficient": c, "rms_over_noise": ratio, "depends_on": depends})
     return out
 
@@ -107,7 +146,9 @@ def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
     return {**label(effect), "depends_on": depends, "t": refused.t, "words": words}
 
 
-def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]) -> dict[str, Any]:
+def document_of(
+    chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]
+) -> dict[str, Any]:
     """refinement.json as far as flights and models say it.
 
     chosen: what the train flights say, before the test flights were asked; aircraft: as given; controls: of every train segment
@@ -115,9 +156,18 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
     found, (setup, before, after) = judged.found, judged.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
-    withdrawn = [_effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True) for c in judged.withdrawn]
+    withdrawn = [
+        _effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True)
+        for c in judged.withdrawn
+    ]
     remaining = _remaining(chosen, judged, controls)
-    verdict = "unexplained" if remaining["unexplained"] else "effects-found" if effects else "no-missing-effect"
+    verdict = (
+        "unexplained"
+        if remaining["unexplained"]
+        else "effects-found"
+        if effects
+        else "no-missing-effect"
+    )
     refused = found.selection.refused
     return {
         "verdict": verdict,
@@ -127,7 +177,11 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
         "chosen": [_effect(chosen, c, None, switches) for c in chosen.selection.chosen],
         "remaining": remaining,
         "gap": {"train": gap_document(*judged.train), "test": gap_document(*judged.test)},
-        "switch": [{"property": s[0], "off": s[1]} for c in found.selection.chosen if (s := switches[c.key]) is not None],
+        "switch": [
+            {"property": s[0], "off": s[1]}
+            for c in found.selection.chosen
+            if (s := switches[c.key]) is not None
+        ],
         "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
         "best_refused": None
         if refused is None
@@ -145,7 +199,9 @@ def document_of(chosen: Found, judged: Judged, aircraft: Aircraft, controls: Seq
 def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
     """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
     rows = {}
-    for (rate, c, axis), gain in zip(_AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False):
+    for (rate, c, axis), gain in zip(
+        _AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False
+    ):
         if gain > CERTAIN_T**2 and rate in chosen.setup.outputs:
             gains = f"allowing for them gains {gain:.0f} in twice the log likelihood"
             words = f"moments act about the {axis} axis that no effect explains: {gains}"
@@ -160,20 +216,31 @@ def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
         f"{'them' if len(instead) > 1 else 'it'} a {form.name} gains {form.gain:.0f} in twice the log likelihood"
     )
     return {
-        "coefficient": form.coefficient, "depends_on": [{"state": s} for s in form.states], "twice_log_likelihood": form.gain,
-        "p": form.p, "words": words,
-    }  # fmt: skip
+        "coefficient": form.coefficient,
+        "depends_on": [{"state": s} for s in form.states],
+        "twice_log_likelihood": form.gain,
+        "p": form.p,
+        "words": words,
+    }
 
 
-def strong_of(candidates: Sequence[Mapping[str, Any]], told: Collection[str]) -> list[tuple[str, float]]:
+def strong_of(
+    candidates: Sequence[Mapping[str, Any]], told: Collection[str]
+) -> list[tuple[str, float]]:
     """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are not told yet: an effect that was
     withdrawn had their place."""
     keys = [f"effect/{c.get('coefficient') or c['subsystem']}/{c['term']}" for c in candidates]
-    return [(k, c["t"]) for k, c in zip(keys, candidates, strict=True) if abs(c["t"]) > CERTAIN_T and k not in told]
+    return [
+        (k, c["t"])
+        for k, c in zip(keys, candidates, strict=True)
+        if abs(c["t"]) > CERTAIN_T and k not in told
+    ]
 
 
 def _still_asked(effect: Effect, t: float, rank: int) -> dict[str, Any]:
-    return _told(effect, t, still_asked(effect, t)) if rank < MOST_SAID else {**label(effect), "t": t}
+    return (
+        _told(effect, t, still_asked(effect, t)) if rank < MOST_SAID else {**label(effect), "t": t}
+    )
 
 
 def _told(effect: Effect, t: float, words: str) -> dict[str, Any]:
@@ -181,15 +248,27 @@ def _told(effect: Effect, t: float, words: str) -> dict[str, Any]:
 
 
 def _effect(
-    found: Found, c: Choice, verdict: Verdict | None, switches: Mapping[str, tuple[str, float] | None], withdrawn: bool = False
+    found: Found,
+    c: Choice,
+    verdict: Verdict | None,
+    switches: Mapping[str, tuple[str, float] | None],
+    withdrawn: bool = False,
 ) -> dict[str, Any]:
     """One effect; what the test flights say of it is no part of what was chosen."""
     e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)
-    test = {} if verdict is None else {
-        "change_of_twice_log_likelihood": verdict.change, "std": verdict.std, "gap": verdict.says,
-        "rms_over_that_of_train": verdict.far, "share_of_estimate": verdict.share[0], "share_std": verdict.share[1],
-    }  # fmt: skip
+    test = (
+        {}
+        if verdict is None
+        else {
+            "change_of_twice_log_likelihood": verdict.change,
+            "std": verdict.std,
+            "gap": verdict.says,
+            "rms_over_that_of_train": verdict.far,
+            "share_of_estimate": verdict.share[0],
+            "share_std": verdict.share[1],
+        }
+    )
     return {
         **label(e),
         "name": e.name,
@@ -199,12 +278,15 @@ def _effect(
         "unit": unit,
         "property": None if switch is None else switch[0],
         "evidence": {
-            "t": c.t, "twice_log_likelihood": c.gain, "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
-            "held_out_estimate_differs_by_std": c.difference, "interval_95": _interval(found, e, c),
+            "t": c.t,
+            "twice_log_likelihood": c.gain,
+            "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
+            "held_out_estimate_differs_by_std": c.difference,
+            "interval_95": _interval(found, e, c),
         },
         **({"withdrawn": withdrawn, "test": test} if test else {}),
         "alternatives": [_alternative(found, e, a) for a in c.alternatives],
-    }  # fmt: skip
+    }
 
 
 def _interval(found: Found, e: Effect, c: Choice) -> list[float | None]:
@@ -231,10 +313,14 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
 def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
     other = found.effects[a.key]
     return {
-        **label(other), "name": other.name,
+        **label(other),
+        "name": other.name,
         "evidence": {
-            "twice_log_likelihood": a.gain, "t_of_the_effect_beside_it": a.t_beside, "likeness": a.likeness,
+            "twice_log_likelihood": a.gain,
+            "t_of_the_effect_beside_it": a.t_beside,
+            "likeness": a.likeness,
             "companions": [c.removeprefix("effect/") for c in a.companions],
         },
-        "separable": a.separable, **({} if a.separable else {"would_separate": separating_manoeuvre(own, other)}),
-    }  # fmt: skip
+        "separable": a.separable,
+        **({} if a.separable else {"would_separate": separating_manoeuvre(own, other)}),
+    }

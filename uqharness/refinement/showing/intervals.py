@@ -59,11 +59,17 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     """Intervals as `uqharness bounds` makes them and `validate-bounds` judges them."""
     form: ModelForm | None = None
     try:
-        train, test = ([recut(f, given.measured) for f in given.flights] for given in (job.train, job.test))
+        train, test = (
+            [recut(f, given.measured) for f in given.flights] for given in (job.train, job.test)
+        )
         options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False, values=job.values)
         made = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
-        form = replace(made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft)))
-        found = validate(job.flown, made, test, job.test.measured, job.test.hashes, job.ideal_servos, job.values)
+        form = replace(
+            made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
+        )
+        found = validate(
+            job.flown, made, test, job.test.measured, job.test.hashes, job.ideal_servos, job.values
+        )
     except (BadInputError, ValueError) as error:
         return Intervals(form, {}, str(error))
     return Intervals(form, dict(found.coverage))
@@ -85,7 +91,13 @@ def intervals_document(before: Intervals, after: Intervals) -> dict[str, Any]:
     for c, row in rows.items():
         for when, found in (("before", before), ("after", after)):
             judged = found.coverage.get(c)
-            told = (np.nan,) * 3 if judged is None else (judged.share[LEVEL], judged.error[LEVEL], judged.mean_width)
-            row |= zip((f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), told, strict=True)
+            told = (
+                (np.nan,) * 3
+                if judged is None
+                else (judged.share[LEVEL], judged.error[LEVEL], judged.mean_width)
+            )
+            row |= zip(
+                (f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), told, strict=True
+            )
     reasons = list(dict.fromkeys(r for r in (before.reason, after.reason) if r is not None))
     return {"confidence": LEVEL, "coefficients": rows, "reason": "; ".join(reasons) or None}

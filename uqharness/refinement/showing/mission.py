@@ -10,10 +10,26 @@ from typing import Any
 
 import pandas as pd
 
-from uqharness.campaign import ERROR_METRICS, UNCOMMANDED_METRICS, Progress, find_mission, in_condition, run_campaign, samples
+from uqharness.campaign import (
+    ERROR_METRICS,
+    UNCOMMANDED_METRICS,
+    Progress,
+    find_mission,
+    in_condition,
+    run_campaign,
+    samples,
+)
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.execution import ProcessExecutor
-from uqharness.campaign.folder import MANIFEST, describe, has_digests, read_cases, read_complete, read_manifest, refuse_if_different
+from uqharness.campaign.folder import (
+    MANIFEST,
+    describe,
+    has_digests,
+    read_cases,
+    read_complete,
+    read_manifest,
+    refuse_if_different,
+)
 from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder
@@ -26,12 +42,17 @@ LOITER = "scripts/loiter.xml"
 _DEFAULT: dict[str, Any] = {
     "campaign": {"aircraft": "", "mission": LOITER, "seed": 20161201},
     "aleatory": {
-        "flights": 3, "duration_s": 30.0, "burn_in_s": 30.0, "wind_mps": 3.0, "wind_from_deg": 270.0,
-        "turbulence": "light", "sensor_noise": True,
+        "flights": 3,
+        "duration_s": 30.0,
+        "burn_in_s": 30.0,
+        "wind_mps": 3.0,
+        "wind_from_deg": 270.0,
+        "turbulence": "light",
+        "sensor_noise": True,
     },
     "epistemic": {"method": "corners"},
     "metrics": {"excursion_radius_m": [15.0, 25.0], "rearm_m": 2.0},
-}  # fmt: skip
+}
 """A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half a minute of one core."""
 Say = Callable[[str], None]
 
@@ -42,7 +63,9 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
         read_campaign(given)
         data, _ = read_toml(given)
         if data["campaign"]["mission"] != STEADY:
-            data["campaign"]["mission"] = str(find_script(data["campaign"]["mission"], given.resolve().parent))
+            data["campaign"]["mission"] = str(
+                find_script(data["campaign"]["mission"], given.resolve().parent)
+            )
         if data["epistemic"]["method"] == "none":
             raise BadInputError(
                 f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every combination of their ends'
@@ -67,13 +90,19 @@ def specification(data: Mapping[str, Any], aircraft: Aircraft, form: Path) -> Ca
     campaign = {**data["campaign"], "aircraft": str(aircraft.folder)}
     # Corners alone unless the campaign says otherwise: what is compared is the same set of samples before and after.
     epistemic = {"interior": 0, **data["epistemic"], "bounds": form.name}
-    return campaign_from({**data, "campaign": campaign, "epistemic": epistemic}, form.with_suffix(".toml"))
+    return campaign_from(
+        {**data, "campaign": campaign, "epistemic": epistemic}, form.with_suffix(".toml")
+    )
 
 
 def fly_missions(
-    models: Mapping[str, Aircraft], forms: Mapping[str, Path], campaign: Path | None, out: Path, workers: int | None,
+    models: Mapping[str, Aircraft],
+    forms: Mapping[str, Path],
+    campaign: Path | None,
+    out: Path,
+    workers: int | None,
     say: Say = lambda _: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after; a single one is both) within
     its intervals, those of ``forms``, in ``out``/pbox/<name>.
 
@@ -89,7 +118,13 @@ def fly_missions(
                 spec = specification(data, aircraft, forms[name])
                 folder = inner_folder(out, FOLDER, name)
                 _clear_if_other(folder, spec)
-                run_campaign(spec, folder, executor=executor, on_progress=_told(say, name), command="uqharness refine")
+                run_campaign(
+                    spec,
+                    folder,
+                    executor=executor,
+                    on_progress=_told(say, name),
+                    command="uqharness refine",
+                )
                 frames[name] = read_cases(folder, read_complete(folder))
         except BadInputError as error:
             return no_pbox(str(error))
@@ -132,13 +167,16 @@ def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[dict[str, Any]]
                 yield {"metric": metric, "condition": condition.label, **both_boxes(*pair)}
 
 
-def _document(spec: CampaignSpec, folders: list[str], before: pd.DataFrame, after: pd.DataFrame) -> dict[str, Any]:
+def _document(
+    spec: CampaignSpec, folders: list[str], before: pd.DataFrame, after: pd.DataFrame
+) -> dict[str, Any]:
     def count(frame: pd.DataFrame) -> dict[str, float]:
         return {
-            "flights": len(frame), "failed": int((frame["status"] != "ok").sum()),
+            "flights": len(frame),
+            "failed": int((frame["status"] != "ok").sum()),
             "loss_of_control": int(frame["loss_of_control"].fillna(0).sum()),
             "extrapolated_share": float(frame["extrapolated_share"].mean()),
-        }  # fmt: skip
+        }
 
     air = spec.aleatory
     return {

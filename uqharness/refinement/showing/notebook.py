@@ -13,20 +13,30 @@ def refinement_view(title: str, document: Mapping[str, Any]) -> str:
     """Verdict, effects with estimate and standard deviation, and each channel's residual on the test flights."""
     effects = [
         {
-            "effect": row["name"], "property": row["property"] or "", "estimate": _number(row["value"]), "std": _number(row["std"]),
+            "effect": row["name"],
+            "property": row["property"] or "",
+            "estimate": _number(row["value"]),
+            "std": _number(row["std"]),
             "unit": row["unit"],
         }
         for row in document["effects"]
-    ]  # fmt: skip
+    ]
     gaps = [
         {
-            "channel": name, "before [sigma]": _ratio(row["rms_before"], row["noise_rms"]),
+            "channel": name,
+            "before [sigma]": _ratio(row["rms_before"], row["noise_rms"]),
             "after [sigma]": _ratio(row["rms_after"], row["noise_rms"]),
         }
         for name, row in document["gap"]["test"]["channels"].items()
-    ]  # fmt: skip
+    ]
     residual = "<p>Residual on the test flights</p>"
-    return view(title, rows_table(effects), residual, rows_table(gaps), facts={"verdict": document["verdict"]})
+    return view(
+        title,
+        rows_table(effects),
+        residual,
+        rows_table(gaps),
+        facts={"verdict": document["verdict"]},
+    )
 
 
 def _number(value: float | None) -> float:

@@ -28,10 +28,16 @@ def both_boxes(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, A
 
     return {
         "quantiles": {
-            f"{p:g}": {when: [reached(upper, p), reached(lower, p)] for when, (lower, upper) in boxes.items()}
+            f"{p:g}": {
+                when: [reached(upper, p), reached(lower, p)]
+                for when, (lower, upper) in boxes.items()
+            }
             for p in PROBABILITIES
         },
-        **{f"width_{when}": float(np.sum((upper - lower)[:-1] * np.diff(value))) for when, (lower, upper) in boxes.items()},
+        **{
+            f"width_{when}": float(np.sum((upper - lower)[:-1] * np.diff(value)))
+            for when, (lower, upper) in boxes.items()
+        },
     }
 
 

@@ -110,7 +110,9 @@ def _periodogram(white: Array, n: int, rate_hz: float) -> tuple[Array, Array, Ar
     """(blocks, bands) sums of ordinates, (bands,) ordinates in each band, (bands + 1,) edges [Hz]; Nyquist's is left out."""
     blocks = white[: len(white) // n * n].reshape(-1, n)
     window = np.hanning(n + 1)[:-1]
-    power = np.abs(np.fft.rfft(blocks * window, axis=1))[:, : (n + 1) // 2] ** 2 / float(window @ window)
+    power = np.abs(np.fft.rfft(blocks * window, axis=1))[:, : (n + 1) // 2] ** 2 / float(
+        window @ window
+    )
     weight = np.ones(power.shape[1])
     weight[0] = 0.5  # The mean's ordinate is real: half as many numbers as the others have.
     step = -(-len(weight) // MOST_BANDS)
@@ -139,13 +141,17 @@ def _largest(white: Array, n: int, rate_hz: float) -> tuple[Burst | None, int]:
         if gain[j, k] > (0.0 if best is None else best.gain):
             p = float(gamma_tail(S[j, k] / spread[k], N[j, k] / spread[k]))
             stop = (a + int(j) + 1) * n
-            best = Burst(a * n, stop, float(edges[low[k]]), float(edges[high[k]]), float(gain[j, k]), p)
+            best = Burst(
+                a * n, stop, float(edges[low[k]]), float(edges[high[k]]), float(gain[j, k]), p
+            )
     return best, blocks * (blocks + 1) // 2 * len(low)
 
 
 def _spread(ordinates: Array) -> Array:
     """By how much the variance of a sum of neighbouring ordinates exceeds that of independent ones."""
-    one, two = (c * np.maximum(ordinates - lag, 0.0) / ordinates for lag, c in enumerate(WINDOW_LIKENESS, 1))
+    one, two = (
+        c * np.maximum(ordinates - lag, 0.0) / ordinates for lag, c in enumerate(WINDOW_LIKENESS, 1)
+    )
     return np.asarray(1.0 + 2.0 * (one + two))
 
 
@@ -169,7 +175,9 @@ def band_of(series: Array, rate_hz: float) -> tuple[float, float]:
     return max((low - 0.5) * step, 0.0), (high - 0.5) * step
 
 
-def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], certain: bool = False) -> With | None:
+def goes_with(
+    series: Sequence[Array], states: Sequence[Mapping[str, Array]], certain: bool = False
+) -> With | None:
     """The state, or control, with which a residual goes: a mean by tenths of the state explains most of its variance.
 
     series [(n,)], states name -> (n,) at the same rows; rows that are not finite are left out. A residual whose mean goes with
@@ -185,7 +193,10 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
         pieces = [v - mean for v in values if len(v)]
         y = np.concatenate(pieces)
         worth = max(len(y) / integral_time(pieces), TENTHS + 2.0)
-        every = ((n, np.concatenate([s[n][k] for s, k in zip(states, known, strict=True)])) for n in states[0])
+        every = (
+            (n, np.concatenate([s[n][k] for s, k in zip(states, known, strict=True)]))
+            for n in states[0]
+        )
         found = {n: row for n, x in every if (row := _explained(y, x, worth)) is not None}
         if not found:
             continue
@@ -197,7 +208,9 @@ def goes_with(series: Sequence[Array], states: Sequence[Mapping[str, Array]], ce
     return None
 
 
-def dependence(series: Sequence[Array], states: Sequence[Mapping[str, Array]], most: int = 3) -> list[tuple[str, float]]:
+def dependence(
+    series: Sequence[Array], states: Sequence[Mapping[str, Array]], most: int = 3
+) -> list[tuple[str, float]]:
     """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean by tenths of the state
     explains), the largest first."""
     y = np.concatenate(series)

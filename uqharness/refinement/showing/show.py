@@ -88,13 +88,19 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     setup, gusts = side.setup, side.air
     with Bench(aircraft, setup) as bench:
         setup = with_sensors_of(setup, aircraft)
-        start = replace(at, nuisance={} if gusts is None else at.nuisance, starts=tuple(s.start for s in setup.segments))
+        start = replace(
+            at,
+            nuisance={} if gusts is None else at.nuisance,
+            starts=tuple(s.start for s in setup.segments),
+        )
         flights = {f.name: f for f in setup.flights}
         cut = [_as_felt(s, flights[s.flight], setup.ideal) for s in setup.segments]
         noise = setup.noise if gusts is not None else _told_noise(aircraft, setup)
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         rng = np.random.default_rng(1)
-        gaps = coefficient_gaps(bench.model, bench.straight, cut, setup.channels, noise_std, rng, start.values)
+        gaps = coefficient_gaps(
+            bench.model, bench.straight, cut, setup.channels, noise_std, rng, start.values
+        )
         if gusts is None:
             flown = _replayed(bench.model, setup, start, map_, at)
             residual = _residual(setup, flown)
@@ -103,9 +109,15 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
             logdet = [0.0] * len(white)
         else:
             try:
-                gust = gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True)
+                gust = gust_refit(
+                    bench.model, bench.straight, setup, start, (), {}, map_, gusts, known=True
+                )
                 delta, _ = gust.fit.evidence.step()
-                reached, rows, filtered = gust.fit.flown, gust.fit.evidence.residual(delta), gust.fit.evidence.white
+                reached, rows, filtered = (
+                    gust.fit.flown,
+                    gust.fit.evidence.residual(delta),
+                    gust.fit.evidence.white,
+                )
                 deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
             except np.linalg.LinAlgError:
                 # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
@@ -123,7 +135,9 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     return Shown(flown, residual, noise, coefficients, floor, white, cost, tuple(logdet))
 
 
-def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None) -> Flown:
+def _replayed(
+    model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None
+) -> Flown:
     """Replays from the start states, biases and delays that fit best, as `compare` has them; near: where they are sought from."""
     flown = fly(model, setup, start, map_)
     if not np.isfinite(flown.cost):
@@ -134,7 +148,9 @@ def _replayed(model: ReplayModel, setup: Setup, start: Point, map_: Processes, n
         seen = replace(seen, cut=cut, begin=begun_at(near))
     fit = fit_replays(model, seen, (), [np.zeros(0)], (), spread_over(map_), errors=False)
     fit.replay.forget()
-    return fly(model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_)
+    return fly(
+        model, setup, replace(point_of(fit, setup, (), start.effects), values=start.values), map_
+    )
 
 
 def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
@@ -162,7 +178,12 @@ def _told_noise(aircraft: Aircraft, setup: Setup) -> Array:
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
     """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
     both = ((rows_late(setup, s, point), r) for s, r in zip(setup.segments, rows, strict=True))
-    return [np.nan_to_num(np.column_stack([moved(r[:, k], late[c]) for k, c in enumerate(setup.outputs)])) for late, r in both]
+    return [
+        np.nan_to_num(
+            np.column_stack([moved(r[:, k], late[c]) for k, c in enumerate(setup.outputs)])
+        )
+        for late, r in both
+    ]
 
 
 def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: Gusts) -> Gusts:
@@ -172,7 +193,9 @@ def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: G
         setup = with_sensors_of(setup, aircraft)
         start = replace(at, starts=tuple(s.start for s in setup.segments))
         try:
-            return gust_refit(bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2).gusts
+            return gust_refit(
+                bench.model, bench.straight, setup, start, (), {}, map_, near, iterations=2
+            ).gusts
         except np.linalg.LinAlgError:
             speeds = [float(np.nanmean(c["V_mps"])) for c in setup.channels]
             return near.in_other(speeds, [s.flight for s in setup.segments])
@@ -190,9 +213,13 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
     """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
     was, now = before.replays or before, after.replays or after
 
-    def rows(names: Sequence[str], b: Sequence[Array], a: Sequence[Array], noise: Array) -> dict[str, dict[str, float]]:
+    def rows(
+        names: Sequence[str], b: Sequence[Array], a: Sequence[Array], noise: Array
+    ) -> dict[str, dict[str, float]]:
         columns = zip(names, np.concatenate(b).T, np.concatenate(a).T, noise.tolist(), strict=True)
-        return {c: {"rms_before": rms(x), "rms_after": rms(y), "noise_rms": n} for c, x, y, n in columns}
+        return {
+            c: {"rms_before": rms(x), "rms_after": rms(y), "noise_rms": n} for c, x, y, n in columns
+        }
 
     def coefficient(flown: Flown) -> float:
         z, y = (np.concatenate(rows) for rows in (setup.measured, flown.outputs))
@@ -200,7 +227,9 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
     return {
         "channels": rows(setup.outputs, was.residual, now.residual, now.noise),
-        "predictions": {} if after.replays is None else rows(setup.outputs, before.residual, after.residual, after.noise),
+        "predictions": {}
+        if after.replays is None
+        else rows(setup.outputs, before.residual, after.residual, after.noise),
         "coefficients": rows(COEFFICIENTS, before.coefficients, after.coefficients, after.floor),
         "theil": {"before": coefficient(was.flown), "after": coefficient(now.flown)},
         "cost": {
@@ -226,5 +255,14 @@ def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
     """What a model leaves of flights, beyond noise."""
     ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.
-    p = {} if gusty else {c: ljung_box([r[:, k] for r in shown.residual], 20) for k, c in enumerate(setup.outputs)}
-    return Left({c: r for c, r in ratios.items() if r > NOISE_FLOOR}, tuple(sorted(c for c, v in p.items() if v < COLOURED_P)))
+    p = (
+        {}
+        if gusty
+        else {
+            c: ljung_box([r[:, k] for r in shown.residual], 20) for k, c in enumerate(setup.outputs)
+        }
+    )
+    return Left(
+        {c: r for c, r in ratios.items() if r > NOISE_FLOOR},
+        tuple(sorted(c for c, v in p.items() if v < COLOURED_P)),
+    )

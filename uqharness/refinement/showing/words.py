@@ -68,9 +68,17 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
 
 
 _OF_STATE = {
-    "V_mps": "V_rel", "alpha_rad": "alpha", "beta_rad": "beta", "p_radps": "p_hat", "q_radps": "q_hat", "r_radps": "r_hat",
-    "elevator_deg": "de", "aileron_deg": "da", "rudder_deg": "dr", "throttle_pct": "dt",
-}  # fmt: skip
+    "V_mps": "V_rel",
+    "alpha_rad": "alpha",
+    "beta_rad": "beta",
+    "p_radps": "p_hat",
+    "q_radps": "q_hat",
+    "r_radps": "r_hat",
+    "elevator_deg": "de",
+    "aileron_deg": "da",
+    "rudder_deg": "dr",
+    "throttle_pct": "dt",
+}
 
 
 def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
@@ -80,12 +88,16 @@ def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str,
     residual is largest, and its rms over noise there
     """
     kind, ratio = loudest
-    said = [f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes and speeds"]
+    said = [
+        f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes and speeds"
+    ]
     if state is not None:
         said.insert(0, _EXCITES[_OF_STATE[state]])
     if len(nearest) > 1:
         first, second = nearest[:2]
-        said.append(f"to separate {first.name} from {second.name}: {separating_manoeuvre(first, second)}")
+        said.append(
+            f"to separate {first.name} from {second.name}: {separating_manoeuvre(first, second)}"
+        )
     return "; ".join(said)
 
 
@@ -109,4 +121,6 @@ def unnamed(effect: Effect, choice: Choice) -> str:
 
 def still_asked(effect: Effect, t: float) -> str:
     """What is said of a candidate that the flights still ask for beside the effects that were chosen."""
-    return f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
+    return (
+        f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
+    )

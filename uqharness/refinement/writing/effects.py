@@ -55,7 +55,11 @@ class Written:
 
 def property_of(effect: Effect) -> str | None:
     """Property of the simulation that carries the effect, None where it has none (sensors; numbers that JSBSim reads once)."""
-    if not in_dynamics(effect) or effect.subsystem == "mass" or (effect.subsystem or "").startswith("actuator."):
+    if (
+        not in_dynamics(effect)
+        or effect.subsystem == "mass"
+        or (effect.subsystem or "").startswith("actuator.")
+    ):
         return None
     return effect.property_name
 
@@ -66,7 +70,9 @@ def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
         return Carrier(THRUST_SCALE, 1.0)
     servo = servo_of(effect, aircraft)
     if servo is not None:
-        return Carrier(effect.property_name, servo_number(servo, effect.term, 0.0), servo, effect.term)
+        return Carrier(
+            effect.property_name, servo_number(servo, effect.term, 0.0), servo, effect.term
+        )
     name = property_of(effect)
     return None if name is None else Carrier(name, 0.0)
 
@@ -78,7 +84,9 @@ def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
     return (found.name, found.absent) if found is not None and found.exact else None
 
 
-def write_effects(aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path) -> list[str]:
+def write_effects(
+    aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path
+) -> list[str]:
     """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates; names of estimates without a place.
 
     Raises BadInputError.
@@ -98,14 +106,18 @@ def write_effects(aircraft: Aircraft, effects: Sequence[Written], estimates: Map
         name = property_of(w.effect)
         if name is None:
             continue
-        if w.effect.coefficient is not None and any(declaration(d, name) is not None for d in section.documents):
+        if w.effect.coefficient is not None and any(
+            declaration(d, name) is not None for d in section.documents
+        ):
             plain[name] = Estimate(w.value, w.remark)
         elif _is_scale(w.effect) and folder_declares(out, THRUST_SCALE):
             plain[THRUST_SCALE] = Estimate(1.0 + w.value, w.remark)
         else:
             edit = _add(edit, aircraft, w, summands)
     if summands:
-        edit = add_deltas(edit, summands, "aero/effects", reference_of(aircraft), "effects found by refinement")
+        edit = add_deltas(
+            edit, summands, "aero/effects", reference_of(aircraft), "effects found by refinement"
+        )
     for path, content in edit.files().items():
         path.write_bytes(content)
     return put_values(out, dict(estimates) | plain)
@@ -120,14 +132,20 @@ def reference_of(aircraft: Aircraft) -> Reference:
 
 def _with_switch(w: Written, aircraft: Aircraft) -> Written:
     switch = switch_of(w.effect, aircraft)
-    return w if switch is None or not w.remark else replace(w, remark=f"{w.remark}; {switch[1]:.8g} switches it off")
+    return (
+        w
+        if switch is None or not w.remark
+        else replace(w, remark=f"{w.remark}; {switch[1]:.8g} switches it off")
+    )
 
 
 def _is_scale(effect: Effect) -> bool:
     return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
 
 
-def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]]) -> SectionEdit:
+def _add(
+    edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]]
+) -> SectionEdit:
     """The effect's property, and its terms in the author's sums or as functions, whose names join ``summands``."""
     name, term = w.effect.property_name, w.effect.parsed
     declared = [declare(name, f"{w.value:.8g}", w.remark)]
@@ -139,14 +157,26 @@ def _add(edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, 
         if home is not None:
             document, total = home
             product = Expression("product", "", (prop(name), *terms[0][2]))
-            alike = [node for known, node in declarations(document) if known.startswith(f"aero/{w.effect.coefficient}_")]
-            edit = edit.plus(document, after(document, alike[-1], declared)) if alike else add_functions(edit, declared)
+            alike = [
+                node
+                for known, node in declarations(document)
+                if known.startswith(f"aero/{w.effect.coefficient}_")
+            ]
+            edit = (
+                edit.plus(document, after(document, alike[-1], declared))
+                if alike
+                else add_functions(edit, declared)
+            )
             return edit.plus(document, append_child(document, total, [product.line()]))
     part = name.rpartition("/")[2]
     for coefficient, number, factors in terms:
         parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
-        function = f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
-        edit = add_functions(edit, [*declared, *function_lines(function, "product", [f.line() for f in parts])])
+        function = (
+            f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
+        )
+        edit = add_functions(
+            edit, [*declared, *function_lines(function, "product", [f.line() for f in parts])]
+        )
         summands.setdefault(coefficient, []).append(function)
         declared = []
     return edit

@@ -11,7 +11,14 @@ from pathlib import Path
 from sysid.effects import Effect
 from sysid.units import FT_M, IN_M, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.simulator import Actuator, Aircraft, engine, open_aircraft, sensors_from_cg, servo_number
+from uqharness.simulator import (
+    Actuator,
+    Aircraft,
+    engine,
+    open_aircraft,
+    sensors_from_cg,
+    servo_number,
+)
 from uqharness.simulator.actuators import actuators
 from uqharness.xml import (
     Document,
@@ -56,9 +63,23 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
         sign = 1.0 if attribute(block, "negated_crossproduct_inertia").lower() == "false" else -1.0
         ixz = block.find("ixz")
         if ixz is None:
-            _write(document, [append_child(document, block, [f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'])])
+            _write(
+                document,
+                [
+                    append_child(
+                        document,
+                        block,
+                        [f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'],
+                    )
+                ],
+            )
         else:
-            _shift(document, ixz, sign * value / (1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2), remark)
+            _shift(
+                document,
+                ixz,
+                sign * value / (1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2),
+                remark,
+            )
         return
     place = next((p for p in block.all("location") if attribute(p, "name") == "CG"), None)
     x = None if place is None else place.find("x")
@@ -66,7 +87,9 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
         raise BadInputError(f'{path}: no <location name="CG"> to move')
     unit = attribute(place, "unit")
     if unit not in _METRES:
-        raise BadInputError(f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN')
+        raise BadInputError(
+            f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN'
+        )
     # Structural x points aft; the number is the empty aircraft's, and what it carries stays where it is.
     _shift(document, x, -value * _over_empty(aircraft) / _METRES[unit], remark)
     sensors_from_cg(folder / "airframe.toml", value, remark)
@@ -78,17 +101,23 @@ def _over_empty(aircraft: Aircraft) -> float:
     engine.run_ic(fdm)
     whole, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
     if not empty > 0.0:
-        raise BadInputError(f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the empty weight")
+        raise BadInputError(
+            f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the empty weight"
+        )
     return whole / empty
 
 
-def write_servo(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+def write_servo(
+    folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str
+) -> None:
     """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width. Raises BadInputError."""
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
     found = _actuator(folder, position)
     if found is None:
-        raise BadInputError(f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}")
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}"
+        )
     document, actuator = found
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     servo, name = servo_of(effect, aircraft), effect.property_name
@@ -97,22 +126,35 @@ def write_servo(folder: Path, aircraft: Aircraft, effect: Effect, value: float, 
     if servo is None and own is not None:
         _shift(document, own, value, remark)
     elif servo is None:
-        _write(document, [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])])
+        _write(
+            document,
+            [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])],
+        )
     else:
         text = f"{servo_number(servo, effect.term, value):.8g}"
         declared = declaration(document, name)
         if declared is not None and own is not None and own.text.strip() == name:
             # The aircraft carries this effect already.
-            edits = [with_attribute(document, declared, "value", text), remarked(document, declared, remark)]
+            edits = [
+                with_attribute(document, declared, "value", text),
+                remarked(document, declared, remark),
+            ]
         else:
-            named = append_child(document, actuator, [f"<{tag}>{name}</{tag}>"]) if own is None else with_text(document, own, name)
+            named = (
+                append_child(document, actuator, [f"<{tag}>{name}</{tag}>"])
+                if own is None
+                else with_text(document, own, name)
+            )
             edits = [before(document, _channel(actuator), [declare(name, text, remark)]), named]
         _write(document, edits)
 
 
 def _shift(document: Document, node: Node, by: float, remark: str) -> None:
     """The number in an element moved, with a remark behind it."""
-    edits = [with_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"), remarked(document, node, remark)]
+    edits = [
+        with_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"),
+        remarked(document, node, remark),
+    ]
     _write(document, edits)
 
 
@@ -123,7 +165,9 @@ def _write(document: Document, edits: list[Insertion]) -> None:
 def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
     documents = (read_document(path) for path in sorted(folder.rglob("*.xml")))
     every = ((d, n) for d in documents for n in d.root.walk())
-    return next(((d, n) for d, n in every if n.tag == "actuator" and attribute(n, "name") == name), None)
+    return next(
+        ((d, n) for d, n in every if n.tag == "actuator" and attribute(n, "name") == name), None
+    )
 
 
 def _channel(node: Node) -> Node:

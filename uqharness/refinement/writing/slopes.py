@@ -16,8 +16,14 @@ from uqharness.refinement.writing.terms import INFLOW_POWERS
 def control_slopes(fit: Fit) -> dict[str, float]:
     """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
     by = np.concatenate([p.by_control for p in fit.probes])
-    out = {f"{c}_{u}": float(by[:, k, j].mean()) for u, j in (("de", 0), ("dr", 2)) for k, c in enumerate(COEFFICIENTS)}
-    slope = np.concatenate([p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes])
+    out = {
+        f"{c}_{u}": float(by[:, k, j].mean())
+        for u, j in (("de", 0), ("dr", 2))
+        for k, c in enumerate(COEFFICIENTS)
+    }
+    slope = np.concatenate(
+        [p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes]
+    )
     return {**out, "CZ_alpha": float(slope.mean()), **inflow_numbers(fit.probes)}
 
 
@@ -31,7 +37,9 @@ def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
     return {f"inflow_{k}": float(number) for k, number in enumerate(numbers)}
 
 
-def of_lift_slope(selection: Selection, before: Fit, after: Fit) -> tuple[Selection, dict[str, float]]:
+def of_lift_slope(
+    selection: Selection, before: Fit, after: Fit
+) -> tuple[Selection, dict[str, float]]:
     """Lift lost by separation as a share of the lift slope that is estimated beside it, and the numbers to write effects with.
 
     Flights that stall say of a model without stall that its lift slope is small: of that slope the share would be too large.
@@ -42,6 +50,9 @@ def of_lift_slope(selection: Selection, before: Fit, after: Fit) -> tuple[Select
         return selection, slopes
     ratio = slopes["CZ_alpha"] / own
     chosen = tuple(
-        replace(c, value=ratio * c.value, std=ratio * c.std) if c.key.startswith("effect/stall/") else c for c in selection.chosen
+        replace(c, value=ratio * c.value, std=ratio * c.std)
+        if c.key.startswith("effect/stall/")
+        else c
+        for c in selection.chosen
     )
     return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": own}

@@ -34,8 +34,13 @@ def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
     at = np.linspace(*term.ends, GRID)
     rows = [f"    {x:.8g}  {y:.8g}" for x, y in zip(at, fit.curve(at)[0], strict=True)]
     table = [
-        "<table>", f'  <independentVar lookup="row">{key}</independentVar>', "  <tableData>", *rows, "  </tableData>", "</table>",
-    ]  # fmt: skip
+        "<table>",
+        f'  <independentVar lookup="row">{key}</independentVar>',
+        "  <tableData>",
+        *rows,
+        "  </tableData>",
+        "</table>",
+    ]
     if term.times:
         factor = variable_xml(term.times, section, aircraft)
         table = ["<product>", *(f"  {line}" for line in table), f"  {factor.line()}", "</product>"]
@@ -43,7 +48,18 @@ def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
         f"No physics: a {term.name}, fitted to what no effect of the catalogue explains. Held constant outside "
         f"{at[0]:.4g} to {at[-1]:.4g}, where there were no data. Name it or leave it out."
     )
-    lines = [f'<function name="{name}">', f"  {comment(remark)}", *(f"  {line}" for line in table), "</function>"]
-    edit = add_deltas(add_functions(edit, lines), {term.coefficient: [name]}, PREFIX, reference_of(aircraft), "unnamed: no physics")
+    lines = [
+        f'<function name="{name}">',
+        f"  {comment(remark)}",
+        *(f"  {line}" for line in table),
+        "</function>",
+    ]
+    edit = add_deltas(
+        add_functions(edit, lines),
+        {term.coefficient: [name]},
+        PREFIX,
+        reference_of(aircraft),
+        "unnamed: no physics",
+    )
     for path, content in edit.files().items():
         path.write_bytes(content)

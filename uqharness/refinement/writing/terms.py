@@ -14,7 +14,12 @@ from uqharness.xml import AeroSection, Expression, call, computes, prop, value
 
 INFLOW_POWERS = 4
 """Numbers of the polynomial over CT that inflow is written as."""
-_CONTROLS = {"de": "elevator_pos_deg", "da": "aileron_pos_deg", "dr": "rudder_pos_deg", "dt": "throttle_pct"}
+_CONTROLS = {
+    "de": "elevator_pos_deg",
+    "da": "aileron_pos_deg",
+    "dr": "rudder_pos_deg",
+    "dt": "throttle_pct",
+}
 _QBAR_S = (prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
 
 
@@ -41,19 +46,31 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
         if of_body and _computes(section, f"aero/{variable}"):
             return prop(f"aero/{variable}")
         per_rate = _per_rate("c" if rate in ("q", "alphadot") else "b", section)
-        return call("product", per_rate, prop(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"))
+        return call(
+            "product",
+            per_rate,
+            prop(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"),
+        )
     if variable in _CONTROLS:
         source, factor = state_source(_CONTROLS[variable], aircraft)
         factor *= 0.01 if variable == "dt" else 1.0
-        return prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
+        return (
+            prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
+        )
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
-        force = call("product", value(1.0 / LBF_N, ".10g"), prop(thrust)) if thrust else prop("forces/fbx-prop-lbs")
+        force = (
+            call("product", value(1.0 / LBF_N, ".10g"), prop(thrust))
+            if thrust
+            else prop("forces/fbx-prop-lbs")
+        )
         return call("quotient", force, call("product", *_QBAR_S))
     if variable == "V_rel":
         return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), prop("velocities/vt-fps"))
     if variable == "h_over_b":
-        return call("max", value(0.1), call("quotient", prop("position/h-agl-ft"), prop("metrics/bw-ft")))
+        return call(
+            "max", value(0.1), call("quotient", prop("position/h-agl-ft"), prop("metrics/bw-ft"))
+        )
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
 
@@ -64,7 +81,13 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
         one = variable_xml(f.variable, section, aircraft)
         one = call("abs", one) if f.absolute else one
         if f.power < 0:
-            out.append(call("quotient", value(1, "g"), one if f.power == -1 else call("pow", one, value(-f.power, "g"))))
+            out.append(
+                call(
+                    "quotient",
+                    value(1, "g"),
+                    one if f.power == -1 else call("pow", one, value(-f.power, "g")),
+                )
+            )
         elif f.power <= 3:
             out += [one] * f.power
         else:
@@ -98,14 +121,20 @@ def subsystem_terms(
             return [("Cn", -1.0, [x("CT"), x("alpha")]), ("Cm", -1.0, [x("CT"), x("beta")])]
         case "propulsion", "slipstream":
             rows = [(c, slopes.get(f"{c}_de", 0.0), [x("de"), x("CT")]) for c in ("CZ", "Cm")]
-            rows += [(c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")]
+            rows += [
+                (c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")
+            ]
             return [r for r in rows if r[1] != 0.0]
         case "stall", _:
-            return [("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])]
+            return [
+                ("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])
+            ]
         case "ground", _:
             near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
             # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
-            with_effect = call("sum", value(1, "g"), call("product", prop(effect.property_name), near))
+            with_effect = call(
+                "sum", value(1, "g"), call("product", prop(effect.property_name), near)
+            )
             force = call("product", *_QBAR_S, with_effect)
             return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
@@ -115,7 +144,12 @@ def _lift_lost(term: str, section: AeroSection) -> Expression:
     """Share of the lift that separation takes, 0 or less: ((1 + sqrt X)/2)^2 - 1."""
     lag = value(0, "g")
     if term == "dynamic":
-        lag = call("product", value(2, "g"), _per_rate("c", section), call("todegrees", prop("aero/alphadot-rad_sec")))
+        lag = call(
+            "product",
+            value(2, "g"),
+            _per_rate("c", section),
+            call("todegrees", prop("aero/alphadot-rad_sec")),
+        )
     angle = call("difference", prop("aero/alpha-deg"), lag)
     a1 = 2.0 * STALL["a1_per_deg"]
 

@@ -42,7 +42,9 @@ _SURE = f"{100 * CONFIDENCE:g} %"
 _MARKS = {"yes": "✓", "no": "✕", "open": "?"}
 
 
-def campaign_page(found: CampaignFound, prefix: str = "", only: Collection[str] | None = None) -> Page:
+def campaign_page(
+    found: CampaignFound, prefix: str = "", only: Collection[str] | None = None
+) -> Page:
     """The page of one campaign; ``prefix`` keeps its figures' names apart from others' in one page.
 
     ``only``: titles of the sections that are shown, if not all.
@@ -62,7 +64,12 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
     """P-boxes of the medians in the first conditions, and the table of their middles in all."""
     drawn = hardest_first(conditions(found.frame))[:CONDITIONS_DRAWN]
     words = corner_words(found.frame)
-    figures = tuple(_figure(item, words, prefix) for condition in drawn for item in found.findings if item.condition == condition)
+    figures = tuple(
+        _figure(item, words, prefix)
+        for condition in drawn
+        for item in found.findings
+        if item.condition == condition
+    )
     intro = (
         "Each thin curve is one epistemic sample: the cumulative probability of its flights' median error. "
         "The bold pair is their envelope, the p-box; its width is epistemic uncertainty, its slope aleatory. The "
@@ -79,36 +86,76 @@ def pbox_section(found: CampaignFound, prefix: str = "") -> Section:
         text = f"Further conditions, not drawn: {undrawn}; they are in the tables below and in pbox.parquet."
         blocks.append(Words(text, note=True))
     between = any(item.widened is not None for item in found.findings)
-    head = ["Error", "Condition", "Middle of the p-box", f"With {_SURE} band", "Set by, best", "Set by, worst"]
-    head += [*(["Widened by interior points"] if between else []), *(["Published flight"] if published else [])]
+    head = [
+        "Error",
+        "Condition",
+        "Middle of the p-box",
+        f"With {_SURE} band",
+        "Set by, best",
+        "Set by, worst",
+    ]
+    head += [
+        *(["Widened by interior points"] if between else []),
+        *(["Published flight"] if published else []),
+    ]
     caption = (
         "Where half of the flights stay below: the p-box's middle, the same with the band, and the samples that set its two ends"
-        + (", and by which share of its area the interior points widen the whole." if between else ".")
+        + (
+            ", and by which share of its area the interior points widen the whole."
+            if between
+            else "."
+        )
     )
-    blocks.append(Table(caption, tuple(head), tuple(_median_row(item, words, between, published) for item in found.findings)))
+    blocks.append(
+        Table(
+            caption,
+            tuple(head),
+            tuple(_median_row(item, words, between, published) for item in found.findings),
+        )
+    )
     return Section(PBOXES, tuple(blocks))
 
 
 def _figure(item: Finding, words: dict[str, str], prefix: str) -> Figure:
     place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}"
     name = f"{prefix}pbox-{item.metric.replace('_', '-')}-{place}".replace(".", "p")
-    mark = None if item.published is None else (item.published, f"published flight, {item.published:g} {item.unit}")
+    mark = (
+        None
+        if item.published is None
+        else (item.published, f"published flight, {item.published:g} {item.unit}")
+    )
     drawn = DrawnBox("", item.box, item.samples, words)
-    return pbox_figure(name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark)
+    return pbox_figure(
+        name, item.axis, item.unit, [drawn], f"{item.title}; {item.condition.words}.", mark
+    )
 
 
-def _median_row(item: Finding, words: dict[str, str], between: bool, published: bool) -> tuple[str, ...]:
+def _median_row(
+    item: Finding, words: dict[str, str], between: bool, published: bool
+) -> tuple[str, ...]:
     band = " to ".join(shown(end) for end in item.box.band_quantile(0.5))
     ends = [words.get(name, name) for name in item.box.set_by(0.5)]
-    row = [f"{item.title} [{item.unit}]", item.condition.label, span(*item.box.quantile(0.5)), band, *ends]
+    row = [
+        f"{item.title} [{item.unit}]",
+        item.condition.label,
+        span(*item.box.quantile(0.5)),
+        band,
+        *ends,
+    ]
     if between:
-        row.append("" if item.widened is None or math.isnan(item.widened) else f"{100.0 * item.widened:.2g} %")
+        row.append(
+            ""
+            if item.widened is None or math.isnan(item.widened)
+            else f"{100.0 * item.widened:.2g} %"
+        )
     if published:
         row.append("" if item.published is None else f"{item.published:g}")
     return tuple(row)
 
 
-def grid_section(signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive") -> Section:
+def grid_section(
+    signed: Sequence[Statement], title: str = "Where the answer is yes, no or inconclusive"
+) -> Section:
     """One grid a radius: wind across, turbulence down, each cell the answer and the worst corner's rate."""
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
@@ -127,11 +174,18 @@ def grid_section(signed: Sequence[Statement], title: str = "Where the answer is 
         }
         winds = sorted({wind for _, wind in cells})
         rows: list[tuple[str | Cell, ...]] = [
-            (air, *(_grid_cell(cells.get((air, wind))) for wind in winds)) for air in dict.fromkeys(air for air, _ in cells)
+            (air, *(_grid_cell(cells.get((air, wind))) for wind in winds))
+            for air in dict.fromkeys(air for air, _ in cells)
         ]
         head = ("Turbulence", *(f"{wind:g} m/s wind" for wind in winds))
         if cells:
-            tables.append(Table(f"Excursions beyond {radius:g} m, horizontal distance, per flight hour.", head, tuple(rows)))
+            tables.append(
+                Table(
+                    f"Excursions beyond {radius:g} m, horizontal distance, per flight hour.",
+                    head,
+                    tuple(rows),
+                )
+            )
     return Section(title, (Words(text, note=True), *tables))
 
 
@@ -139,9 +193,18 @@ def _grid_cell(item: Statement | None) -> Cell:
     if item is None:
         return Cell("not flown")
     limits = f"{item.worst.lower:.2g} to {shown(item.worst.upper)}"
-    rate = "undefined: no flight was scored" if math.isnan(item.worst.rate) else f"{item.worst.rate:.3g} per h [{limits}]"
+    rate = (
+        "undefined: no flight was scored"
+        if math.isnan(item.worst.rate)
+        else f"{item.worst.rate:.3g} per h [{limits}]"
+    )
     level: Level = answer_level(item)
-    return Cell(item.answer, level, f"{item.reason}; {rate}" if item.reason else rate, mark=_MARKS[item.answer])
+    return Cell(
+        item.answer,
+        level,
+        f"{item.reason}; {rate}" if item.reason else rate,
+        mark=_MARKS[item.answer],
+    )
 
 
 def rate_sections(found: CampaignFound) -> list[Section]:
@@ -156,17 +219,28 @@ def rate_sections(found: CampaignFound) -> list[Section]:
     )
     kinds = report_statements.aborted_kinds(signed)
     head = (
-        "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", f"At most {acceptable} per hour?", "Flight hours",
-        *report_statements.aborted_head(kinds), "Variance over mean", "Allowed for, and hours needed without excursions",
+        "Condition",
+        "Beyond",
+        "Best corner [1/h]",
+        "Worst corner [1/h]",
+        f"At most {acceptable} per hour?",
+        "Flight hours",
+        *report_statements.aborted_head(kinds),
+        "Variance over mean",
+        "Allowed for, and hours needed without excursions",
         "Time outside the data",
-    )  # fmt: skip
+    )
     words = corner_words(found.frame)
     rows = tuple(_signed_row(item, words, kinds) for item in signed)
     first = Section(
         "Supportable claims",
         (
             Words(text, note=True),
-            Table("Supportable claims: excursions per flight hour, by condition and radius.", head, rows),
+            Table(
+                "Supportable claims: excursions per flight hour, by condition and radius.",
+                head,
+                rows,
+            ),
             Bullets(tuple(report_statements.assumptions(signed, found.campaign))),
         ),
     )
@@ -177,18 +251,28 @@ def rate_sections(found: CampaignFound) -> list[Section]:
         "excursion on the upper side."
     )
     counted = (
-        "Condition", "Beyond", "Best corner [1/h]", "Worst corner [1/h]", "Limits over all corners [1/h]", "Hours per corner",
+        "Condition",
+        "Beyond",
+        "Best corner [1/h]",
+        "Worst corner [1/h]",
+        "Limits over all corners [1/h]",
+        "Hours per corner",
         "Failed flights",
-    )  # fmt: skip
+    )
     rows = tuple(_excursion_row(item.cell, words) for item in signed)
     second = Section(
         "Excursions per flight hour",
-        (Words(text, note=True), Table("Excursions counted per flight hour, best and worst corner.", counted, rows)),
+        (
+            Words(text, note=True),
+            Table("Excursions counted per flight hour, best and worst corner.", counted, rows),
+        ),
     )
     return [first, second]
 
 
-def _signed_row(item: Statement, words: dict[str, str], kinds: Sequence[str]) -> tuple[str | Cell, ...]:
+def _signed_row(
+    item: Statement, words: dict[str, str], kinds: Sequence[str]
+) -> tuple[str | Cell, ...]:
     row = report_statements.row(item)
     worst = Cell(row["worst"], small=words.get(row["worst_corner"], row["worst_corner"]))
     answer = Cell(item.answer, answer_level(item), item.reason, mark=_MARKS[item.answer])
@@ -211,8 +295,14 @@ def _excursion_row(cell: ExcursionCell, words: dict[str, str]) -> tuple[str | Ce
     return (
         cell.condition.label,
         f"{cell.radius_m:g} m, {'3-D' if cell.distance == '3d' else 'horizontal'}",
-        Cell(_rate(best, best.rate, best.events), small=words.get(best.epistemic_id, best.epistemic_id)),
-        Cell(_rate(worst, worst.rate_upper, worst.events_upper), small=words.get(worst.epistemic_id, worst.epistemic_id)),
+        Cell(
+            _rate(best, best.rate, best.events),
+            small=words.get(best.epistemic_id, best.epistemic_id),
+        ),
+        Cell(
+            _rate(worst, worst.rate_upper, worst.events_upper),
+            small=words.get(worst.epistemic_id, worst.epistemic_id),
+        ),
         f"{best.simultaneous[0]:.2g} to {shown(worst.simultaneous[1])}",
         f"{worst.hours:.3g}",
         str(sum(rate.failed for rate in cell.rates)),
@@ -232,12 +322,20 @@ def failure_section(frame: pd.DataFrame) -> Section:
     failed = frame[frame["status"] != "ok"]
     if failed.empty:
         return Section("Failed flights", (Words("None."),))
-    more = f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet" if len(failed) > _FAILURES_LISTED else ""
+    more = (
+        f", the first {_FAILURES_LISTED} are listed; all are in cases.parquet"
+        if len(failed) > _FAILURES_LISTED
+        else ""
+    )
     names = ["case_id", "epistemic_id", "aleatory_id", "wind_mps", "turbulence", "status", "reason"]
     rows = []
-    for case, corner, flight, wind, air, status, reason in failed[names].head(_FAILURES_LISTED).itertuples(index=False):
+    for case, corner, flight, wind, air, status, reason in (
+        failed[names].head(_FAILURES_LISTED).itertuples(index=False)
+    ):
         where = Condition(float(wind), str(air)).label
-        rows.append((Cell(case, code=True), Cell(corner, code=True), str(flight), where, status, reason))
+        rows.append(
+            (Cell(case, code=True), Cell(corner, code=True), str(flight), where, status, reason)
+        )
     head = ("Case", "Corner", "Flight", "Condition", "Status", "Reason")
     return Section("Failed flights", (Table(f"{len(failed)} failed{more}.", head, tuple(rows)),))
 
@@ -254,7 +352,13 @@ def _provenance(found: CampaignFound) -> Section:
         ("Command", manifest["command"] or "not recorded"),
         ("One flight again", "uqharness campaign rerun DIR --case CASE"),
         ("Root seed", str(manifest["seed"])),
-        ("Versions", ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())),
+        (
+            "Versions",
+            ", ".join(f"{name} {version}" for name, version in manifest["versions"].items()),
+        ),
         *hashes,
-        ("Tables", "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page"),
+        (
+            "Tables",
+            "cases.parquet (one row per flight), pbox.parquet, excursions.csv, statements.csv, beside this page",
+        ),
     )

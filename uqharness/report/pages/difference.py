@@ -7,7 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from uqharness.differences import Channel, Difference, Matched, Term, scale_of
-from uqharness.report.parts import Bullets, Figure, Figures, Page, Say, Section, Table, Words, provenance
+from uqharness.report.parts import (
+    Bullets,
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+)
 from uqharness.report.svg import Chart, Scale, scale
 
 DRAWN = 8
@@ -16,32 +26,55 @@ _LEGEND = (("first", "A"), ("second", "B"))
 
 
 def difference_page(
-    names: tuple[str, str], channels: Sequence[Channel], flights: Sequence[Matched], found: Sequence[Difference],
-    terms: Sequence[Term], command: str,
-) -> Page:  # fmt: skip
+    names: tuple[str, str],
+    channels: Sequence[Channel],
+    flights: Sequence[Matched],
+    found: Sequence[Difference],
+    terms: Sequence[Term],
+    command: str,
+) -> Page:
     """The page of what `uqharness.differences` found; ``found`` one row a channel, ranked."""
     a, b = names
     asked = f"Does {b} fly as {a} does, with the same controls in the same air?"
-    sections = [_channels(found), *_histories(flights, found), _elements(terms, found), _flown(flights, channels)]
+    sections = [
+        _channels(found),
+        *_histories(flights, found),
+        _elements(terms, found),
+        _flown(flights, channels),
+    ]
     files = provenance(("Command", command or "not recorded"), ("A", a), ("B", b))
     return Page(f"{a} and {b}", asked, _verdict(flights, found, terms), (*sections, files))
 
 
-def _verdict(flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term]) -> tuple[Say, ...]:
+def _verdict(
+    flights: Sequence[Matched], found: Sequence[Difference], terms: Sequence[Term]
+) -> tuple[Say, ...]:
     said = [Say(f"{f.name}: {f.reason}.", "bad") for f in flights if f.reason]
     for f in flights:
-        said += [Say(f"{f.name}: only {s} has {', '.join(n)}.", "bad") for s, n in (("A", f.only_a), ("B", f.only_b)) if n]
+        said += [
+            Say(f"{f.name}: only {s} has {', '.join(n)}.", "bad")
+            for s, n in (("A", f.only_a), ("B", f.only_b))
+            if n
+        ]
     if found:
         d = found[0]
         said.append(
-            Say(f"The models differ in {len(found)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}.", "bad")
+            Say(
+                f"The models differ in {len(found)} channels, first in {d.channel} at {d.from_s:g} s of {d.flight}.",
+                "bad",
+            )
         )
         if d.terms:
             said.append(Say(f"Likeliest cause: {_where(d.terms[0])}, {d.terms[0].path}."))
     elif not said:
         said.append(Say("No output differs beyond rounding.", "good"))
         if terms:
-            said.append(Say(f"{len(terms)} elements of the XML differ; these flights do not show them.", "warn"))
+            said.append(
+                Say(
+                    f"{len(terms)} elements of the XML differ; these flights do not show them.",
+                    "warn",
+                )
+            )
     return tuple(said)
 
 
@@ -49,40 +82,77 @@ def _channels(found: Sequence[Difference]) -> Section:
     if not found:
         return Section("Channels", (Words("None differs."),))
     rows = tuple(
-        (d.channel, d.group, d.flight, f"{d.from_s:g}", _with_unit(d), f"{100.0 * d.share:.2g}", f"{d.times:.1g}") for d in found
+        (
+            d.channel,
+            d.group,
+            d.flight,
+            f"{d.from_s:g}",
+            _with_unit(d),
+            f"{100.0 * d.share:.2g}",
+            f"{d.times:.1g}",
+        )
+        for d in found
     )
-    head = ("Channel", "Group", "Flight", "Differs from [s]", "Largest difference", "Share of range [%]", "Times rounding")
+    head = (
+        "Channel",
+        "Group",
+        "Flight",
+        "Differs from [s]",
+        "Largest difference",
+        "Share of range [%]",
+        "Times rounding",
+    )
     note = Words(
-        "Ranked by time, then cause before effect: a surface moves a coefficient, a coefficient an acceleration.", note=True
+        "Ranked by time, then cause before effect: a surface moves a coefficient, a coefficient an acceleration.",
+        note=True,
     )
-    return Section("Channels", (Table("First difference of each channel.", head, rows, key=True), note))
+    return Section(
+        "Channels", (Table("First difference of each channel.", head, rows, key=True), note)
+    )
 
 
 def _histories(flights: Sequence[Matched], found: Sequence[Difference]) -> list[Section]:
     by_name = {f.name: f for f in flights}
     figures = [_history(by_name[d.flight], d, number) for number, d in enumerate(found[:DRAWN])]
-    return [Section("Histories", (Figures(tuple(figures), _LEGEND, narrow=True),))] if figures else []
+    return (
+        [Section("Histories", (Figures(tuple(figures), _LEGEND, narrow=True),))] if figures else []
+    )
 
 
 def _history(flight: Matched, d: Difference, number: int) -> Figure:
     a, b = flight.a[d.channel], flight.b[d.channel]
     label = f"{d.channel} [{d.unit}] against time [s], {flight.name}: A and B."
     time = Scale("time [s]", float(flight.time_s[0]), float(flight.time_s[-1]))
-    chart = Chart(f"history-{number}", label, time, scale(f"{d.channel} [{d.unit}]", [a, b]), height=180)
+    chart = Chart(
+        f"history-{number}", label, time, scale(f"{d.channel} [{d.unit}]", [a, b]), height=180
+    )
     chart.line(flight.time_s, a, "first")
     chart.line(flight.time_s, b, "second")
     unit = "" if d.unit == "-" else f" {d.unit}"
     rms = float(np.sqrt(np.nanmean((b - a) ** 2)))
-    return Figure(chart.name, chart.svg(), f"{d.channel}, {flight.name}: B minus A {rms:.3g}{unit} rms, from {d.from_s:g} s.")
+    return Figure(
+        chart.name,
+        chart.svg(),
+        f"{d.channel}, {flight.name}: B minus A {rms:.3g}{unit} rms, from {d.from_s:g} s.",
+    )
 
 
 def _elements(terms: Sequence[Term], found: Sequence[Difference]) -> Section:
     if not terms:
-        return Section("XML that differs", (Words("None: comments, spaces and the order of attributes do not count."),))
+        return Section(
+            "XML that differs",
+            (Words("None: comments, spaces and the order of attributes do not count."),),
+        )
     ordered = found[0].terms if found else terms
     rows = tuple((_where(t), t.path, t.a or "nothing", t.b or "nothing") for t in ordered)
-    first = "the likeliest cause of the first difference on top" if found else "in the order of the files"
-    return Section("XML that differs", (Table(f"Elements, {first}.", ("Line", "Element", "A", "B"), rows),))
+    first = (
+        "the likeliest cause of the first difference on top"
+        if found
+        else "in the order of the files"
+    )
+    return Section(
+        "XML that differs", (Table(f"Elements, {first}.", ("Line", "Element", "A", "B"), rows),)
+    )
 
 
 def _flown(flights: Sequence[Matched], channels: Sequence[Channel]) -> Section:

@@ -29,18 +29,45 @@ from uqharness.errors import BadInputError
 from uqharness.replay import History, shown_channel
 from uqharness.report.campaign import CampaignFound, read_found
 from uqharness.report.pages.dossier_match import Compared, compared, match_section
-from uqharness.report.parts import Block, Bullets, Cell, Page, Say, Section, Table, Told, Words, percent, shown
+from uqharness.report.parts import (
+    Block,
+    Bullets,
+    Cell,
+    Page,
+    Say,
+    Section,
+    Table,
+    Told,
+    Words,
+    percent,
+    shown,
+)
 from uqharness.simulator import folder_hash
 
 _MOST_SOURCES = 120
 _MOST_SENTENCES = 24
 _MOST_PARAMETERS = 60
-_STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m")
+_STATES = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "h_m",
+)
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 _TITLES = (
-    "Provenance of the model", "Proof of match", "Credibility", "Statements and their assumptions", "Validity envelope",
-    "What was not done", "Sources",
-)  # fmt: skip
+    "Provenance of the model",
+    "Proof of match",
+    "Credibility",
+    "Statements and their assumptions",
+    "Validity envelope",
+    "What was not done",
+    "Sources",
+)
 
 
 @dataclass(frozen=True)
@@ -58,12 +85,20 @@ def dossier_of(found: Evidence) -> Dossier:
     match = Match((), {}) if source is None else source.match
     campaigns = _campaigns(found)
     numbered = [f"{k}. {title}" for k, title in enumerate(_TITLES, start=1)]
-    histories = {s.place: found.histories(s) for kind in ("identify", "refine", "compare") for s in found.of(kind)}
+    histories = {
+        s.place: found.histories(s)
+        for kind in ("identify", "refine", "compare")
+        for s in found.of(kind)
+    }
     sections = [
-        _provenance(numbered[0], found), match_section(numbered[1], source), _credibility(numbered[2], found, match),
-        _said(numbered[3], found, campaigns, source), _envelope(numbered[4], found, histories, campaigns),
-        _not_done(numbered[5], found, source), _sources(numbered[6], found),
-    ]  # fmt: skip
+        _provenance(numbered[0], found),
+        match_section(numbered[1], source),
+        _credibility(numbered[2], found, match),
+        _said(numbered[3], found, campaigns, source),
+        _envelope(numbered[4], found, histories, campaigns),
+        _not_done(numbered[5], found, source),
+        _sources(numbered[6], found),
+    ]
     # Last, for what is missing is met on the way.
     missing = tuple(found.missing)
     front = [Section("Contents", (Bullets(tuple(numbered)),))]
@@ -71,7 +106,9 @@ def dossier_of(found: Evidence) -> Dossier:
         front.append(Section("Missing or damaged", (Bullets(missing, key=True),)))
     title = f"Dossier: {_name(found)}"
     asked = "What was flown, what does the model rest on, how near is it to the measured flight, and what is not known?"
-    return Dossier(Page(title, asked, _verdict(match, missing, found), (*front, *sections)), source, missing)
+    return Dossier(
+        Page(title, asked, _verdict(match, missing, found), (*front, *sections)), source, missing
+    )
 
 
 def _name(found: Evidence) -> str:
@@ -85,23 +122,46 @@ def _name(found: Evidence) -> str:
 
 
 def _verdict(match: Match, missing: Sequence[str], found: Evidence) -> tuple[Say, ...]:
-    said = [Say("This dossier lays out evidence. It claims no compliance with any regulation or standard.")]
+    said = [
+        Say(
+            "This dossier lays out evidence. It claims no compliance with any regulation or standard."
+        )
+    ]
     if missing:
-        said.append(Say(f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad"))
+        said.append(
+            Say(f"The folder is incomplete or damaged: {len(missing)} points, listed below.", "bad")
+        )
     for aircraft in flown_by_simulation(found):
-        said.append(Say(f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.", "warn"))
+        said.append(
+            Say(
+                f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.",
+                "warn",
+            )
+        )
     tests: dict[str, str] = {}
     for test in TESTS:
         answers = [j.answer for j in match.of(test.entry)]
         tests[test.entry] = next((a for a in (FAIL, UNSURE, PASS) if a in answers), "")
-    counts = {a: [e for e, found_answer in tests.items() if found_answer == a] for a in (PASS, FAIL, UNSURE, "")}
+    counts = {
+        a: [e for e, found_answer in tests.items() if found_answer == a]
+        for a in (PASS, FAIL, UNSURE, "")
+    }
     if match.judged:
-        said.append(Say(f"Within tolerance in every segment: {_list(counts[PASS])}.", "good" if counts[PASS] else ""))
+        said.append(
+            Say(
+                f"Within tolerance in every segment: {_list(counts[PASS])}.",
+                "good" if counts[PASS] else "",
+            )
+        )
         if counts[FAIL]:
             said.append(Say(f"Outside tolerance: {_list(counts[FAIL])}.", "bad"))
         if counts[UNSURE]:
             said.append(Say(f"Inconclusive: {_list(counts[UNSURE])}.", "warn"))
-    said.append(Say(f"Not in the data: {_list(counts[''])}, of {len(TESTS)} tests that flights may contain."))
+    said.append(
+        Say(
+            f"Not in the data: {_list(counts[''])}, of {len(TESTS)} tests that flights may contain."
+        )
+    )
     return tuple(said)
 
 
@@ -140,7 +200,9 @@ def _parameters(found: Evidence) -> list[Block]:
     rows: list[tuple[str | Cell, ...]] = []
     for name in names[:_MOST_PARAMETERS]:
         values = [_estimate(table.get(name)) for table in tables]
-        rows.append((Cell(name, code=True), shown(initial.get(name, {}).get("initial"), ".5g"), *values))
+        rows.append(
+            (Cell(name, code=True), shown(initial.get(name, {}).get("initial"), ".5g"), *values)
+        )
     head = ("Parameter", "Initial", *(s.place if s.place != "." else s.kind for s in fits))
     caption = "Parameters from step to step: estimate and standard error."
     if len(names) > _MOST_PARAMETERS:
@@ -159,14 +221,23 @@ def _estimate(row: Mapping[str, Any] | None) -> str:
 def _model(step: Step) -> str:
     document = step.document or {}
     if step.kind in ("bounds", "campaign"):
-        return str(document.get("aircraft_sha256") or (document.get("hashes") or {}).get("aircraft") or "")
+        return str(
+            document.get("aircraft_sha256") or (document.get("hashes") or {}).get("aircraft") or ""
+        )
     if step.kind not in ("identify", "refine"):
         return ""
     try:
         # identify writes its aircraft there, refine one folder further down.
         home = step.folder / "aircraft"
         places = [home, *(p for p in sorted(home.glob("*")) if p.is_dir())]
-        return next((folder_hash(p) for p in places if (p / "airframe.toml").is_file() or (p / f"{p.name}.xml").is_file()), "")
+        return next(
+            (
+                folder_hash(p)
+                for p in places
+                if (p / "airframe.toml").is_file() or (p / f"{p.name}.xml").is_file()
+            ),
+            "",
+        )
     except BadInputError:
         return "cannot be read"
 
@@ -199,21 +270,43 @@ def _outcome(step: Step) -> str:
 def _effects(step: Step) -> list[Block]:
     document = step.document or {}
     rows = []
-    for kept, effects in (("kept", document["effects"]), ("withdrawn", document.get("withdrawn", ()))):
+    for kept, effects in (
+        ("kept", document["effects"]),
+        ("withdrawn", document.get("withdrawn", ())),
+    ):
         for e in effects:
             t = e.get("evidence", {}).get("t")
             unit = "" if e.get("unit") in (None, "1", "-") else f" {e['unit']}"
             value = f"{shown(e.get('value'), '.4g')} ± {shown(e.get('std'), '.2g')}{unit}"
-            alike = [a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]]
+            alike = [
+                a["name"].removesuffix(" off")
+                for a in e.get("alternatives", ())
+                if not a["separable"]
+            ]
             tested = (e.get("test") or {}).get("gap", "not tested")
             name = Cell(e["name"], small=f"confounded with {'; '.join(alike)}" if alike else "")
             where = Cell(str(e.get("property") or e.get("subsystem", "")), code=True)
-            rows.append((name, where, value, shown(None if t is None else abs(t), ".1f"), tested, kept))
+            rows.append(
+                (name, where, value, shown(None if t is None else abs(t), ".1f"), tested, kept)
+            )
     if not rows:
         return [Words(f"{step.place}: no effect was added to the model.")]
-    head = ("Effect", "In the model as", "Estimate", "|t| [-]", "Gap on the hold-out flights", "Kept")
+    head = (
+        "Effect",
+        "In the model as",
+        "Estimate",
+        "|t| [-]",
+        "Gap on the hold-out flights",
+        "Kept",
+    )
     lines = _lines(step.folder / "model.diff")
-    return [Table(f"Effects that {step.kind} ({step.place}) added; model.diff has {lines} changed lines.", head, tuple(rows))]
+    return [
+        Table(
+            f"Effects that {step.kind} ({step.place}) added; model.diff has {lines} changed lines.",
+            head,
+            tuple(rows),
+        )
+    ]
 
 
 def _lines(path: Path) -> int:
@@ -232,7 +325,13 @@ def _credibility(title: str, found: Evidence, match: Match) -> Section:
     for factor in factors(found, match):
         evidence = "; ".join(factor.evidence)
         rows.append((factor.name, factor.about, evidence or Cell(NOT_ASSESSED, "warn")))
-    return Section(title, (Words(text, note=True), Table("Evidence by factor.", ("Factor", "About", "Evidence"), tuple(rows))))
+    return Section(
+        title,
+        (
+            Words(text, note=True),
+            Table("Evidence by factor.", ("Factor", "About", "Evidence"), tuple(rows)),
+        ),
+    )
 
 
 def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
@@ -246,11 +345,16 @@ def _campaigns(found: Evidence) -> list[tuple[Step, CampaignFound]]:
     return out
 
 
-def _statements(found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[tuple[str, tuple[Say, ...]]]:
+def _statements(
+    found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]]
+) -> list[tuple[str, tuple[Say, ...]]]:
     """Sentences that the results allow, by where they stand: a study's own where it has drawn them, else each campaign's."""
     said: list[tuple[str, tuple[Say, ...]]] = []
     for study in found.of("study"):
-        drawn = tuple(Say(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "") for v in _verdict_of(study))
+        drawn = tuple(
+            Say(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
+            for v in _verdict_of(study)
+        )
         said += [("study", drawn)] if drawn else []
     return said or [(step.place, campaign.verdict) for step, campaign in campaigns]
 
@@ -259,22 +363,45 @@ def _verdict_of(study: Step) -> Sequence[Mapping[str, Any]]:
     return (study.document or {}).get("verdict") or ()
 
 
-def _said(title: str, found: Evidence, campaigns: Sequence[tuple[Step, CampaignFound]], source: Compared | None) -> Section:
+def _said(
+    title: str,
+    found: Evidence,
+    campaigns: Sequence[tuple[Step, CampaignFound]],
+    source: Compared | None,
+) -> Section:
     blocks: list[Block] = []
     statements = _statements(found, campaigns)
     for where, sentences in statements:
-        head = "The study's own sentences:" if where == "study" else f"Campaign {where}:" if where != "." else "The campaign:"
+        head = (
+            "The study's own sentences:"
+            if where == "study"
+            else f"Campaign {where}:"
+            if where != "."
+            else "The campaign:"
+        )
         blocks += [Words(head), Told(sentences[:_MOST_SENTENCES])]
         if len(sentences) > _MOST_SENTENCES:
-            blocks.append(Words(f"{len(sentences) - _MOST_SENTENCES} further sentences stand in report.html.", note=True))
+            blocks.append(
+                Words(
+                    f"{len(sentences) - _MOST_SENTENCES} further sentences stand in report.html.",
+                    note=True,
+                )
+            )
     if not statements:
-        blocks.append(Words("No statement about performance is in the folder: it holds no complete campaign."))
-    blocks += [Words("They hold under these assumptions:"), Bullets(tuple(_assumptions(found, source)))]
+        blocks.append(
+            Words("No statement about performance is in the folder: it holds no complete campaign.")
+        )
+    blocks += [
+        Words("They hold under these assumptions:"),
+        Bullets(tuple(_assumptions(found, source))),
+    ]
     return Section(title, tuple(blocks))
 
 
 def _assumptions(found: Evidence, source: Compared | None) -> list[str]:
-    said = ["The aircraft is as it was in the flights: mass, centre of gravity, configuration, servos."]
+    said = [
+        "The aircraft is as it was in the flights: mass, centre of gravity, configuration, servos."
+    ]
     if source is not None:
         said.append(
             "Sensors are where the aircraft's card puts them, and their noise is white with the standard deviations estimated."
@@ -294,23 +421,48 @@ def _assumptions(found: Evidence, source: Compared | None) -> list[str]:
 
 
 def _envelope(
-    title: str, found: Evidence, histories: Mapping[str, Sequence[History]], campaigns: Sequence[tuple[Step, CampaignFound]]
+    title: str,
+    found: Evidence,
+    histories: Mapping[str, Sequence[History]],
+    campaigns: Sequence[tuple[Step, CampaignFound]],
 ) -> Section:
     shares = _extrapolated(campaigns)
-    columns = [(s, histories.get(s.place, ())) for kind in ("identify", "refine", "compare") for s in found.of(kind)]
+    columns = [
+        (s, histories.get(s.place, ()))
+        for kind in ("identify", "refine", "compare")
+        for s in found.of(kind)
+    ]
     columns = [(s, h) for s, h in columns if h]
     if not columns:
-        return Section(title, (Words("The folder has no time histories, so it tells no envelope of flight states."), *shares))
+        return Section(
+            title,
+            (
+                Words(
+                    "The folder has no time histories, so it tells no envelope of flight states."
+                ),
+                *shares,
+            ),
+        )
     rows = []
     for name in (*_STATES, *_CONTROLS):
         cells = [_range(name, segments) for _, segments in columns]
         if any(cells):
             quantity, unit, _ = shown_channel(name)
             rows.append((f"{quantity} [{unit}]", *(c or "not recorded" for c in cells)))
-    flights = {"identify": "identified from", "refine": "shown on (hold-out)", "compare": "compared with"}
-    head = ("Quantity", *(f"{s.place if s.place != '.' else s.kind}: {flights[s.kind]}" for s, _ in columns))
+    flights = {
+        "identify": "identified from",
+        "refine": "shown on (hold-out)",
+        "compare": "compared with",
+    }
+    head = (
+        "Quantity",
+        *(f"{s.place if s.place != '.' else s.kind}: {flights[s.kind]}" for s, _ in columns),
+    )
     text = "Smallest and largest measured values of the segments. Outside them no flight supports the model."
-    return Section(title, (Words(text, note=True), Table("Envelope box of the flights.", head, tuple(rows)), *shares))
+    return Section(
+        title,
+        (Words(text, note=True), Table("Envelope box of the flights.", head, tuple(rows)), *shares),
+    )
 
 
 def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block]:
@@ -320,7 +472,11 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignFound]]) -> list[Block
         for statement in campaign.signed:
             where = step.place if step.place != "." else step.kind
             share = statement.extrapolated_share
-            words = "not recorded: its bounds are constants or have no envelope" if math.isnan(share) else percent(share, ".2g")
+            words = (
+                "not recorded: its bounds are constants or have no envelope"
+                if math.isnan(share)
+                else percent(share, ".2g")
+            )
             rows[where, statement.cell.condition.label] = words
     if not rows:
         return []
@@ -337,24 +493,41 @@ def _range(name: str, segments: Sequence[History]) -> str:
 
 
 def _not_done(title: str, found: Evidence, source: Compared | None) -> Section:
-    said = [f"{t.entry} {t.title}: {source.match.missing[t.entry]}." for t in TESTS if source and t.entry in source.match.missing]
+    said = [
+        f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
+        for t in TESTS
+        if source and t.entry in source.match.missing
+    ]
     if source is None:
-        said.append("No test of the proof of match: the folder has no time histories of log and model.")
-    said.append(f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces and failures.")
+        said.append(
+            "No test of the proof of match: the folder has no time histories of log and model."
+        )
+    said.append(
+        f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces and failures."
+    )
     for kind, words in (
-        ("identify", "identification"), ("refine", "refinement"), ("bounds", "bounds of the model's error"),
-        ("validate-bounds", "validation of bounds on a new flight"), ("campaign", "campaign"),
-    ):  # fmt: skip
+        ("identify", "identification"),
+        ("refine", "refinement"),
+        ("bounds", "bounds of the model's error"),
+        ("validate-bounds", "validation of bounds on a new flight"),
+        ("campaign", "campaign"),
+    ):
         if not found.of(kind):
             said.append(f"No {words} is in this folder.")
     for step in found.of("identify"):
-        lost = [n for n, r in (step.document or {})["parameters"].items() if r["status"] != "identified"]
-        said += [f"Not identified, left at their initial values: {', '.join(lost)}."] if lost else []
+        lost = [
+            n for n, r in (step.document or {})["parameters"].items() if r["status"] != "identified"
+        ]
+        said += (
+            [f"Not identified, left at their initial values: {', '.join(lost)}."] if lost else []
+        )
     for step in found.of("refine"):
         if (step.document or {})["remaining"].get("unexplained"):
             said.append(f"{step.place}: something is left that no effect explains.")
     said += [
-        f"{f.name}: {NOT_ASSESSED}." for f in factors(found, Match((), {}) if source is None else source.match) if not f.evidence
+        f"{f.name}: {NOT_ASSESSED}."
+        for f in factors(found, Match((), {}) if source is None else source.match)
+        if not f.evidence
     ]
     if flown_by_simulation(found):
         said.append("No flight of a real aircraft.")
@@ -367,12 +540,19 @@ def _sources(title: str, found: Evidence) -> Section:
         for k, s in enumerate(found.steps, start=1)
     )
     rows = tuple(
-        (Cell(s.file, code=True), Cell(s.sha256, code=True), _step_of(found, s.file), s.version or "not recorded")
+        (
+            Cell(s.file, code=True),
+            Cell(s.sha256, code=True),
+            _step_of(found, s.file),
+            s.version or "not recorded",
+        )
         for s in found.sources[:_MOST_SOURCES]
     )
     caption = f"Files with their SHA-256. {len(found.sources)} files"
     caption += (
-        "." if len(found.sources) <= _MOST_SOURCES else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
+        "."
+        if len(found.sources) <= _MOST_SOURCES
+        else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
     )
     text = f"Written by uqharness {__version__} from the files below and nothing else; nothing was flown or fitted for it."
     blocks = (

@@ -9,7 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.dossier import ABSENT, FAIL, PASS, REGULATION, TESTS, UNSURE, Evidence, Judged, Match, Row, Step, limits, prove
+from uqharness.dossier import (
+    ABSENT,
+    FAIL,
+    PASS,
+    REGULATION,
+    TESTS,
+    UNSURE,
+    Evidence,
+    Judged,
+    Match,
+    Row,
+    Step,
+    limits,
+    prove,
+)
 from uqharness.dossier import Band as Tolerance
 from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Section, Table, Words, shown
@@ -35,14 +49,26 @@ class Compared:
 def compared(found: Evidence) -> Compared | None:
     """What the proof of match is made from: the last refinement's hold-out flights, else a comparison, else the identification."""
     for kind, suffix, model in (
-        ("refine", "_after", "the refined model on hold-out flights, which were used neither for choosing nor for fitting"),
+        (
+            "refine",
+            "_after",
+            "the refined model on hold-out flights, which were used neither for choosing nor for fitting",
+        ),
         ("compare", "_model", "the model on a flight that it was compared with"),
-        ("identify", "_model", "the identified model on the flights that it was identified from: no hold-out flight is here"),
+        (
+            "identify",
+            "_model",
+            "the identified model on the flights that it was identified from: no hold-out flight is here",
+        ),
     ):
         for step in reversed(found.of(kind)):
-            segments = [s for s in found.histories(step) if any(c.endswith(suffix) for c in s.columns)]
+            segments = [
+                s for s in found.histories(step) if any(c.endswith(suffix) for c in s.columns)
+            ]
             if segments:
-                return Compared(step, segments, suffix, model, prove(segments, suffix, _noise(step)))
+                return Compared(
+                    step, segments, suffix, model, prove(segments, suffix, _noise(step))
+                )
     return None
 
 
@@ -74,7 +100,11 @@ def match_section(title: str, source: Compared | None) -> Section:
     blocks: list[Block] = [Words(intro), Words(about, note=True), _summary(match), *_details(match)]
     figures = _figures(source)
     if figures:
-        legend = (("dot", "measured"), ("fill1", "tolerance about what was measured"), ("first", "model"))
+        legend = (
+            ("dot", "measured"),
+            ("fill1", "tolerance about what was measured"),
+            ("first", "model"),
+        )
         blocks.append(Figures(figures, legend))
     return Section(title, tuple(blocks))
 
@@ -87,9 +117,20 @@ def _summary(match: Match) -> Table:
         answer = next((a for a in (FAIL, UNSURE, PASS) if a in answers), ABSENT)
         words = ", ".join(f"{answers.count(a)} {a}" for a in (PASS, FAIL, UNSURE) if a in answers)
         small = words if found else match.missing.get(test.entry, "")
-        rows.append((f"{test.entry} {test.title}", test.tolerance, str(len(found)), Cell(answer, _LEVELS[answer], small=small)))
+        rows.append(
+            (
+                f"{test.entry} {test.title}",
+                test.tolerance,
+                str(len(found)),
+                Cell(answer, _LEVELS[answer], small=small),
+            )
+        )
     head = ("Test", "Tolerance", "Segments", "Answer")
-    return Table("Tests that the flights may contain. A test fails where one of its segments does.", head, tuple(rows))
+    return Table(
+        "Tests that the flights may contain. A test fails where one of its segments does.",
+        head,
+        tuple(rows),
+    )
 
 
 def _details(match: Match) -> list[Block]:
@@ -133,12 +174,17 @@ def _figures(source: Compared) -> tuple[Figure, ...]:
         if test.oscillation is not None:
             bands = [(test.oscillation.channel, None)]
         for channel, band in bands:
-            if channel in worst.segment.columns and f"{channel}{source.suffix}" in worst.segment.columns:
+            if (
+                channel in worst.segment.columns
+                and f"{channel}{source.suffix}" in worst.segment.columns
+            ):
                 out += _drawn(worst, channel, band, source.suffix, len(found))
     return tuple(out)
 
 
-def _drawn(judged: Judged, channel: str, band: Tolerance | None, suffix: str, of: int) -> list[Figure]:
+def _drawn(
+    judged: Judged, channel: str, band: Tolerance | None, suffix: str, of: int
+) -> list[Figure]:
     """Measured and model with the tolerance; beside it their difference, on which the tolerance is large enough to be seen."""
     segment = judged.segment
     quantity, unit, factor = shown_channel(channel)
@@ -148,28 +194,64 @@ def _drawn(judged: Judged, channel: str, band: Tolerance | None, suffix: str, of
     which = f"the worst of {of} segments" if of > 1 else "the only segment"
     caption = f"{judged.test.entry}, {quantity}: {segment.manoeuvre}, {which}"
     if band is None:
-        return [_chart(name, label, segment, [("dot", measured), ("first", model)], None, axis_label(channel), caption)]
+        return [
+            _chart(
+                name,
+                label,
+                segment,
+                [("dot", measured), ("first", model)],
+                None,
+                axis_label(channel),
+                caption,
+            )
+        ]
     half = factor * limits(band, segment.columns[channel])
     row = next((r for r in judged.rows if r.quantity == channel), None)
-    share = "" if row is None else f"; {100.0 * row.share:.1f} % of the samples within the tolerance"
+    share = (
+        "" if row is None else f"; {100.0 * row.share:.1f} % of the samples within the tolerance"
+    )
     both: list[tuple[str, Array]] = [("dot", measured), ("first", model)]
     gap = f"{quantity} measured minus model [{unit}]"
     return [
-        _chart(name, label, segment, both, (measured - half, measured + half), axis_label(channel), caption),
         _chart(
-            f"{name}-gap", f"{judged.test.entry}: {gap}, {segment.title}.", segment, [("dot", measured - model)], (-half, half),
-            gap, f"The same, measured minus model{share}",
+            name,
+            label,
+            segment,
+            both,
+            (measured - half, measured + half),
+            axis_label(channel),
+            caption,
         ),
-    ]  # fmt: skip
+        _chart(
+            f"{name}-gap",
+            f"{judged.test.entry}: {gap}, {segment.title}.",
+            segment,
+            [("dot", measured - model)],
+            (-half, half),
+            gap,
+            f"The same, measured minus model{share}",
+        ),
+    ]
 
 
 def _chart(
-    name: str, label: str, segment: History, series: Sequence[tuple[str, Array]], band: tuple[Array, Array] | None, axis: str,
+    name: str,
+    label: str,
+    segment: History,
+    series: Sequence[tuple[str, Array]],
+    band: tuple[Array, Array] | None,
+    axis: str,
     caption: str,
-) -> Figure:  # fmt: skip
+) -> Figure:
     t = segment.time_s
     seen = [*(y for _, y in series), *(band or ())]
-    chart = Chart(name, label, Scale("time of the log [s]", float(t[0]), float(t[-1])), scale(axis, seen), height=160)
+    chart = Chart(
+        name,
+        label,
+        Scale("time of the log [s]", float(t[0]), float(t[-1])),
+        scale(axis, seen),
+        height=160,
+    )
     if band is not None:
         chart.band(t, *band, "fill1")
     for kind, y in series:

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from uqharness.report.channels import Shade, channel_sections, named_stretches, shown_signal
 from uqharness.report.ground_track import Circle, flown_track
-from uqharness.report.parts import Figures, Level, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.parts import (
+    Figures,
+    Level,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+    shown,
+)
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_LISTED = 60
@@ -34,36 +44,53 @@ def flight_page(asked: FlightAsked, columns: Columns, status: str, reason: str) 
     """The page of a record, name -> (n,) with ``time_s``; ``status`` ok or what ended the flight, for which ``reason``."""
     time_s = np.asarray(columns["time_s"], dtype=float)
     length = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
-    names = named_stretches(time_s, np.asarray(columns["manoeuvre"])) if "manoeuvre" in columns else []
+    names = (
+        named_stretches(time_s, np.asarray(columns["manoeuvre"])) if "manoeuvre" in columns else []
+    )
     whole = len(names) == 1 and names[0][1] - names[0][0] >= 0.99 * length
     stretches = [] if whole else names
     shades = manoeuvre_shades(stretches)
     legend = (("fill1", "manoeuvre"),) if shades else ()
-    sections = [*track_section(columns), *channel_sections(columns, shades, {}, legend), *manoeuvre_section(stretches)]
+    sections = [
+        *track_section(columns),
+        *channel_sections(columns, shades, {}, legend),
+        *manoeuvre_section(stretches),
+    ]
     sections.append(_ranges(columns))
     question = f"How did {asked.aircraft} fly {asked.script}? {asked.conditions}"
     facts = provenance(("Command", asked.command), ("Record", asked.record))
     return Page(
-        f"Flight of {asked.aircraft}: {asked.script}", question, _verdict(length, columns, status, reason), (*sections, facts)
+        f"Flight of {asked.aircraft}: {asked.script}",
+        question,
+        _verdict(length, columns, status, reason),
+        (*sections, facts),
     )
 
 
 def _verdict(length: float, columns: Columns, status: str, reason: str) -> tuple[Say, ...]:
     level: Level = "good" if status == "ok" else "bad"
-    end = "The flight ended as planned" if status == "ok" else f"The flight ended early, {status}: {reason}"
+    end = (
+        "The flight ended as planned"
+        if status == "ok"
+        else f"The flight ended early, {status}: {reason}"
+    )
     said = [Say(f"{end}; {length:.1f} s, {len(columns['time_s'])} rows.", level)]
     if "cross_track_m" in columns:
         error = np.abs(np.asarray(columns["cross_track_m"], dtype=float))
         if np.isfinite(error).any():
             said.append(
-                Say(f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest {np.nanmax(error):.3g} m.")
+                Say(
+                    f"Distance from the commanded path: median {np.nanmedian(error):.3g} m, largest {np.nanmax(error):.3g} m."
+                )
             )
     return tuple(said)
 
 
 def manoeuvre_shades(stretches: Sequence[tuple[float, float, str]]) -> list[Shade]:
     """Shading of manoeuvres, numbered as in `manoeuvre_section`."""
-    return [Shade(start, end, "fill1", str(k)) for k, (start, end, _) in enumerate(stretches, start=1)]
+    return [
+        Shade(start, end, "fill1", str(k)) for k, (start, end, _) in enumerate(stretches, start=1)
+    ]
 
 
 def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
@@ -71,14 +98,21 @@ def manoeuvre_section(stretches: Sequence[tuple[float, float, str]]) -> tuple[Se
     if not stretches:
         return ()
     rows = tuple(
-        (str(k), name, f"{start:.2f}", f"{end:.2f}") for k, (start, end, name) in enumerate(stretches[:MOST_LISTED], start=1)
+        (str(k), name, f"{start:.2f}", f"{end:.2f}")
+        for k, (start, end, name) in enumerate(stretches[:MOST_LISTED], start=1)
     )
     more = f", the first {MOST_LISTED} of {len(stretches)}" if len(stretches) > MOST_LISTED else ""
-    table = Table(f"Manoeuvres, by the number above their shading{more}.", ("Number", "Manoeuvre", "From [s]", "To [s]"), rows)
+    table = Table(
+        f"Manoeuvres, by the number above their shading{more}.",
+        ("Number", "Manoeuvre", "From [s]", "To [s]"),
+        rows,
+    )
     return (Section("Manoeuvres", (table,)),)
 
 
-def track_section(columns: Columns, words: str = "", circles: Sequence[Circle] = ()) -> tuple[Section, ...]:
+def track_section(
+    columns: Columns, words: str = "", circles: Sequence[Circle] = ()
+) -> tuple[Section, ...]:
     """The ground track, with circles that it was to keep where they are known; none where the position is not recorded."""
     figure = flown_track("ground-track", columns, words, circles)
     return () if figure is None else (Section("Ground track", (Figures((figure,), file=""),)),)
@@ -92,9 +126,13 @@ def _ranges(columns: Columns) -> Section:
         quantity, unit, factor = shown_signal(name)
         known = factor * np.asarray(values, dtype=float)
         known = known[np.isfinite(known)]
-        low, middle, high = (float(f(known)) if known.size else math.nan for f in (np.min, np.median, np.max))
+        low, middle, high = (
+            float(f(known)) if known.size else math.nan for f in (np.min, np.median, np.max)
+        )
         rows.append((name, f"{quantity} [{unit}]", *(shown(v, ".4g") for v in (low, middle, high))))
     if not rows:
         return Section("Ranges", (Words("The record has no channel."),))
     head = ("Column", "Quantity", "Smallest", "Median", "Largest")
-    return Section("Ranges", (Table("Smallest, median and largest value of each channel.", head, tuple(rows)),))
+    return Section(
+        "Ranges", (Table("Smallest, median and largest value of each channel.", head, tuple(rows)),)
+    )

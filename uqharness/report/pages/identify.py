@@ -10,7 +10,20 @@ from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL
 from uqharness.replay import CHANNELS, HISTORIES, read_histories, shown_channel, with_shown_names
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
-from uqharness.report.parts import Cell, Figure, Figures, Page, Say, Section, Table, Words, is_wanted, provenance, remarks, shown
+from uqharness.report.parts import (
+    Cell,
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    is_wanted,
+    provenance,
+    remarks,
+    shown,
+)
 from uqharness.report.svg import Scale, rows_chart
 from uqharness.result_documents import Fit, read_document
 
@@ -24,7 +37,10 @@ _NOT_SAID = (
 
 
 def identify_page(
-    folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS, only: Collection[str] | None = None
+    folder: Path,
+    prefix: str = "",
+    segments: int | None = MOST_SEGMENTS,
+    only: Collection[str] | None = None,
 ) -> Page:
     """The page of the folder that ``uqharness identify`` wrote, with so many segments' histories (None: all).
 
@@ -38,10 +54,18 @@ def identify_page(
     histories = read_histories(folder / HISTORIES)
     if is_wanted(title := "Log against model", only):
         sections += history_section(
-            histories, noise, [model], title, f"{prefix}fit-", segments,
+            histories,
+            noise,
+            [model],
+            title,
+            f"{prefix}fit-",
+            segments,
             lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
-        )  # fmt: skip
-    said = {key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())] for key in ("warnings", "notes")}
+        )
+    said = {
+        key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())]
+        for key in ("warnings", "notes")
+    }
     sections += [*remarks(said), _provenance(fit)]
     flights = ", ".join(fit["flights"])
     asked = f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights}, and how accurately?"
@@ -71,9 +95,17 @@ def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
     ratios = {c: _ratio(row) for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
-        worst = ", ".join(f"{shown_channel(c)[0]} {r:.2f}" for c, r in sorted(above.items(), key=lambda item: -item[1]))
+        worst = ", ".join(
+            f"{shown_channel(c)[0]} {r:.2f}"
+            for c, r in sorted(above.items(), key=lambda item: -item[1])
+        )
         text = f"The model with the estimates does not reach the sensors' noise: rms over noise is {worst}."
-        return [Say(f"{text} A model term is missing: these parameters cannot remove the residual{_NOT_SAID}", "warn")]
+        return [
+            Say(
+                f"{text} A model term is missing: these parameters cannot remove the residual{_NOT_SAID}",
+                "warn",
+            )
+        ]
     if any(r is not None for r in ratios.values()):
         return [Say(f"Every channel with known noise is within {LIMIT:g} times its noise.", "good")]
     return []
@@ -91,11 +123,17 @@ def _filter_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
     }
     if coloured:
         worst = ", ".join(
-            f"{shown_channel(c)[0]} {100.0 * s:.0f} %" for c, s in sorted(coloured.items(), key=lambda item: -item[1])
+            f"{shown_channel(c)[0]} {100.0 * s:.0f} %"
+            for c, s in sorted(coloured.items(), key=lambda item: -item[1])
         )
         text = f"Filter error does not explain the flights: its innovations can be predicted from their past: {worst}."
         return [Say(f"{text} A model term, or the noise of a state, is missing{_NOT_SAID}", "warn")]
-    return [Say("Filter error's innovations are white: the model and the process noise found explain the flights.", "good")]
+    return [
+        Say(
+            "Filter error's innovations are white: the model and the process noise found explain the flights.",
+            "good",
+        )
+    ]
 
 
 def _ratio(row: Mapping[str, Any]) -> float | None:
@@ -107,10 +145,23 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     for name, row in parameters.items():
         known = row["status"] == _IDENTIFIED
         status = Cell(row["status"], "" if known else "warn", row.get("reason") or "")
-        spread = (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g")) if known else ("not identified", "not identified")
+        spread = (
+            (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g"))
+            if known
+            else ("not identified", "not identified")
+        )
         value = shown(row["value"], ".5g")
-        rows.append((Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status))
-    head = ("Parameter", "Initial value", "Estimate", "Standard error", "Cramér-Rao bound", "Status")
+        rows.append(
+            (Cell(name, code=True), shown(row.get("initial"), ".5g"), value, *spread, status)
+        )
+    head = (
+        "Parameter",
+        "Initial value",
+        "Estimate",
+        "Standard error",
+        "Cramér-Rao bound",
+        "Status",
+    )
     table = Table("Parameters in the unit that the XML declares.", head, tuple(rows), key=True)
     words = Words(
         "The standard error allows for coloured residuals, the Cramér-Rao bound does not. What is not identified keeps its "
@@ -124,7 +175,11 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
 def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure | None:
     """Change of each identified parameter from its initial value, in percent of that, with its 95 % interval."""
     rows = [
-        (name.removeprefix("aero/"), 100.0 * (r["value"] / r["initial"] - 1.0), 196.0 * r["std"] / abs(r["initial"]))
+        (
+            name.removeprefix("aero/"),
+            100.0 * (r["value"] / r["initial"] - 1.0),
+            196.0 * r["std"] / abs(r["initial"]),
+        )
         for name, r in parameters.items()
         if r["status"] == _IDENTIFIED and r.get("initial") and r.get("std") is not None
     ]
@@ -149,19 +204,46 @@ def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
     for channel, row in fit.items():
         quantity, unit, factor = shown_channel(channel)
         ratio = _ratio(row)
-        level = Cell("undefined") if ratio is None else Cell(f"{ratio:.2f}", "good" if ratio <= LIMIT else "warn")
+        level = (
+            Cell("undefined")
+            if ratio is None
+            else Cell(f"{ratio:.2f}", "good" if ratio <= LIMIT else "warn")
+        )
         rms, noise = (None if row.get(k) is None else factor * row[k] for k in ("rms", "noise"))
         tint = (shown(row.get("whiteness_p"), ".2g"), shown(row.get("predictable_share"), ".2f"))
         rows.append((f"{quantity} [{unit}]", shown(rms), shown(noise), level, *tint))
-    head = ("Channel", "rms of log minus model", "Noise", "Ratio", "Whiteness p", "Share predictable from its past")
-    return Section("Fit by channel", (Table("What is left between log and model, by channel.", head, tuple(rows)),))
+    head = (
+        "Channel",
+        "rms of log minus model",
+        "Noise",
+        "Ratio",
+        "Whiteness p",
+        "Share predictable from its past",
+    )
+    return Section(
+        "Fit by channel",
+        (Table("What is left between log and model, by channel.", head, tuple(rows)),),
+    )
 
 
 def _provenance(fit: Mapping[str, Any]) -> Section:
-    items = [("Command", fit.get("command") or "not recorded"), ("Method", fit.get("method", "not recorded"))]
+    items = [
+        ("Command", fit.get("command") or "not recorded"),
+        ("Method", fit.get("method", "not recorded")),
+    ]
     hashes = fit.get("flights_sha256") or []
-    items += [(f"Flight {name} (SHA-256)", digest) for name, digest in zip(fit["flights"], hashes, strict=False)]
+    items += [
+        (f"Flight {name} (SHA-256)", digest)
+        for name, digest in zip(fit["flights"], hashes, strict=False)
+    ]
     if fit.get("simulations") is not None:
-        items.append(("Effort", f"{fit['simulations']} simulations, {shown(fit.get('seconds'), '.1f')} s"))
-    items.append(("Files", "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the estimates), beside this page"))
+        items.append(
+            ("Effort", f"{fit['simulations']} simulations, {shown(fit.get('seconds'), '.1f')} s")
+        )
+    items.append(
+        (
+            "Files",
+            "fit.json, parameters.csv, histories.parquet, aircraft/ (the XML with the estimates), beside this page",
+        )
+    )
     return provenance(*items)

@@ -9,9 +9,14 @@ from uqharness.report.history import MOST_SEGMENTS
 from uqharness.report.parts import Page
 
 KINDS = (
-    ("study.json", "study"), ("manifest.json", "campaign run"), ("refinement.json", "refine"), ("fit.json", "identify"),
-    ("model-form.json", "bounds"), ("compare.json", "compare"), ("coverage.json", "validate-bounds"),
-)  # fmt: skip
+    ("study.json", "study"),
+    ("manifest.json", "campaign run"),
+    ("refinement.json", "refine"),
+    ("fit.json", "identify"),
+    ("model-form.json", "bounds"),
+    ("compare.json", "compare"),
+    ("coverage.json", "validate-bounds"),
+)
 """File that marks a folder, and the command that writes it; the first that is there counts."""
 
 SEGMENTED = ("identify", "compare")

@@ -12,7 +12,20 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import CoefficientBounds, ModelForm
 from uqharness.replay import shown_channel
 from uqharness.report.pages.model_form import slice_section, slice_states
-from uqharness.report.parts import Block, Bullets, Cell, Figure, Figures, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.parts import (
+    Block,
+    Bullets,
+    Cell,
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+    shown,
+)
 from uqharness.report.svg import rows_chart, scale
 
 _SLICE = 61
@@ -44,22 +57,43 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
         sections.append(slice_section(form, ()))
     elif constant:
         sections.append(_constant(constant))
-    rows = tuple((c, axis, Cell(Path(where).name or "-", code=True)) for c, axis, where in done.rows)
-    table = Table("Axis of the aircraft's own XML, and the place in its file.", ("Delta", "Axis", "Place"), rows)
-    sections.append(Section("Where the deltas act", (table if rows else Words("The aircraft carried the plugin already."),)))
+    rows = tuple(
+        (c, axis, Cell(Path(where).name or "-", code=True)) for c, axis, where in done.rows
+    )
+    table = Table(
+        "Axis of the aircraft's own XML, and the place in its file.",
+        ("Delta", "Axis", "Place"),
+        rows,
+    )
+    sections.append(
+        Section(
+            "Where the deltas act",
+            (table if rows else Words("The aircraft carried the plugin already."),),
+        )
+    )
     if done.notes:
         sections.append(Section("Notes", (Bullets(done.notes),)))
     sections.append(provenance(("Command", done.command)))
-    return Page(f"Bounds of {done.aircraft}", asked, _verdict(done, form, constant), tuple(sections))
+    return Page(
+        f"Bounds of {done.aircraft}", asked, _verdict(done, form, constant), tuple(sections)
+    )
 
 
 def _verdict(done: Instrumentation, form: ModelForm | None, constant: Constant) -> tuple[Say, ...]:
     if form is not None:
         flights = ", ".join(f.name for f in form.flights) or "no flight named"
-        said = [Say(f"Bounds of {len(form.coefficients)} coefficients over the flight state, from {flights}.")]
+        said = [
+            Say(
+                f"Bounds of {len(form.coefficients)} coefficients over the flight state, from {flights}."
+            )
+        ]
         zero = [c for c in COEFFICIENTS if c not in form.coefficients]
     else:
-        kind = f"Constant bounds of {len(constant)} coefficients" if constant else "No bounds were given: every delta is 0"
+        kind = (
+            f"Constant bounds of {len(constant)} coefficients"
+            if constant
+            else "No bounds were given: every delta is 0"
+        )
         said = [Say(f"{kind}.", "" if constant else "warn")]
         zero = [c for c in COEFFICIENTS if c not in constant] if constant else []
     if zero:
@@ -82,9 +116,19 @@ def main_state(b: CoefficientBounds, form: ModelForm) -> str:
 
 def _sizes(form: ModelForm | None, constant: Constant) -> Section:
     if form is None:
-        rows = tuple((f"{c} [-]", *(shown(end) for end in constant.get(c, (0.0, 0.0)))) for c in COEFFICIENTS)
+        rows = tuple(
+            (f"{c} [-]", *(shown(end) for end in constant.get(c, (0.0, 0.0)))) for c in COEFFICIENTS
+        )
         return Section(
-            "Sizes", (Table("Bounds, the same in every flight state.", ("Coefficient", "Lower", "Upper"), rows, key=True),)
+            "Sizes",
+            (
+                Table(
+                    "Bounds, the same in every flight state.",
+                    ("Coefficient", "Lower", "Upper"),
+                    rows,
+                    key=True,
+                ),
+            ),
         )
     found = []
     for c, b in form.coefficients.items():
@@ -99,7 +143,14 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
         quantity, unit, _ = shown_channel(main_state(b, form))
         sizes = (float(low[0]), float(high[0]), min(lows), max(highs))
         found.append((f"{c} [-]", *(shown(v) for v in sizes), f"{quantity} [{unit}]"))
-    head = ("Coefficient", "Lower, at the medians", "Upper, at the medians", "Least lower", "Largest upper", "Main state")
+    head = (
+        "Coefficient",
+        "Lower, at the medians",
+        "Upper, at the medians",
+        "Least lower",
+        "Largest upper",
+        "Main state",
+    )
     text = (
         "At the medians: every state at the median of the data. Least and largest: along the slices below, within the range of the "
         "data. Main state: along which the bounds move most."
@@ -111,14 +162,23 @@ def _sizes(form: ModelForm | None, constant: Constant) -> Section:
 def _constant(constant: Constant) -> Section:
     names = [c for c in COEFFICIENTS if c in constant]
     ends = np.array([constant[c] for c in names])
-    told = ", ".join(f"{c} {shown(low)} to {shown(high)}" for c, (low, high) in zip(names, ends, strict=True))
+    told = ", ".join(
+        f"{c} {shown(low)} to {shown(high)}" for c, (low, high) in zip(names, ends, strict=True)
+    )
     chart = rows_chart(
-        "bounds", f"Constant bounds [-]: {told}.", scale("delta coefficient [-]", [ends.ravel(), np.zeros(1)]), names
+        "bounds",
+        f"Constant bounds [-]: {told}.",
+        scale("delta coefficient [-]", [ends.ravel(), np.zeros(1)]),
+        names,
     )
     for k, (low, high) in enumerate(ends):
         chart.across(low, high, float(k), "wide")
         for end in (low, high):
             chart.marker(end, float(k), "first", "bar")
     chart.upright(0.0, "zero")
-    blocks: tuple[Block, ...] = (Figures((Figure("bounds", chart.svg(), "Lower to upper bound of each coefficient."),), file=""),)
+    blocks: tuple[Block, ...] = (
+        Figures(
+            (Figure("bounds", chart.svg(), "Lower to upper bound of each coefficient."),), file=""
+        ),
+    )
     return Section("Bounds", blocks)

@@ -10,7 +10,12 @@ from sysid.record import FlightRecord
 from uqharness.report.channels import Shade, channel_sections, named_stretches
 from uqharness.report.flags import channels_of, flags_of, spans_of
 from uqharness.report.ground_track import Circle
-from uqharness.report.pages.flight import MOST_LISTED, manoeuvre_section, manoeuvre_shades, track_section
+from uqharness.report.pages.flight import (
+    MOST_LISTED,
+    manoeuvre_section,
+    manoeuvre_shades,
+    track_section,
+)
 from uqharness.report.parts import Cell, Code, Level, Page, Say, Section, Table, Words, provenance
 
 _LEVELS: Mapping[str, Level] = {"error": "bad", "warning": "warn", "info": ""}
@@ -27,30 +32,60 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
     """The page of a whole log as `import_log` returns it, and of what `log_info` said of it."""
     modes = named_stretches(record["time_s"], record["mode"]) if "mode" in record else []
     names = named_stretches(record["time_s"], record["manoeuvre"]) if "manoeuvre" in record else []
-    changes = [Shade(start, start, "joint") for start, _, _ in modes[1:]] if len(modes) <= _MOST_MODES else []
+    changes = (
+        [Shade(start, start, "joint") for start, _, _ in modes[1:]]
+        if len(modes) <= _MOST_MODES
+        else []
+    )
     shades = [*_phases(record), *changes, *manoeuvre_shades(names)]
     flags = flags_of(record)
-    legend = [("fillrange", "not free flight")] if any(s.kind == "fillrange" for s in shades) else []
+    legend = (
+        [("fillrange", "not free flight")] if any(s.kind == "fillrange" for s in shades) else []
+    )
     legend += [("fill1", "manoeuvre")] if names else []
     legend += [("joint", "change of mode")] if changes else []
-    legend += [("fillbad", "finding")] if any(flag.spans for found in flags.values() for flag in found) else []
+    legend += (
+        [("fillbad", "finding")]
+        if any(flag.spans for found in flags.values() for flag in found)
+        else []
+    )
     sections = [_purposes(info), _findings(record), *_mends(info)]
-    circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[:_MOST_CIRCLES]
-    sections += [*track_section(record.columns, circles=circles), *channel_sections(record.columns, shades, flags, legend)]
+    circles = list(dict.fromkeys(Circle(x.north_m, x.east_m, x.radius_m) for x in info.loiters))[
+        :_MOST_CIRCLES
+    ]
+    sections += [
+        *track_section(record.columns, circles=circles),
+        *channel_sections(record.columns, shades, flags, legend),
+    ]
     sections += [*manoeuvre_section(names), *_modes(modes), _channels(info)]
-    facts = [("Command", command), ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}")]
+    facts = [
+        ("Command", command),
+        ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}"),
+    ]
     asked = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
     return Page(f"Log {info.source}", asked, _verdict(info), (*sections, provenance(*facts)))
 
 
 def _verdict(info: LogInfo) -> tuple[Say, ...]:
-    flight = "no free flight" if info.flight_s is None else f"free flight from {info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
+    flight = (
+        "no free flight"
+        if info.flight_s is None
+        else f"free flight from {info.flight_s[0]:.1f} to {info.flight_s[1]:.1f} s"
+    )
     vehicle = info.vehicle or "vehicle not said"
-    said = [Say(f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g} Hz, {flight}.")]
+    said = [
+        Say(
+            f"{vehicle}, {info.dialect}: {info.duration_s:.1f} s on a grid of {info.grid_hz:.4g} Hz, {flight}."
+        )
+    ]
     serves, rest = ([p.name for p in info.purposes if p.serves is yes] for yes in (True, False))
     if serves:
         said.append(
-            Say(f"The log serves {', '.join(serves)}." + (f" It does not serve {', '.join(rest)}." if rest else ""), "good")
+            Say(
+                f"The log serves {', '.join(serves)}."
+                + (f" It does not serve {', '.join(rest)}." if rest else ""),
+                "good",
+            )
         )
     else:
         said.append(Say("The log serves no purpose.", "bad"))
@@ -74,8 +109,14 @@ def _phases(record: FlightRecord) -> list[Shade]:
 
 
 def _purposes(info: LogInfo) -> Section:
-    rows = tuple((p.name, Cell("yes" if p.serves else "no", "good" if p.serves else "warn"), p.reason) for p in info.purposes)
-    return Section("What it serves", (Table("Purposes, and why.", ("Purpose", "Served", "Reason"), rows, key=True),))
+    rows = tuple(
+        (p.name, Cell("yes" if p.serves else "no", "good" if p.serves else "warn"), p.reason)
+        for p in info.purposes
+    )
+    return Section(
+        "What it serves",
+        (Table("Purposes, and why.", ("Purpose", "Served", "Reason"), rows, key=True),),
+    )
 
 
 def _findings(record: FlightRecord) -> Section:
@@ -83,7 +124,9 @@ def _findings(record: FlightRecord) -> Section:
     if not findings:
         return Section("Findings", (Words("None."),))
     groups: dict[tuple[str, str], list[Finding]] = {}
-    for f in sorted(findings, key=lambda f: _ORDER.index(f.severity) if f.severity in _ORDER else len(_ORDER)):
+    for f in sorted(
+        findings, key=lambda f: _ORDER.index(f.severity) if f.severity in _ORDER else len(_ORDER)
+    ):
         groups.setdefault((f.severity, f.code), []).append(f)
     rows = []
     for (severity, code), members in groups.items():
@@ -91,7 +134,15 @@ def _findings(record: FlightRecord) -> Section:
         others = [f.channel for f in members[1:] if f.channel]
         more = f" Also: {', '.join(others)}." if others else ""
         what = f"{first.message.rstrip('.')}.{more}"
-        rows.append((code, Cell(severity, _LEVELS.get(severity, "")), _where(members, record), what, first.spoils or "-"))
+        rows.append(
+            (
+                code,
+                Cell(severity, _LEVELS.get(severity, "")),
+                _where(members, record),
+                what,
+                first.spoils or "-",
+            )
+        )
     head = ("Finding", "Severity", "Where", "What", "Spoils")
     table = Table("Findings by severity, one row a kind.", head, tuple(rows))
     text = "In the charts below a finding stands in the caption of its channel; where the log tells when, the time is shaded."
@@ -100,9 +151,15 @@ def _findings(record: FlightRecord) -> Section:
 
 def _where(members: Sequence[Finding], record: FlightRecord) -> str:
     """Channels of findings of one kind, or their message, and the times where they are known."""
-    names = list(dict.fromkeys(n for f in members for n in (channels_of(f, record) or (f.channel,)) if n))
-    shown = ", ".join(names[:_SAME]) + (f" and {len(names) - _SAME} more" if len(names) > _SAME else "")
-    spans = [span for f in members for n in channels_of(f, record)[:1] for span in spans_of(f, n, record)]
+    names = list(
+        dict.fromkeys(n for f in members for n in (channels_of(f, record) or (f.channel,)) if n)
+    )
+    shown = ", ".join(names[:_SAME]) + (
+        f" and {len(names) - _SAME} more" if len(names) > _SAME else ""
+    )
+    spans = [
+        span for f in members for n in channels_of(f, record)[:1] for span in spans_of(f, n, record)
+    ]
     if not spans:
         return shown or "whole log"
     start, end = min(spans, key=lambda s: s[0] - s[1])
@@ -124,13 +181,27 @@ def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:
         return ()
     rows = tuple((f"{start:.2f}", f"{end:.2f}", name) for start, end, name in modes[:MOST_LISTED])
     more = f", the first {MOST_LISTED} of {len(modes)}" if len(modes) > MOST_LISTED else ""
-    return (Section("Flight modes", (Table(f"Flight modes{more}.", ("From [s]", "To [s]", "Mode"), rows),), folded=True),)
+    return (
+        Section(
+            "Flight modes",
+            (Table(f"Flight modes{more}.", ("From [s]", "To [s]", "Mode"), rows),),
+            folded=True,
+        ),
+    )
 
 
 def _channels(info: LogInfo) -> Section:
     rows = tuple(
-        (name, f"{info.rates_hz[name]:.4g}" if name in info.rates_hz else "-", label) for name, label in info.channels.items()
+        (name, f"{info.rates_hz[name]:.4g}" if name in info.rates_hz else "-", label)
+        for name, label in info.channels.items()
     )
     return Section(
-        "Channels", (Table("What each channel was made from, and its own rate.", ("Channel", "Rate [Hz]", "Source"), rows),)
+        "Channels",
+        (
+            Table(
+                "What each channel was made from, and its own rate.",
+                ("Channel", "Rate [Hz]", "Source"),
+                rows,
+            ),
+        ),
     )

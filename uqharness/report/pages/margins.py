@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uqharness.flight import LoopMargins
-from uqharness.report.parts import Figure, Figures, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.report.parts import (
+    Figure,
+    Figures,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+    shown,
+)
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
 Array = NDArray[np.float64]
@@ -35,7 +45,12 @@ def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], co
         "differ by 10 % or more; no margin is read there."
     )
     sections.append(Section("How it was measured", (Words(text),)))
-    return Page(f"Stability margins of {aircraft}, {flight}", asked, verdict, (*sections, provenance(("Command", command))))
+    return Page(
+        f"Stability margins of {aircraft}, {flight}",
+        asked,
+        verdict,
+        (*sections, provenance(("Command", command))),
+    )
 
 
 def _decibel(value: float) -> str:
@@ -60,21 +75,42 @@ def _table(measured: Sequence[LoopMargins]) -> Section:
     for item in measured:
         m = item.margins
         rows.append(
-            (item.loop, at(m.gain_up_dB, ".1f", m.gain_up_radps), at(m.gain_down_dB, ".1f", m.gain_down_radps),
-             at(m.phase_deg, ".1f", m.phase_radps), at(1000.0 * m.delay_s, ".0f", m.delay_radps), f"{m.modulus:.2f}",
-             ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none")
-        )  # fmt: skip
+            (
+                item.loop,
+                at(m.gain_up_dB, ".1f", m.gain_up_radps),
+                at(m.gain_down_dB, ".1f", m.gain_down_radps),
+                at(m.phase_deg, ".1f", m.phase_radps),
+                at(1000.0 * m.delay_s, ".0f", m.delay_radps),
+                f"{m.modulus:.2f}",
+                ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none",
+            )
+        )
     head = (
-        "Loop", "Gain up [dB], at [rad/s]", "Gain down [dB], at [rad/s]", "Phase [deg], at [rad/s]", "Delay [ms], at [rad/s]",
-        "Smallest |1+L| [-]", "Gain crossovers [rad/s]",
-    )  # fmt: skip
-    return Section("Margins", (Table("Margins of each loop, and the frequency at which each is read.", head, tuple(rows)),))
+        "Loop",
+        "Gain up [dB], at [rad/s]",
+        "Gain down [dB], at [rad/s]",
+        "Phase [deg], at [rad/s]",
+        "Delay [ms], at [rad/s]",
+        "Smallest |1+L| [-]",
+        "Gain crossovers [rad/s]",
+    )
+    return Section(
+        "Margins",
+        (
+            Table(
+                "Margins of each loop, and the frequency at which each is read.", head, tuple(rows)
+            ),
+        ),
+    )
 
 
 def _loop(item: LoopMargins) -> Section:
     response = _Response(item)
     figures = (_gain(response), _phase(response), _nichols(response))
-    return Section(f"{item.loop.capitalize()} loop", (Figures(figures, narrow=True, file=f"margins-{item.loop}"),))
+    return Section(
+        f"{item.loop.capitalize()} loop",
+        (Figures(figures, narrow=True, file=f"margins-{item.loop}"),),
+    )
 
 
 class _Response:
@@ -88,7 +124,11 @@ class _Response:
         self.gain = 20.0 * np.log10(np.abs(item.response[good]))
         phase = np.degrees(np.unwrap(np.angle(item.response[good])))
         at = self.margins.phase_radps
-        here = float(np.interp(math.log(at), self.log_w, phase)) if math.isfinite(at) else float(np.median(phase))
+        here = (
+            float(np.interp(math.log(at), self.log_w, phase))
+            if math.isfinite(at)
+            else float(np.median(phase))
+        )
         lag = (here + 180.0) % _TURN
         self.phase = phase + ((lag if lag <= 180.0 else lag - _TURN) - 180.0 - here)
         # Lines that were not read: their phase on the branch nearest to the curve.
@@ -101,7 +141,9 @@ class _Response:
     def at(self, radps: float) -> tuple[float, float]:
         """Gain [dB] and phase [deg] at a frequency."""
         x = math.log(radps)
-        return float(np.interp(x, self.log_w, self.gain)), float(np.interp(x, self.log_w, self.phase))
+        return float(np.interp(x, self.log_w, self.gain)), float(
+            np.interp(x, self.log_w, self.phase)
+        )
 
     @property
     def delayed(self) -> Array | None:
@@ -122,14 +164,21 @@ class _Response:
 
 def _critical(low: float, high: float) -> list[float]:
     """Phases [deg] of the point -1 within a range."""
-    return [_TURN * k - 180.0 for k in range(math.ceil((low + 180.0) / _TURN), math.floor((high + 180.0) / _TURN) + 1)]
+    return [
+        _TURN * k - 180.0
+        for k in range(math.ceil((low + 180.0) / _TURN), math.floor((high + 180.0) / _TURN) + 1)
+    ]
 
 
 def _phase_scale(values: Sequence[Array]) -> Scale:
     found = scale("phase of L [deg]", [*values, np.array([-180.0])])
     step = next((s for s in _SPACED_DEG if (found.high - found.low) / s <= _MOST_TICKS), 720.0)
-    ticks = [step * k for k in range(math.ceil(found.low / step), math.floor(found.high / step) + 1)]
-    return Scale(found.label, found.low, found.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks))
+    ticks = [
+        step * k for k in range(math.ceil(found.low / step), math.floor(found.high / step) + 1)
+    ]
+    return Scale(
+        found.label, found.low, found.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)
+    )
 
 
 def _gain_scale(r: _Response) -> Scale:
@@ -139,7 +188,9 @@ def _gain_scale(r: _Response) -> Scale:
 def _gain(r: _Response) -> Figure:
     loop = r.item.loop
     label = f"Gain of the {loop} loop [dB] over frequency [rad/s]; {_sentence(r.item)}"
-    chart = Chart(f"bode-gain-{loop}", label, log_scale("frequency [rad/s]", [r.w, r.bad_w]), _gain_scale(r))
+    chart = Chart(
+        f"bode-gain-{loop}", label, log_scale("frequency [rad/s]", [r.w, r.bad_w]), _gain_scale(r)
+    )
     chart.level(0.0, "limit")
     chart.dots(r.bad_w, r.bad_gain, "dot", "not read", radius=1.8)
     chart.line(r.w, r.gain, "first", "L, measured")
@@ -148,7 +199,11 @@ def _gain(r: _Response) -> Figure:
         chart.path(np.array([w, w]), np.array([r.at(w)[0], 0.0]), kind, words)
     if math.isfinite(r.margins.phase_radps):
         chart.marker(r.margins.phase_radps, 0.0, "second", "ring", "phase margin read here")
-    return Figure(chart.name, chart.svg(), f"{loop.capitalize()}, Bode: gain. Gain margins reach from the curve to 0 dB.")
+    return Figure(
+        chart.name,
+        chart.svg(),
+        f"{loop.capitalize()}, Bode: gain. Gain margins reach from the curve to 0 dB.",
+    )
 
 
 def _phase(r: _Response) -> Figure:
@@ -166,7 +221,12 @@ def _phase(r: _Response) -> Figure:
     chart.dots(r.w, r.phase, "dotfirst", radius=1.6)
     if math.isfinite(m.phase_deg):
         _, here = r.at(m.phase_radps)
-        chart.path(np.array([m.phase_radps] * 2), np.array([here, -180.0]), "second", f"phase margin {m.phase_deg:.1f} deg")
+        chart.path(
+            np.array([m.phase_radps] * 2),
+            np.array([here, -180.0]),
+            "second",
+            f"phase margin {m.phase_deg:.1f} deg",
+        )
     for w, _, _ in r.gain_margins:
         chart.marker(w, r.at(w)[1], "second", "square", "gain margin read here")
     caption = f"{loop.capitalize()}, Bode: phase. Dashed levels: −180 deg and whole turns from it."
@@ -198,8 +258,17 @@ def _nichols(r: _Response) -> Figure:
         chart.path(np.array([here, here]), np.array([gain, 0.0]), kind, words)
     if math.isfinite(m.phase_deg):
         _, here = r.at(m.phase_radps)
-        chart.path(np.array([here, -180.0]), np.zeros(2), "second thin", f"phase margin {m.phase_deg:.1f} deg")
+        chart.path(
+            np.array([here, -180.0]),
+            np.zeros(2),
+            "second thin",
+            f"phase margin {m.phase_deg:.1f} deg",
+        )
     for turn in _critical(x.low, x.high):
         chart.marker(turn, 0.0, "", "cross", "the point −1")
     rising = f"{shown(float(r.w[0]))} to {shown(float(r.w[-1]))} rad/s"
-    return Figure(chart.name, chart.svg(), f"{loop.capitalize()}, Nichols, {rising}. Dots are the measured frequencies.")
+    return Figure(
+        chart.name,
+        chart.svg(),
+        f"{loop.capitalize()}, Nichols, {rising}. Dots are the measured frequencies.",
+    )

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Parts, Variation
 from uqharness.errors import BadInputError
 from uqharness.identification import load_form
-from uqharness.replay import CHANNELS, History, axis_label, have, read_histories, shown_channel, with_shown_names
+from uqharness.replay import (
+    CHANNELS,
+    History,
+    axis_label,
+    have,
+    read_histories,
+    shown_channel,
+    with_shown_names,
+)
 from uqharness.report.history import end_to_end
 from uqharness.report.parts import (
     Cell,
@@ -27,12 +35,17 @@ from uqharness.report.parts import (
     provenance,
     remarks,
     shown,
-)  # fmt: skip
+)
 from uqharness.report.svg import Chart, scale
 from uqharness.result_documents import Bounds, read_document
 
 Array = NDArray[np.float64]
-FORM, DETAILS, COVERAGE, RESIDUALS = "model-form.json", "bounds.json", "coverage.json", "residuals.parquet"
+FORM, DETAILS, COVERAGE, RESIDUALS = (
+    "model-form.json",
+    "bounds.json",
+    "coverage.json",
+    "residuals.parquet",
+)
 NEAR = 1.0
 """A residual is near a slice when each of the other states is within so many standard deviations of the slice's."""
 BEYOND = 0.3
@@ -49,19 +62,32 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
     pieces = read_histories(folder / RESIDUALS)
     if pieces and not have(pieces, needed := [*form.states, *form.coefficients]):
-        raise BadInputError(f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again")
-    sections = [_width_section(form, details.get("coefficients", {})), slice_section(form, pieces, prefix)]
+        raise BadInputError(
+            f"{folder / RESIDUALS}: must have the columns {', '.join(needed)}; run its command again"
+        )
+    sections = [
+        _width_section(form, details.get("coefficients", {})),
+        slice_section(form, pieces, prefix),
+    ]
     if is_wanted(title := "The flights within their own bounds", only):
         sections += within_section(pieces, list(form.coefficients), title, "data", prefix)
     sections += [_left_out_section(details), _hull_section(form), *_filter_section(form, details)]
-    said = {key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())] for key in ("warnings", "notes")}
+    said = {
+        key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())]
+        for key in ("warnings", "notes")
+    }
     sections += [*remarks(said, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
     asked = (
         f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the flight state, judged by "
         f"{flights}? {100 * form.confidence:g} % intervals of the model's error, dimensionless, body axes."
     )
-    return Page(f"Model-form bounds of {form.aircraft.name}", asked, _verdict(details, form), tuple(sections))
+    return Page(
+        f"Model-form bounds of {form.aircraft.name}",
+        asked,
+        _verdict(details, form),
+        tuple(sections),
+    )
 
 
 def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
@@ -76,7 +102,9 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
         if none:
             said.append(Say(f"No model error found above {', '.join(none)}.", "good"))
     else:
-        said.append(Say("These intervals hold the sensors' noise besides the model's error.", "warn"))
+        said.append(
+            Say("These intervals hold the sensors' noise besides the model's error.", "warn")
+        )
     kept = {c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None}
     if kept:
         worst = min(kept, key=lambda c: kept[c])
@@ -104,16 +132,36 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         sizes = ("-",) * 4
         if p is not None:
             time = shown(p.transient_time_s, ".2g")
-            sizes = (shown(p.persistent), f"{shown(p.transient)} ({time} s)", shown(_limit(p)), "yes" if p.found else "no")
+            sizes = (
+                shown(p.persistent),
+                f"{shown(p.transient)} ({time} s)",
+                shown(_limit(p)),
+                "yes" if p.found else "no",
+            )
         walk = None if not np.isfinite(b.walk_rate) else 100.0 * b.walk_rate
         table.append(
-            (f"{c} [-]", str(len(b.terms)), shown(b.n_effective, ".0f"), shown(r.get("mean_width")), *sizes,
-             shown(r.get("noise_std")), shown(walk, ".2g"))
-        )  # fmt: skip
+            (
+                f"{c} [-]",
+                str(len(b.terms)),
+                shown(b.n_effective, ".0f"),
+                shown(r.get("mean_width")),
+                *sizes,
+                shown(r.get("noise_std")),
+                shown(walk, ".2g"),
+            )
+        )
     head = (
-        "Coefficient", "Terms", "Independent samples", "Mean width", "Persistent", "Transient (time)", "95 % limit ±",
-        "Model error found", "Sensor noise", "Rate of variation [%/√s]",
-    )  # fmt: skip
+        "Coefficient",
+        "Terms",
+        "Independent samples",
+        "Mean width",
+        "Persistent",
+        "Transient (time)",
+        "95 % limit ±",
+        "Model error found",
+        "Sensor noise",
+        "Rate of variation [%/√s]",
+    )
     text = (
         "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
         "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
@@ -122,40 +170,69 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         "in percent of its interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
-    flights = [c for c, b in form.coefficients.items() if b.parts is not None and not np.isfinite(b.parts.flight)]
+    flights = [
+        c
+        for c, b in form.coefficients.items()
+        if b.parts is not None and not np.isfinite(b.parts.flight)
+    ]
     words = [Words(text, note=True)]
     if flights:
-        words.append(Words("One flight: what changes from flight to flight is not estimable.", note=True))
+        words.append(
+            Words("One flight: what changes from flight to flight is not estimable.", note=True)
+        )
     return Section("How wide the bounds are", (*words, wide))
 
 
 def slice_section(
-    form: ModelForm, pieces: Sequence[History], prefix: str = "", baseline: Mapping[str, CoefficientBounds] | None = None
+    form: ModelForm,
+    pieces: Sequence[History],
+    prefix: str = "",
+    baseline: Mapping[str, CoefficientBounds] | None = None,
 ) -> Section:
     """Each coefficient's bounds along each of its states, the others at the data's medians; ``baseline``: others beside them."""
     text = (
         "Along each state the others stand at the medians of the data. Solid: "
         f"{100 * form.confidence:g} % bounds, dotted: 68 %; shaded: where the data are."
-        + (" Dots: flight minus model where the other states are within a standard deviation of the slice." if pieces else "")
+        + (
+            " Dots: flight minus model where the other states are within a standard deviation of the slice."
+            if pieces
+            else ""
+        )
     )
-    legend = [("first", f"{100 * form.confidence:g} % bounds"), ("limit2", "68 % bounds"), ("fillrange", "range of the data")]
+    legend = [
+        ("first", f"{100 * form.confidence:g} % bounds"),
+        ("limit2", "68 % bounds"),
+        ("fillrange", "range of the data"),
+    ]
     if pieces:
         legend.append(("dot", "flight minus model near the slice"))
-    states = {} if not pieces else {s: np.concatenate([h.columns[s] for h in pieces]) for s in form.states}
+    states = (
+        {}
+        if not pieces
+        else {s: np.concatenate([h.columns[s] for h in pieces]) for s in form.states}
+    )
     parts = []
     for c, b in form.coefficients.items():
         values = np.concatenate([h.columns[c] for h in pieces]) if pieces else np.empty(0)
         other = (baseline or {}).get(c)
-        figures = tuple(_slice(form, c, b, k, states, values, prefix, other) for k in range(len(b.states)))
+        figures = tuple(
+            _slice(form, c, b, k, states, values, prefix, other) for k in range(len(b.states))
+        )
         named = (*legend, *([("third", "bounds of the usual states")] if other else []))
         parts.append(Section(f"Slices of {c}", (Figures(figures, named, True, f"slices-{c}"),)))
     return Section("Slices of the bounds", (Words(text, note=True),), tuple(parts))
 
 
 def _slice(
-    form: ModelForm, coefficient: str, b: CoefficientBounds, k: int, states: Mapping[str, Array], values: Array, prefix: str,
+    form: ModelForm,
+    coefficient: str,
+    b: CoefficientBounds,
+    k: int,
+    states: Mapping[str, Array],
+    values: Array,
+    prefix: str,
     baseline: CoefficientBounds | None,
-) -> Figure:  # fmt: skip
+) -> Figure:
     state = b.states[k]
     quantity, unit, factor = shown_channel(state)
     low, high = float(b.hull.low[k]), float(b.hull.high[k])
@@ -164,7 +241,9 @@ def _slice(
     lower, upper = b.bounds(slice_states(b, state, at), form.confidence, form.outside)
     narrow = b.bounds(slice_states(b, state, at), 0.68, form.outside)
     others = (
-        baseline.bounds(slice_states(baseline, state, at), outside=form.outside) if baseline and state in baseline.states else ()
+        baseline.bounds(slice_states(baseline, state, at), outside=form.outside)
+        if baseline and state in baseline.states
+        else ()
     )
     near = np.zeros(0, dtype=int)
     if values.size:
@@ -215,17 +294,30 @@ def variation_section(variations: Mapping[str, Variation]) -> Section:
         normal = np.exp(-0.5 * ((at - mean) / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         steps = np.append(density, 0.0)
         label = f"Changes of the level of {c} in {STEP_S:g} s: standard deviation {sigma:.2f} % of the interval's width."
-        chart = Chart(f"variation-{c}", label, scale(f"change of the level of {c} in {STEP_S:g} s [% of width]", [edges]),
-                      scale("density [1/%]", [np.zeros(1), steps, normal], least=0.0), height=190)  # fmt: skip
+        chart = Chart(
+            f"variation-{c}",
+            label,
+            scale(f"change of the level of {c} in {STEP_S:g} s [% of width]", [edges]),
+            scale("density [1/%]", [np.zeros(1), steps, normal], least=0.0),
+            height=190,
+        )
         chart.band(edges, np.zeros(len(edges)), steps, "fill1", steps=True)
         chart.line(at, normal, "second")
-        rates = ", ".join(f"{100.0 * rate:.2g} over {lag:g} s" for lag, rate in found.lagged.items())
-        figures.append(Figure(chart.name, chart.svg(), f"{c}: {sigma:.2f} % in {STEP_S:g} s. Rate [%/√s]: {rates}"))
+        rates = ", ".join(
+            f"{100.0 * rate:.2g} over {lag:g} s" for lag, rate in found.lagged.items()
+        )
+        figures.append(
+            Figure(
+                chart.name, chart.svg(), f"{c}: {sigma:.2f} % in {STEP_S:g} s. Rate [%/√s]: {rates}"
+            )
+        )
     legend = (("fill1", "flights"), ("second", "normal fitted to them"))
     return Section("Rate of variation", (Figures(tuple(figures), legend, True, "variation"),))
 
 
-def within_section(pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = "") -> tuple[Section, ...]:
+def within_section(
+    pieces: Sequence[History], names: Sequence[str], title: str, file: str, prefix: str = ""
+) -> tuple[Section, ...]:
     """Flight minus model within the bounds, pieces end to end; none where it was not kept. file: of its figures."""
     if not pieces:
         return ()
@@ -234,9 +326,16 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
     for c in names:
         if not have(pieces, (c, f"{c}_lower", f"{c}_upper")):
             continue
-        band = ([h.columns[f"{c}_lower"] for h in pieces], [h.columns[f"{c}_upper"] for h in pieces], "")
+        band = (
+            [h.columns[f"{c}_lower"] for h in pieces],
+            [h.columns[f"{c}_upper"] for h in pieces],
+            "",
+        )
         inside = np.concatenate(
-            [(h.columns[c] >= low) & (h.columns[c] <= high) for h, low, high in zip(pieces, *band[:2], strict=True)]
+            [
+                (h.columns[c] >= low) & (h.columns[c] <= high)
+                for h, low, high in zip(pieces, *band[:2], strict=True)
+            ]
         )
         share = 100.0 * float(np.mean(inside))
         ends = (f"{c}_model_lower", f"{c}_model_upper")
@@ -245,12 +344,22 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
         label = f"Flight minus model, {c} [-], along the pieces within its bounds: {share:.1f} % of the samples lie inside."
         figures.append(
             end_to_end(
-                pieces, f"{prefix}within-{c}", [(c, "plain thin", ""), *model], band, label, f"flight minus model, {c} [-]",
-                f"{c} [-]: {share:.1f} % of the samples inside", outside=True,
+                pieces,
+                f"{prefix}within-{c}",
+                [(c, "plain thin", ""), *model],
+                band,
+                label,
+                f"flight minus model, {c} [-]",
+                f"{c} [-]: {share:.1f} % of the samples inside",
+                outside=True,
             )
-        )  # fmt: skip
+        )
     samples = "bounds of its samples, sensor noise and all" if apart else "bounds"
-    legend = [("plain thin", "flight minus model"), ("fill1", samples), ("dotout", "outside these bounds")]
+    legend = [
+        ("plain thin", "flight minus model"),
+        ("fill1", samples),
+        ("dotout", "outside these bounds"),
+    ]
     legend += [("second", "bounds of the model's persistent error")] if apart else []
     return (Section(title, (Figures(tuple(figures), tuple(legend), file=file),)),)
 
@@ -258,11 +367,15 @@ def within_section(pieces: Sequence[History], names: Sequence[str], title: str, 
 def _left_out_section(details: Mapping[str, Any]) -> Section:
     rows = details.get("left_out", {})
     if not rows:
-        return Section("Leaving one manoeuvre out", (Words("Not checked, or not kept in this folder."),))
+        return Section(
+            "Leaving one manoeuvre out", (Words("Not checked, or not kept in this folder."),)
+        )
     names = list(next(iter(rows.values())))
     cells = tuple((m, *(_share(row.get(c)) for c in names)) for m, row in rows.items())
     caption = "Share of a manoeuvre's samples [-] inside the bounds that the other manoeuvres give."
-    return Section("Leaving one manoeuvre out", (Table(caption, ("Manoeuvre left out", *names), cells),))
+    return Section(
+        "Leaving one manoeuvre out", (Table(caption, ("Manoeuvre left out", *names), cells),)
+    )
 
 
 def _hull_section(form: ModelForm) -> Section:
@@ -271,13 +384,18 @@ def _hull_section(form: ModelForm) -> Section:
         for k, state in enumerate(b.states):
             quantity, unit, factor = shown_channel(state)
             values = (b.hull.low[k], *b.hull.middle[k], b.hull.high[k])
-            rows[state] = (f"{quantity} [{unit}]", *(shown(factor * float(v), ".4g") for v in values))
+            rows[state] = (
+                f"{quantity} [{unit}]",
+                *(shown(factor * float(v), ".4g") for v in values),
+            )
     text = (
         "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these, or its leverage is above the "
         "data's largest: in a corner of the box where no combination of states was flown."
     )
     head = ("State", "Smallest", "25 %", "50 %", "75 %", "Largest")
-    table = Table("Values of every state in the data.", head, tuple(rows[state] for state in form.states))
+    table = Table(
+        "Values of every state in the data.", head, tuple(rows[state] for state in form.states)
+    )
     return Section("Where the data are", (Words(text, note=True), table))
 
 
@@ -287,17 +405,24 @@ def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Sectio
         return ()
     cut, used = form.filtering, details["coefficients"]
     widths = {c: row.get("mean_width") for c, row in used.items()}
-    tried = [(r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"]) for r in details["cutoffs"]]
+    tried = [
+        (r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"]) for r in details["cutoffs"]
+    ]
     rows = []
     for low_pass, airspeed, width in ((cut.cutoff_hz, cut.airspeed_cutoff_hz, widths), *tried):
-        filters = (shown(low_pass, "g"), "none" if airspeed is None or np.isinf(airspeed) else f"{airspeed:g}")
+        filters = (
+            shown(low_pass, "g"),
+            "none" if airspeed is None or np.isinf(airspeed) else f"{airspeed:g}",
+        )
         rows.append((*filters, *(shown(width.get(c), ".2g") for c in used)))
     table = Table("Mean width [-].", ("Filter [Hz]", "Airspeed [Hz]", *used), tuple(rows))
     return (Section("Other filters", (table,)),)
 
 
 def _share(value: float | None) -> Cell:
-    return Cell(shown(value, ".2f"), "" if value is None else "good" if value >= HOLDS_FROM else "warn")
+    return Cell(
+        shown(value, ".2f"), "" if value is None else "good" if value >= HOLDS_FROM else "warn"
+    )
 
 
 def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
@@ -305,10 +430,17 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
     airspeed = "none" if np.isinf(cut.airspeed_cutoff_hz) else f"{cut.airspeed_cutoff_hz:g} Hz"
     filters = f"{cut.cutoff_hz:g} Hz, airspeed {airspeed}, walk {cut.walk_cutoff_hz:g} Hz, {cut.rate_hz:.0f} samples a second"
     items = [
-        ("Command", details.get("command") or "not recorded"), ("Version", f"uqharness {details.get('version', 'not recorded')}"),
+        ("Command", details.get("command") or "not recorded"),
+        ("Version", f"uqharness {details.get('version', 'not recorded')}"),
         (f"Aircraft {form.aircraft.name} (SHA-256)", form.aircraft.sha256),
-        *((f"Flight {f.name} (SHA-256)", f"{f.sha256} {f.seconds:.0f} s, {f.samples} samples") for f in form.flights),
+        *(
+            (f"Flight {f.name} (SHA-256)", f"{f.sha256} {f.seconds:.0f} s, {f.samples} samples")
+            for f in form.flights
+        ),
         ("Filter", filters),
-        ("Files", "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet, beside this page"),
-    ]  # fmt: skip
+        (
+            "Files",
+            "model-form.json, model-form.xml (the same as a JSBSim system), residuals.parquet, beside this page",
+        ),
+    ]
     return provenance(*items)

@@ -9,12 +9,40 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.flight import OSCILLATORY, Assessment, Locus, LocusPoint, cap_limits, level_edges, root_limits
-from uqharness.report.parts import Block, Cell, Facts, Figure, Figures, Level, Page, Say, Section, Table, Words, provenance, shown
+from uqharness.flight import (
+    OSCILLATORY,
+    Assessment,
+    Locus,
+    LocusPoint,
+    cap_limits,
+    level_edges,
+    root_limits,
+)
+from uqharness.report.parts import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Level,
+    Page,
+    Say,
+    Section,
+    Table,
+    Words,
+    provenance,
+    shown,
+)
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
 Array = NDArray[np.float64]
-NAMES = {"short_period": "short period", "phugoid": "phugoid", "dutch_roll": "Dutch roll", "roll": "roll", "spiral": "spiral"}
+NAMES = {
+    "short_period": "short period",
+    "phugoid": "phugoid",
+    "dutch_roll": "Dutch roll",
+    "roll": "roll",
+    "spiral": "spiral",
+}
 _LEVELS: Mapping[int, Level] = {1: "good", 2: "warn", 3: "warn", 4: "bad"}
 _EDGES = ("level1", "level2", "level3")
 _TALL = 250
@@ -43,7 +71,12 @@ def modes_page(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Page:
     )
     sections.append(Section("Assumptions", (Words(text),)))
     title = f"Modes of {asked.aircraft} at {point.V_mps:g} m/s"
-    return Page(title, question, _verdict(asked, point, locus), (*sections, provenance(("Command", asked.command))))
+    return Page(
+        title,
+        question,
+        _verdict(asked, point, locus),
+        (*sections, provenance(("Command", asked.command))),
+    )
 
 
 def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, ...]:
@@ -54,10 +87,16 @@ def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, .
     for mode, name in NAMES.items():
         found = [a for a in point.levels if a.mode == mode]
         told = "; ".join(f"{criterion_words(a)}, {_level_words(a.level)}" for a in found)
-        said.append(Say(f"{name[0].upper()}{name[1:]}: {told}.", _LEVELS[max(a.level for a in found)]))
+        said.append(
+            Say(f"{name[0].upper()}{name[1:]}: {told}.", _LEVELS[max(a.level for a in found)])
+        )
     speeds = [p.V_mps for p in locus.points]
     text = f"Trimmed at {len(speeds)} speeds from {speeds[0]:.4g} to {speeds[-1]:.4g} m/s"
-    lacking = f"; {len(locus.refused)} further speeds have no trim, or were not tried." if locus.refused else "."
+    lacking = (
+        f"; {len(locus.refused)} further speeds have no trim, or were not tried."
+        if locus.refused
+        else "."
+    )
     return (*said, Say(text + lacking))
 
 
@@ -82,11 +121,28 @@ def _eigenvalues(point: LocusPoint) -> Section:
         time = math.log(2.0) / abs(m.real) if m.real else math.inf
         end = "doubles" if m.real > 0.0 else "halves"
         rows.append(
-            (NAMES[m.name], f"{m.real:.4f}", f"{m.imag:.4f}", f"{m.wn_radps:.4f}", shown(m.zeta, ".3f"),
-             shown(period, ".3g") if m.imag else "none", f"{end} in {shown(time, '.3g')} s" if m.real else "neither")
-        )  # fmt: skip
-    head = ("Mode", "Real [1/s]", "Imaginary [rad/s]", "Natural frequency [rad/s]", "Damping [-]", "Period [s]", "Amplitude")
-    return Section("Eigenvalues", (Table(f"Eigenvalues at {point.V_mps:g} m/s.", head, tuple(rows), key=True),))
+            (
+                NAMES[m.name],
+                f"{m.real:.4f}",
+                f"{m.imag:.4f}",
+                f"{m.wn_radps:.4f}",
+                shown(m.zeta, ".3f"),
+                shown(period, ".3g") if m.imag else "none",
+                f"{end} in {shown(time, '.3g')} s" if m.real else "neither",
+            )
+        )
+    head = (
+        "Mode",
+        "Real [1/s]",
+        "Imaginary [rad/s]",
+        "Natural frequency [rad/s]",
+        "Damping [-]",
+        "Period [s]",
+        "Amplitude",
+    )
+    return Section(
+        "Eigenvalues", (Table(f"Eigenvalues at {point.V_mps:g} m/s.", head, tuple(rows), key=True),)
+    )
 
 
 def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
@@ -97,12 +153,17 @@ def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
         "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and limits are those of the category "
         "and class above; of two real roots in place of a pair both are drawn."
     )
-    return Section("Root locus over airspeed", (Words(text, note=True), Figures(tuple(figures), file="root-locus")))
+    return Section(
+        "Root locus over airspeed",
+        (Words(text, note=True), Figures(tuple(figures), file="root-locus")),
+    )
 
 
 def _branches(locus: Locus, mode: str) -> list[tuple[Array, Array, Array]]:
     """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such root; one branch a root."""
-    found = [sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points]
+    found = [
+        sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points
+    ]
     speeds = np.array([p.V_mps for p in locus.points])
     out = []
     for k in range(max(map(len, found), default=0)):
@@ -111,13 +172,19 @@ def _branches(locus: Locus, mode: str) -> list[tuple[Array, Array, Array]]:
     return out
 
 
-def _ends(chart: Chart, point: LocusPoint, locus: Locus, place: Mapping[float, Sequence[tuple[float, float]]]) -> None:
+def _ends(
+    chart: Chart,
+    point: LocusPoint,
+    locus: Locus,
+    place: Mapping[float, Sequence[tuple[float, float]]],
+) -> None:
     """The markers of slowest, fastest and asked speed; ``place``: where each speed's roots are in the chart."""
     slow, fast = locus.points[0].V_mps, locus.points[-1].V_mps
     for V, shape, kind, words in (
-        (slow, "ring", "first", f"{slow:.4g} m/s"), (fast, "square", "first", f"{fast:.4g} m/s"),
+        (slow, "ring", "first", f"{slow:.4g} m/s"),
+        (fast, "square", "first", f"{fast:.4g} m/s"),
         (point.V_mps, "disc", "second", f"{point.V_mps:.4g} m/s"),
-    ):  # fmt: skip
+    ):
         if point.V_mps == V and shape != "disc":
             continue
         for x, y in place.get(V, ()):
@@ -128,7 +195,9 @@ def _roots(locus: Locus, mode: str) -> dict[float, list[tuple[float, float]]]:
     return {p.V_mps: [(m.real, m.imag) for m in p.modes if m.name == mode] for p in locus.points}
 
 
-def _plane(name: str, label: str, roots: Sequence[tuple[float, float]], height: int = _TALL) -> Chart:
+def _plane(
+    name: str, label: str, roots: Sequence[tuple[float, float]], height: int = _TALL
+) -> Chart:
     """A chart of the plane's upper half that holds these roots and the origin."""
     real, imag = (np.array([r[k] for r in roots]) for k in (0, 1))
     x = scale("real part [1/s]", [real, np.zeros(1)], margin=0.12)
@@ -139,7 +208,11 @@ def _plane(name: str, label: str, roots: Sequence[tuple[float, float]], height: 
 def _all(point: LocusPoint, locus: Locus) -> Figure:
     roots = [root for mode in NAMES for found in _roots(locus, mode).values() for root in found]
     told = ", ".join(f"{NAMES[m.name]} {m.real:.3g} + {m.imag:.3g}i" for m in point.modes)
-    chart = _plane("locus-all", f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {told}.", roots)
+    chart = _plane(
+        "locus-all",
+        f"Eigenvalues in the complex plane, real [1/s] and imaginary part [rad/s]: {told}.",
+        roots,
+    )
     chart.upright(0.0, "zero")
     for mode in NAMES:
         for _, real, imag in _branches(locus, mode):
@@ -149,10 +222,16 @@ def _all(point: LocusPoint, locus: Locus) -> Figure:
         chart.marker(m.real, m.imag, "second", "disc", f"{point.V_mps:.4g} m/s")
     for mode, (x, y), shift, anchor in _labels(chart, point):
         chart.text(x, y, NAMES[mode], anchor, shift)
-    return Figure(chart.name, chart.svg(), f"All modes, upper half of the complex plane; at {point.V_mps:g} m/s named.")
+    return Figure(
+        chart.name,
+        chart.svg(),
+        f"All modes, upper half of the complex plane; at {point.V_mps:g} m/s named.",
+    )
 
 
-def _labels(chart: Chart, point: LocusPoint) -> list[tuple[str, tuple[float, float], tuple[float, float], str]]:
+def _labels(
+    chart: Chart, point: LocusPoint
+) -> list[tuple[str, tuple[float, float], tuple[float, float], str]]:
     """Where the modes' names stand: beside their markers, inside the frame, none over another."""
     left, top, width, height = chart.plot
     taken: list[tuple[float, float, float, float]] = []
@@ -163,11 +242,21 @@ def _labels(chart: Chart, point: LocusPoint) -> list[tuple[str, tuple[float, flo
         (u,), (v,) = (np.atleast_1d(w) for w in chart.at(m.real, m.imag))
         wide = 6.2 * len(NAMES[m.name])
         sides = ((6.0, "start"), (-6.0, "end"), (0.0, "middle"))
-        for dx, dy, anchor in [(dx, dy, a) for dy in (-7.0, 14.0, -20.0, -33.0, -46.0) for dx, a in sides]:
+        for dx, dy, anchor in [
+            (dx, dy, a) for dy in (-7.0, 14.0, -20.0, -33.0, -46.0) for dx, a in sides
+        ]:
             x0 = u + dx - {"start": 0.0, "end": wide, "middle": 0.5 * wide}[anchor]
             box = (x0, v + dy - 10.0, x0 + wide, v + dy + 2.0)
-            free = all(box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in taken)
-            if free and box[0] >= left and box[2] <= left + width and box[1] >= top and box[3] <= top + height:
+            free = all(
+                box[2] < t[0] or box[0] > t[2] or box[3] < t[1] or box[1] > t[3] for t in taken
+            )
+            if (
+                free
+                and box[0] >= left
+                and box[2] <= left + width
+                and box[1] >= top
+                and box[3] <= top + height
+            ):
                 taken.append(box)
                 out.append((m.name, (m.real, m.imag), (dx, dy), anchor))
                 break
@@ -183,7 +272,10 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
     imag = np.linspace(0.0, chart.y.high, 121)
     edges = level_edges(mode, asked.category, asked.aircraft_class, imag)
     inside = np.clip(edges[0], chart.x.low, None)
-    outline = (np.concatenate([[chart.x.low], inside, [chart.x.low]]), np.concatenate([[0.0], imag, [chart.y.high]]))
+    outline = (
+        np.concatenate([[chart.x.low], inside, [chart.x.low]]),
+        np.concatenate([[0.0], imag, [chart.y.high]]),
+    )
     chart.area(*outline, "fillgood", "Level 1")
     chart.upright(0.0, "zero")
     for k, (edge, kind) in enumerate(zip(edges, _EDGES, strict=True), start=1):
@@ -192,8 +284,14 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
         chart.line(real, up, "first")
         chart.dots(real, up, "dotfirst", radius=2.0)
     _ends(chart, point, locus, place)
-    of = "damping alone; CAP has its own figure" if mode == "short_period" else "MIL-F-8785C " + _paragraph(point, mode)
-    return Figure(chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {of}.")
+    of = (
+        "damping alone; CAP has its own figure"
+        if mode == "short_period"
+        else "MIL-F-8785C " + _paragraph(point, mode)
+    )
+    return Figure(
+        chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {of}."
+    )
 
 
 def _paragraph(point: LocusPoint, mode: str) -> str:
@@ -211,8 +309,15 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
     (one_low, one_high), (two_low, two_high) = cap_limits(asked.category)
     x = log_scale("n/alpha [g/rad]", [n], margin=0.25)
     ends = np.array([x.low, x.high])
-    lines = [(two_low, "level2", 2), (two_high, "level2", 2), (one_low, "level1", 1), (one_high, "level1", 1)]
-    y = log_scale("short-period natural frequency [rad/s]", [wn, *(np.sqrt(cap * n) for cap, _, _ in lines)])
+    lines = [
+        (two_low, "level2", 2),
+        (two_high, "level2", 2),
+        (one_low, "level1", 1),
+        (one_high, "level1", 1),
+    ]
+    y = log_scale(
+        "short-period natural frequency [rad/s]", [wn, *(np.sqrt(cap * n) for cap, _, _ in lines)]
+    )
     told = ", ".join(f"CAP {shown(a.value)}" for a in point.levels if a.criterion == "CAP")
     chart = Chart(
         "locus-cap",
@@ -243,7 +348,11 @@ def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
     x = scale("true airspeed [m/s]", [speeds], margin=0.04)
     told = ", ".join(criterion_words(a) for a in point.levels if a.mode == mode)
     chart = Chart(
-        f"locus-{mode}", f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {told}.", x, y, 220
+        f"locus-{mode}",
+        f"Real root of the {mode} mode [1/s] over airspeed [m/s]; at {point.V_mps:g} m/s {told}.",
+        x,
+        y,
+        220,
     )
     ends = np.array([x.low, x.high])
     chart.band(ends, np.full(2, y.low), np.full(2, limits[0]), "fillgood", "Level 1")
@@ -258,8 +367,14 @@ def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
             chart.marker(point.V_mps, m.real, "second", "disc", f"{point.V_mps:.4g} m/s")
     what = "time constant, -1/root" if mode == "roll" else "time to double amplitude, ln 2/root"
     oscillates = any(m.imag for p in locus.points for m in p.modes if m.name == mode)
-    note = " Where roll and spiral make an oscillation its real part is drawn." if oscillates else ""
-    return Figure(chart.name, chart.svg(), f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_paragraph(point, mode)}.{note}")
+    note = (
+        " Where roll and spiral make an oscillation its real part is drawn." if oscillates else ""
+    )
+    return Figure(
+        chart.name,
+        chart.svg(),
+        f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_paragraph(point, mode)}.{note}",
+    )
 
 
 def _by_speed(locus: Locus) -> Section:
@@ -267,10 +382,22 @@ def _by_speed(locus: Locus) -> Section:
     rows: list[tuple[str | Cell, ...]] = []
     for p in locus.points:
         found = {(a.mode, a.criterion): a for a in p.levels}
-        rows.append((f"{p.V_mps:.4g}", *(_cell(found[key]) if key in found else Cell("undefined") for key in keys)))
-    units = {(a.mode, a.criterion): "-" if a.unit == "1" else a.unit for a in locus.points[0].levels}
-    head = ("Speed [m/s]", *(f"{NAMES[m][0].upper()}{NAMES[m][1:]}, {c} [{units[m, c]}]" for m, c in keys))
-    return Section("Levels by airspeed", (Table("Criteria and Levels by true airspeed.", head, tuple(rows)),))
+        rows.append(
+            (
+                f"{p.V_mps:.4g}",
+                *(_cell(found[key]) if key in found else Cell("undefined") for key in keys),
+            )
+        )
+    units = {
+        (a.mode, a.criterion): "-" if a.unit == "1" else a.unit for a in locus.points[0].levels
+    }
+    head = (
+        "Speed [m/s]",
+        *(f"{NAMES[m][0].upper()}{NAMES[m][1:]}, {c} [{units[m, c]}]" for m, c in keys),
+    )
+    return Section(
+        "Levels by airspeed", (Table("Criteria and Levels by true airspeed.", head, tuple(rows)),)
+    )
 
 
 def _cell(found: Assessment) -> Cell:

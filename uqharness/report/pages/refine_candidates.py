@@ -13,7 +13,12 @@ from uqharness.report.svg import Scale, rows_chart
 MOST_OTHERS = 8
 """Candidates in the chart that the page does not name."""
 LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
-_MARKS = {"chosen": "\N{BLACK CIRCLE}", "withdrawn": "\N{MULTIPLICATION X}", "alternative": "\N{ALMOST EQUAL TO}", "left": "?"}
+_MARKS = {
+    "chosen": "\N{BLACK CIRCLE}",
+    "withdrawn": "\N{MULTIPLICATION X}",
+    "alternative": "\N{ALMOST EQUAL TO}",
+    "left": "?",
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,10 @@ def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
             out.setdefault(_short(e), Named(part, None if t is None else abs(t)))
     refused = done.get("best_refused")
     if refused:
-        out.setdefault(_as_scored(refused["effect"]), Named("left", None if refused.get("t") is None else abs(refused["t"])))
+        out.setdefault(
+            _as_scored(refused["effect"]),
+            Named("left", None if refused.get("t") is None else abs(refused["t"])),
+        )
     return out
 
 
@@ -64,7 +72,10 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     alone = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
     named = named_candidates(done)
     others = [n for n in alone if n not in named][:MOST_OTHERS]
-    sizes = {n: max(alone.get(n, 0.0), (named[n].t or 0.0) if n in named else 0.0) for n in (*named, *others)}
+    sizes = {
+        n: max(alone.get(n, 0.0), (named[n].t or 0.0) if n in named else 0.0)
+        for n in (*named, *others)
+    }
     if not sizes:
         return None
     order = sorted(sizes, key=lambda n: -sizes[n])
@@ -75,7 +86,9 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     chart = rows_chart(f"{prefix}candidates", label, x, titles)
     for k, n in enumerate(order):
         if n in alone:
-            chart.across(0.0, alone[n], k, "thick" if n in named and named[n].part == "chosen" else "wide")
+            chart.across(
+                0.0, alone[n], k, "thick" if n in named and named[n].part == "chosen" else "wide"
+            )
         if n in named and named[n].t is not None:
             chart.marker(named[n].t or 0.0, float(k), "first", "disc")
     if limit is not None:

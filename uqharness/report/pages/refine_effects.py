@@ -7,7 +7,17 @@ from typing import Any
 
 from uqharness.report.pages.refine_candidates import LEGEND, candidate_figure
 from uqharness.report.pages.refine_words import carried_by, test_says
-from uqharness.report.parts import Block, Bullets, Code, Figure, Figures, Section, Table, Words, shown
+from uqharness.report.parts import (
+    Block,
+    Bullets,
+    Code,
+    Figure,
+    Figures,
+    Section,
+    Table,
+    Words,
+    shown,
+)
 from uqharness.report.svg import Scale, rows_chart
 
 
@@ -32,14 +42,21 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
     """
     off = {s["property"]: s["off"] for s in done.get("switch", ())}
     parts = [
-        Section(headline(e), (*_value(e, off, f"{prefix}effect{k}"), *_change(e, diff), *_others(e), *_evidence(e)))
+        Section(
+            headline(e),
+            (*_value(e, off, f"{prefix}effect{k}"), *_change(e, diff), *_others(e), *_evidence(e)),
+        )
         for k, e in enumerate(done["effects"])
     ]
     first: list[Block] = [] if parts else [Words("None.")]
     refused = done.get("best_refused")
     if refused:
         t = shown(_abs(refused.get("t")), ".1f")
-        first.append(Words(f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."))
+        first.append(
+            Words(
+                f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."
+            )
+        )
     figure = candidate_figure(done, prefix)
     if figure:
         first.append(Figures((figure,), LEGEND, file="candidates"))
@@ -58,11 +75,24 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
     label = f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
     unit = e.get("unit") or "-"
     axis = f"value [{'-' if unit == '1' else unit}]"
-    chart = rows_chart(name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24)
+    chart = rows_chart(
+        name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24
+    )
     chart.upright(without, "zero", "without the effect")
     chart.across(low, high, 0.0, "first")
     chart.marker(e["value"], 0.0, "first", "disc")
-    return [*out, Figures((Figure(chart.name, chart.svg(), "Value with its 95 % interval; the line is the model without it."),))]
+    return [
+        *out,
+        Figures(
+            (
+                Figure(
+                    chart.name,
+                    chart.svg(),
+                    "Value with its 95 % interval; the line is the model without it.",
+                ),
+            )
+        ),
+    ]
 
 
 def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
@@ -75,7 +105,9 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
     """Changed lines of a unified difference in which one of the words stands, with ``around`` lines on either side."""
     lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
     own = [k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)]
-    near = sorted({k for c in own for k in range(max(c - around, 0), min(c + around + 1, len(lines)))})
+    near = sorted(
+        {k for c in own for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
+    )
     out: list[str] = []
     for last, k in zip([-1, *near], near, strict=False):
         out += ["..."] * (last >= 0 and k > last + 1) + [lines[k]]
@@ -97,13 +129,21 @@ def _evidence(e: Mapping[str, Any]) -> list[Block]:
     evidence = e.get("evidence", {})
     low, high = evidence.get("interval_95") or (None, None)
     rows = [
-        ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"), ("Standard error", shown(e["std"], ".2g")),
-        ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"), ("|t|", shown(_abs(evidence.get("t")), ".1f")),
+        ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"),
+        ("Standard error", shown(e["std"], ".2g")),
+        ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"),
+        ("|t|", shown(_abs(evidence.get("t")), ".1f")),
         ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
-        ("Gained on held-out manoeuvres", shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g")),
-        ("Held-out estimate differs by", f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors"),
+        (
+            "Gained on held-out manoeuvres",
+            shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
+        ),
+        (
+            "Held-out estimate differs by",
+            f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
+        ),
         ("Property", carried_by(e)),
-    ]  # fmt: skip
+    ]
     why = Words(f"{capital(e['why']).rstrip('.')}.")
     return [why, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
 

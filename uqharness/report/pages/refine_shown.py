@@ -8,45 +8,93 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.errors import BadInputError
-from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Section, Table, Words, percent, shown
+from uqharness.report.parts import (
+    Block,
+    Cell,
+    Figure,
+    Figures,
+    Level,
+    Section,
+    Table,
+    Words,
+    percent,
+    shown,
+)
 from uqharness.report.svg import Scale, rows_chart
 
 
 def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     """Width and coverage of the model-form intervals on the test flights, before and after."""
     title = "Model-form intervals on the test flights"
-    intervals = gap.get("intervals") or {"reason": "this folder was written before they were computed"}
+    intervals = gap.get("intervals") or {
+        "reason": "this folder was written before they were computed"
+    }
     if intervals["reason"] is not None:
         return Section(title, (Words(f"Not shown: {intervals['reason']}."),))
     rows = []
     for name, r in intervals["coefficients"].items():
         before, after = r["width_before"], r["width_after"]
         level: Level = "warn" if before is not None and after is not None and after > before else ""
-        rows.append((name, shown(before), Cell(shown(after), level), *(_share(r, when) for when in ("before", "after"))))
-    head = ("Coefficient [-]", "Mean width before", "After", "Test samples inside before [%]", "After [%]")
+        rows.append(
+            (
+                name,
+                shown(before),
+                Cell(shown(after), level),
+                *(_share(r, when) for when in ("before", "after")),
+            )
+        )
+    head = (
+        "Coefficient [-]",
+        "Mean width before",
+        "After",
+        "Test samples inside before [%]",
+        "After [%]",
+    )
     caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
     text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
-    figures = Figures(_interval_figures(intervals, prefix), (("second", "before"), ("first", "after")), file="intervals")
-    return Section(title, (Words(text, note=True), figures, Table(caption, head, tuple(rows), key=True)))
+    figures = Figures(
+        _interval_figures(intervals, prefix),
+        (("second", "before"), ("first", "after")),
+        file="intervals",
+    )
+    return Section(
+        title, (Words(text, note=True), figures, Table(caption, head, tuple(rows), key=True))
+    )
 
 
 def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
     """Mean width after over before, and the share of the test samples inside with its 95 % limits."""
     rows = intervals["coefficients"]
-    widths = {c: r["width_after"] / r["width_before"] for c, r in rows.items() if r["width_after"] and r["width_before"]}
+    widths = {
+        c: r["width_after"] / r["width_before"]
+        for c, r in rows.items()
+        if r["width_after"] and r["width_before"]
+    }
     out = []
     if widths:
-        label = "Mean width after over before [-]: " + ", ".join(f"{c} {v:.2f}" for c, v in widths.items()) + "."
+        label = (
+            "Mean width after over before [-]: "
+            + ", ".join(f"{c} {v:.2f}" for c, v in widths.items())
+            + "."
+        )
         x = Scale("mean width after over before [-]", 0.0, 1.1 * max(1.0, *widths.values()))
         chart = rows_chart(f"{prefix}interval-widths", label, x, tuple(rows), 24)
         chart.upright(1.0, "zero")
         for k, c in enumerate(rows):
             if c in widths:
                 chart.marker(widths[c], float(k), "first", "disc")
-        out.append(Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-]."))
+        out.append(
+            Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-].")
+        )
     sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
     known = [
-        (k + aside, kind, shape, 100.0 * r[f"coverage_{when}"], 196.0 * (r[f"coverage_std_{when}"] or 0.0))
+        (
+            k + aside,
+            kind,
+            shape,
+            100.0 * r[f"coverage_{when}"],
+            196.0 * (r[f"coverage_std_{when}"] or 0.0),
+        )
         for k, r in enumerate(rows.values())
         for when, kind, shape, aside in sides
         if r[f"coverage_{when}"] is not None
@@ -60,7 +108,13 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
         for at, kind, shape, share, half in known:
             chart.across(share - half, share + half, at, kind)
             chart.marker(share, at, kind, shape)
-        out.append(Figure(chart.name, chart.svg(), "Share of the test samples inside; the dashed line is what is asked for."))
+        out.append(
+            Figure(
+                chart.name,
+                chart.svg(),
+                "Share of the test samples inside; the dashed line is what is asked for.",
+            )
+        )
     return tuple(out)
 
 
@@ -86,12 +140,20 @@ def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> S
         f"{mission['after']['failed']} after."
     )
     if len(folders) < 2:
-        return Section(title, (Words(f"{said} Without an effect there is one model, and nothing to compare."),))
+        return Section(
+            title, (Words(f"{said} Without an effect there is one model, and nothing to compare."),)
+        )
     try:
         pair = [read_found(folder / name) for name in folders]
     except BadInputError as error:
         return Section(title, (Words(f"{said} The campaigns cannot be read: {error}"),))
-    drawn = overlay_section(pair[0], pair[1], dict(zip(("before", "after"), folders, strict=True)), f"{prefix}mission-", title)
+    drawn = overlay_section(
+        pair[0],
+        pair[1],
+        dict(zip(("before", "after"), folders, strict=True)),
+        f"{prefix}mission-",
+        title,
+    )
     blocks: list[Block] = [Words(said, note=True)]
     for block in drawn.blocks:
         if isinstance(block, Figures):

@@ -33,7 +33,9 @@ def place_says(place: Mapping[str, Any]) -> list[str]:
             f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to {factor * goes['high']:.3g} {unit} "
             f"({100.0 * goes['share']:.0f} % of its variance)"
         )
-    near = ", ".join(f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"])
+    near = ", ".join(
+        f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
+    )
     now = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
     second = f"{now}; with the nearest candidates it would be: {near}"
     return [first, second, f"the flight that would tell: {place['would_tell']}"]
@@ -42,7 +44,9 @@ def place_says(place: Mapping[str, Any]) -> list[str]:
 def smooth_says(smooth: Mapping[str, Any]) -> str:
     """What is said of a smooth term that is offered for naming, in a line."""
     channel, _, _ = shown_channel(smooth["channel"])
-    instead = f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
+    instead = (
+        f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
+    )
     return (
         f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings {channel} on the train flights from "
         f"{smooth['channel_on_train']:.2f} to {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
@@ -70,15 +74,21 @@ def left_over(remaining: Mapping[str, Any]) -> list[str]:
     out = []
     above = remaining["channels_above_noise"]
     if above:
-        out.append("above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items()))
+        out.append(
+            "above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items())
+        )
     if remaining["coloured_channels"]:
         out.append(f"residuals not white: {', '.join(remaining['coloured_channels'])}")
     for w in remaining["where"]:
         if "words" in w:
             out.append(w["words"])
         elif "rms_over_noise" in w:
-            depends = w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
-            out.append(f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}")
+            depends = (
+                w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
+            )
+            out.append(
+                f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}"
+            )
     return out
 
 

@@ -16,7 +16,13 @@ from uqharness.report.pages.compare import in_shown_unit, ratio_figure
 from uqharness.report.pages.refine_effects import capital, effect_section, headline
 from uqharness.report.pages.refine_shown import interval_section, mission_section
 from uqharness.report.pages.refine_unnamed import RMS, smooth_lines, smooth_sections
-from uqharness.report.pages.refine_words import carried_by, left_over, nowhere, place_says, test_says
+from uqharness.report.pages.refine_words import (
+    carried_by,
+    left_over,
+    nowhere,
+    place_says,
+    test_says,
+)
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -35,7 +41,7 @@ from uqharness.report.parts import (
     provenance,
     remarks,
     shown,
-)  # fmt: skip
+)
 from uqharness.result_documents import read_document
 
 REFINEMENT = "refinement.json"
@@ -51,33 +57,58 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     histories = read_histories(folder / HISTORIES)
     gap = done["gap"]["test"]
     diff = _diff(folder)
-    sections = [gap_section(gap, prefix), effect_section(done, diff, prefix), *_place_sections(done)]
+    sections = [
+        gap_section(gap, prefix),
+        effect_section(done, diff, prefix),
+        *_place_sections(done),
+    ]
     sections += [*smooth_sections(done, prefix), _where_section(done)]
-    touched = list(dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)) or list(COEFFICIENTS)
+    touched = list(
+        dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)
+    ) or list(COEFFICIENTS)
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
         text = (
             "What the test flights demand minus what the model gives, before and after, segments end to end. The band is what "
             "the sensors' noise alone gives in 95 % of the samples."
         )
-        legend = (("second thin", "before"), ("first thin", "after"), ("fill1", "95 % band of the noise"))
+        legend = (
+            ("second thin", "before"),
+            ("first thin", "after"),
+            ("fill1", "95 % band of the noise"),
+        )
         drawn = Figures(figures, legend, file="coefficients")
         sections.append(Section("Coefficients before and after", (Words(text, note=True), drawn)))
     noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     if is_wanted(title := "Test flights against both models", only):
         sections += history_section(
-            histories, noise, models, title, f"{prefix}refine-", 2,
+            histories,
+            noise,
+            models,
+            title,
+            f"{prefix}refine-",
+            2,
             lambda rank, _: "history" if rank == 0 and done["effects"] else None,
-        )  # fmt: skip
+        )
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
-    sections += [_left_section(done), _parameter_section(done), _model_section(done, diff), *remarks(done)]
+    sections += [
+        _left_section(done),
+        _parameter_section(done),
+        _model_section(done, diff),
+        *remarks(done),
+    ]
     train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
     facts = (
-        ("Command", done.get("command") or "not recorded"), ("Chosen on", train), ("Shown on", test),
+        ("Command", done.get("command") or "not recorded"),
+        ("Chosen on", train),
+        ("Shown on", test),
         ("Time", f"{shown(done.get('seconds'), '.0f')} s"),
-        ("Files", "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page"),
-    )  # fmt: skip
+        (
+            "Files",
+            "refinement.json, model.diff, histories.parquet, aircraft/ (the refined model), beside this page",
+        ),
+    )
     sections.append(provenance(*facts))
     asked = f"What does the model lack? Effects were chosen on {train} and shown on the hold-out flights {test}."
     return Page("Refinement", asked, _verdict(done), tuple(sections))
@@ -89,7 +120,9 @@ _VERDICTS = {
 }
 _SHRANK = ("Effects were found, and the gap on the hold-out flights shrank", "good")
 _UNTOLD = ("Effects were found; the hold-out flights do not tell whether the gap shrank", "warn")
-_UNEXPLAINED_BESIDE = "Effects were found, and something beside them is left that no effect of the catalogue explains"
+_UNEXPLAINED_BESIDE = (
+    "Effects were found, and something beside them is left that no effect of the catalogue explains"
+)
 
 
 def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
@@ -100,15 +133,28 @@ def _verdict(done: Mapping[str, Any]) -> tuple[Say, ...]:
         text = _UNEXPLAINED_BESIDE
     said = [Say(f"{text} ({done['verdict']}).", level)]
     for e, tested_and_held in zip(done["effects"], held, strict=True):
-        t = shown(abs(e["evidence"]["t"]), ".1f") if e.get("evidence", {}).get("t") is not None else "undefined"
+        t = (
+            shown(abs(e["evidence"]["t"]), ".1f")
+            if e.get("evidence", {}).get("t") is not None
+            else "undefined"
+        )
         tested = f"; {test_says(e)}" if e.get("test") else ""
-        said.append(Say(f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.", "good" if tested_and_held else "warn"))
+        said.append(
+            Say(
+                f"{headline(e)} ({carried_by(e)}), |t| {t}{tested}.",
+                "good" if tested_and_held else "warn",
+            )
+        )
     for e in done.get("withdrawn", ()):
         said.append(Say(f"Withdrawn: {headline(e)}; {test_says(e)}.", "warn"))
     for e in done["effects"]:
-        alike = [a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]]
+        alike = [
+            a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]
+        ]
         if alike:
-            said.append(Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn"))
+            said.append(
+                Say(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
+            )
     said += smooth_lines(done)
     worst = _largest_fall(done["gap"]["test"])
     if worst:
@@ -120,7 +166,9 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
     rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
     if not rows:
         return ""
-    name = max(rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"])
+    name = max(
+        rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"]
+    )
     quantity, unit, factor = shown_channel(name)
     before, after, noise = (factor * rows[name][k] for k in RMS)
     return (
@@ -141,9 +189,14 @@ def _place_sections(done: Mapping[str, Any]) -> list[Section]:
         return []
     lines = tuple(f"{capital(line)}." for line in place_says(place))
     name, _, _ = shown_channel(place["channel"])
-    rows = tuple((capital(c["name"]), shown(abs(c["t"]), ".1f"), shown(c["leaves"], ".3f")) for c in place["candidates"])
+    rows = tuple(
+        (capital(c["name"]), shown(abs(c["t"]), ".1f"), shown(c["leaves"], ".3f"))
+        for c in place["candidates"]
+    )
     now = shown(place["channel_on_train"], ".3f")
-    caption = f"Nearest candidates: what each leaves of {name} on the train flights, {now} without any."
+    caption = (
+        f"Nearest candidates: what each leaves of {name} on the train flights, {now} without any."
+    )
     table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
     return [Section("Where something is left", (Bullets(lines, key=True), table))]
 
@@ -158,7 +211,9 @@ def _where_section(done: Mapping[str, Any]) -> Section:
         text = nowhere(done)
         return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
     head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [-]")
-    table = Table("Disagreement of the train flights, the largest first.", head, tuple(rows), key=True)
+    table = Table(
+        "Disagreement of the train flights, the largest first.", head, tuple(rows), key=True
+    )
     return Section("Where model and flights disagreed", (table,))
 
 
@@ -184,16 +239,30 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
                 answer = Cell(shown(after))
             rows.append((label, shown(before), answer, shown(noise)))
         series = [("before", "second", "ring"), ("after", "first", "disc")]
-        figure = ratio_figure(f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights")
+        figure = ratio_figure(
+            f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights"
+        )
         figures += [figure] if figure else []
     theil = gap.get("theil", {})
     if theil:
-        rows.append(("Theil's U, mean [-]", shown(theil.get("before"), ".4f"), Cell(shown(theil.get("after"), ".4f")), ""))
+        rows.append(
+            (
+                "Theil's U, mean [-]",
+                shown(theil.get("before"), ".4f"),
+                Cell(shown(theil.get("after"), ".4f")),
+                "",
+            )
+        )
     text = (
         "Before: the model with its parameters identified again, without the effects. After: with them. Start states and biases "
         "are each flight's own. ✓: smaller than before, ✕: larger, by what three figures show."
     )
-    table = Table("Gap on the test flights: rms of log minus model.", ("Quantity", "Before", "After", "Noise"), tuple(rows), True)
+    table = Table(
+        "Gap on the test flights: rms of log minus model.",
+        ("Quantity", "Before", "After", "Noise"),
+        tuple(rows),
+        True,
+    )
     drawn = Figures(tuple(figures), file="gap")
     blocks: list[Block] = [Words(text, note=True), drawn, table]
     if gap.get("predictions"):
@@ -213,7 +282,9 @@ def _prediction_table(predictions: Mapping[str, Any]) -> Table:
         label, values = in_shown_unit(name, r, *RMS)
         rows.append((label, *(shown(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
-    return Table("Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True)
+    return Table(
+        "Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True
+    )
 
 
 def _coefficient_figures(
@@ -230,7 +301,17 @@ def _coefficient_figures(
             band = ([-h for h in half], half, "")
         label = f"{c} [-] demanded by the test flights minus the model's, before and after, segments end to end."
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
-        out.append(end_to_end(histories, f"{prefix}demand-{c}", series, band, label, f"flight minus model, {c} [-]", f"{c} [-]"))
+        out.append(
+            end_to_end(
+                histories,
+                f"{prefix}demand-{c}",
+                series,
+                band,
+                label,
+                f"flight minus model, {c} [-]",
+                f"{c} [-]",
+            )
+        )
     return tuple(out)
 
 
@@ -239,24 +320,42 @@ def _left_section(done: Mapping[str, Any]) -> Section:
     if said:
         return Section("What is left", (Bullets(said, key=True),))
     unplaced = done["remaining"].get("unexplained")
-    return Section("What is left", (Words("More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."),))
+    return Section(
+        "What is left",
+        (
+            Words(
+                "More than noise, and nothing tells where." if unplaced else "Nothing beyond noise."
+            ),
+        ),
+    )
 
 
 def _parameter_section(done: Mapping[str, Any]) -> Section:
     rows = tuple(
-        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g")) for n, r in done.get("parameters", {}).items()
+        (Cell(n, code=True), shown(r["value"], ".6g"), shown(r["std"], ".2g"))
+        for n, r in done.get("parameters", {}).items()
     )
     head = ("Property", "Value", "Standard error")
-    return Section("Parameters, identified with the effects", (Table("Parameters of the refined model.", head, rows),))
+    return Section(
+        "Parameters, identified with the effects",
+        (Table("Parameters of the refined model.", head, rows),),
+    )
 
 
 def _model_section(done: Mapping[str, Any], diff: str) -> Section:
     blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
-    switch = [f"{s['property']} = {s['off']:g} restores the model without it" for s in done.get("switch", ())]
+    switch = [
+        f"{s['property']} = {s['off']:g} restores the model without it"
+        for s in done.get("switch", ())
+    ]
     if switch:
         blocks.append(Bullets(tuple(switch)))
     lines = diff.splitlines()
     if lines:
-        more = [f"... {len(lines) - _DIFF_LINES} more lines in model.diff"] if len(lines) > _DIFF_LINES else []
+        more = (
+            [f"... {len(lines) - _DIFF_LINES} more lines in model.diff"]
+            if len(lines) > _DIFF_LINES
+            else []
+        )
         blocks.append(Code("What changed in the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
     return Section("What changed in the XML", tuple(blocks))

@@ -18,7 +18,18 @@ from uqharness.report.ground_track import ground_track, lap_of, track_distance
 from uqharness.report.history import Model, farthest_figure
 from uqharness.report.pages.compare import ratio_figure
 from uqharness.report.pages.refine_effects import capital
-from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Say, Section, Table, Words, shown
+from uqharness.report.parts import (
+    Block,
+    Cell,
+    Figure,
+    Figures,
+    Level,
+    Say,
+    Section,
+    Table,
+    Words,
+    shown,
+)
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
 from uqharness.report.statements import aborted_cells, aborted_head, aborted_kinds
 from uqharness.result_documents import read_document
@@ -40,7 +51,9 @@ def answer_says(answer: Mapping[str, Any]) -> tuple[Say, ...]:
     return Say(answer["answer"], level), *(Say(text) for text in rest if text)
 
 
-def first_figures(folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]) -> tuple[Block, ...]:
+def first_figures(
+    folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]
+) -> tuple[Block, ...]:
     """One lap as ground track and as distance over time, and the p-box, all of the hardest condition; those of them that there are.
 
     Damage is told in ``missing``.
@@ -77,16 +90,28 @@ def _pbox(sides: Sides) -> Figure | None:
     *_, last = sides.values()
     condition = hardest_of(conditions(last.frame))
     for metric in _FIRST:
-        items = {w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None) for w, s in sides.items()}
+        items = {
+            w: next((f for f in s.findings if (f.metric, f.condition) == (metric, condition)), None)
+            for w, s in sides.items()
+        }
         found = {when: item for when, item in items.items() if item is not None}
         if len(found) < len(sides):
             continue
         boxes = [
-            DrawnBox(when if len(found) > 1 else "", item.box, item.samples, corner_words(sides[when].frame), smooth=True)
+            DrawnBox(
+                when if len(found) > 1 else "",
+                item.box,
+                item.samples,
+                corner_words(sides[when].frame),
+                smooth=True,
+            )
             for when, item in reversed(found.items())
         ]
         item = found[next(iter(found))]
-        halves = ", ".join(f"{span(*f.box.quantile(0.5))} {f.unit}{f' ({when})' if when else ''}" for when, f in found.items())
+        halves = ", ".join(
+            f"{span(*f.box.quantile(0.5))} {f.unit}{f' ({when})' if when else ''}"
+            for when, f in found.items()
+        )
         caption = (
             f"P-box of the {item.words} error, {condition.words}: {len(item.samples)} epistemic samples, "
             f"{len(item.samples[0].values)} flights each. Half of the flights stay below {halves}."
@@ -104,15 +129,23 @@ def effect_section(folder: Path) -> Section:
         unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
         t = e.get("evidence", {}).get("t")
         held = (e.get("test") or {}).get("gap")
-        tested = Cell("smaller residual", "good") if held == "shrank" else Cell("not shown" if held else "not tested")
+        tested = (
+            Cell("smaller residual", "good")
+            if held == "shrank"
+            else Cell("not shown" if held else "not tested")
+        )
         value = f"{shown(e['value'], '.4g')} ± {shown(e['std'], '.2g')}{unit}"
-        rows.append((capital(e["name"]), value, shown(None if t is None else abs(t), ".1f"), tested))
+        rows.append(
+            (capital(e["name"]), value, shown(None if t is None else abs(t), ".1f"), tested)
+        )
     head = ("Effect", "Value, standard error", "|t| [-]", "On the held-out flight")
     table = Table("Effects that refinement added to the model.", head, tuple(rows))
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     noise = {c: row["noise_rms"] for c, row in gap.items()}
     ratios = {
-        c.rpartition("_")[0] or c: {when: row[f"rms_{when}"] / row["noise_rms"] for when in ("before", "after")}
+        c.rpartition("_")[0] or c: {
+            when: row[f"rms_{when}"] / row["noise_rms"] for when in ("before", "after")
+        }
         for c, row in gap.items()
         if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
     }
@@ -130,7 +163,9 @@ def cells_section(sides: Sides) -> Section:
     """A row per condition and radius: the answer before and after, with the rate and its limits at the worst corner."""
     *_, last = sides.values()
     if not last.signed:
-        return Section("Cells of wind and turbulence", (Words("The campaign counts no excursions."),))
+        return Section(
+            "Cells of wind and turbulence", (Words("The campaign counts no excursions."),)
+        )
     acceptable = f"{last.signed[0].acceptable_per_h:g}"
     by_place = {when: {_place(item): item for item in side.signed} for when, side in sides.items()}
     kinds = aborted_kinds([item for side in sides.values() for item in side.signed])
@@ -141,14 +176,20 @@ def cells_section(sides: Sides) -> Section:
         here = [by_place[when].get(_place(item)) for when in sides]
         hours = f"{sum(rate.hours for rate in item.cell.rates):.4g}"
         place = (item.cell.condition.label, f"{item.cell.radius_m:g} m")
-        rows.append((*place, *(_answer(found) for found in here), hours, *aborted_cells(kinds, here)))
+        rows.append(
+            (*place, *(_answer(found) for found in here), hours, *aborted_cells(kinds, here))
+        )
     names = [f"Answer {when}" for when in sides] if len(sides) > 1 else ["Answer"]
     head = ("Wind, turbulence", "Radius", *names, "Flight hours", *aborted_head(kinds))
     text = (
         f"At most {acceptable} excursions beyond the radius per flight hour at every corner? Below each answer the rate at the "
         f"worst corner [1/h] and its {_SURE} limits. "
     )
-    text += f"Aborted flights of all corners by kind{', before / after' if len(sides) > 1 else ''}." if kinds else _NONE_ABORTED
+    text += (
+        f"Aborted flights of all corners by kind{', before / after' if len(sides) > 1 else ''}."
+        if kinds
+        else _NONE_ABORTED
+    )
     table = Table("Answer by wind, turbulence and radius.", head, tuple(rows))
     return Section("Cells of wind and turbulence", (Words(text, note=True), table))
 
@@ -161,9 +202,16 @@ def _answer(item: Statement | None) -> Cell:
     if item is None:
         return Cell("not flown")
     worst = item.worst
-    rate = "no flight was scored" if math.isnan(worst.rate) else f"{worst.rate:.3g} [{worst.lower:.2g} to {shown(worst.upper)}]"
+    rate = (
+        "no flight was scored"
+        if math.isnan(worst.rate)
+        else f"{worst.rate:.3g} [{worst.lower:.2g} to {shown(worst.upper)}]"
+    )
     return Cell(
-        _WORDS[item.answer], answer_level(item), f"{item.reason}; {rate}" if item.reason else rate, mark=_MARKS[item.answer]
+        _WORDS[item.answer],
+        answer_level(item),
+        f"{item.reason}; {rate}" if item.reason else rate,
+        mark=_MARKS[item.answer],
     )
 
 

@@ -22,7 +22,9 @@ from sysid.record import FlightRecord, Metadata
 from tests.helpers.synthetic import flight
 
 
-def imported(record: FlightRecord, tmp_path: Path, card: AirframeCard, map_text: str = "") -> FlightRecord:
+def imported(
+    record: FlightRecord, tmp_path: Path, card: AirframeCard, map_text: str = ""
+) -> FlightRecord:
     path = tmp_path / "x.bin"
     write_dataflash(record, path, card)
     user_map = None
@@ -121,7 +123,9 @@ def test_gap_and_dropouts_carry_their_figures(tmp_path: Path, card: AirframeCard
 def test_sample_and_hold_on_a_faster_grid(tmp_path: Path, card: AirframeCard) -> None:
     record = flight(40.0)
     held = np.repeat(record["V_mps"][::5], 5)
-    found = findings(imported(record.with_columns({"V_mps": held}), tmp_path, card), "sample-and-hold")
+    found = findings(
+        imported(record.with_columns({"V_mps": held}), tmp_path, card), "sample-and-hold"
+    )
     assert found["V_mps"].numbers["native_hz"] == pytest.approx(10.0, rel=0.05)
     assert set(found) == {"V_mps"}
 
@@ -164,7 +168,9 @@ def test_negative_airspeed_and_frozen_channels() -> None:
 def test_delays_of_gps_and_vane_are_found(tmp_path: Path, card: AirframeCard) -> None:
     record = flight(60.0, start_s=1.0, wind=(4.0, -3.0))
     t = record["time_s"]
-    late = {c: np.interp(t - 0.1, t, record[c]) for c in ("vn_mps", "ve_mps", "vd_mps", "alpha_rad")}
+    late = {
+        c: np.interp(t - 0.1, t, record[c]) for c in ("vn_mps", "ve_mps", "vd_mps", "alpha_rad")
+    }
     found = findings(imported(record.with_columns(late), tmp_path, card), "delay")
     assert found["ground velocity"].numbers["delay_s"] == pytest.approx(0.1, abs=0.01)
     assert found["alpha_rad"].numbers["delay_s"] == pytest.approx(0.1, abs=0.015)
@@ -175,8 +181,17 @@ def test_lever_arm_is_estimated_with_its_error() -> None:
     rng = np.random.default_rng(2)
     arm = np.array([0.5, 0.0, -0.2])
     record = flight(120.0, 50.0, arm_m=(0.5, 0.0, -0.2))
-    noise = {"ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16, "p_radps": 0.0035, "q_radps": 0.0035, "r_radps": 0.0035}
-    noisy = record.with_columns({c: record[c] + s * rng.standard_normal(len(record)) for c, s in noise.items()})
+    noise = {
+        "ax_mps2": 0.16,
+        "ay_mps2": 0.16,
+        "az_mps2": 0.16,
+        "p_radps": 0.0035,
+        "q_radps": 0.0035,
+        "r_radps": 0.0035,
+    }
+    noisy = record.with_columns(
+        {c: record[c] + s * rng.standard_normal(len(record)) for c, s in noise.items()}
+    )
     found = lever_arm(noisy)
     assert found is not None
     assert np.all(np.abs(found.position_m - arm) < np.maximum(4 * found.std_m, 0.03))
@@ -205,7 +220,9 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
     assert found.free_s is not None
     assert found.tow_s[1] == pytest.approx(58.0, abs=0.5)
     assert found.free_s[0] == pytest.approx(61.9)
-    no_tow = find(t, speed, height, np.where(t > 26, 0.2 * np.sin(2 * t), 0.0), 10 * np.sin(t), np.array([]))
+    no_tow = find(
+        t, speed, height, np.where(t > 26, 0.2 * np.sin(2 * t), 0.0), 10 * np.sin(t), np.array([])
+    )
     assert no_tow.tow_s is None
     assert no_tow.free_s is not None
     assert no_tow.free_s[0] == pytest.approx(26.0, abs=1.5)
@@ -222,7 +239,10 @@ def test_what_never_flew_says_so() -> None:
 def test_a_noisy_attitude_is_no_wrong_unit() -> None:
     rng = np.random.default_rng(4)
     quiet = flight(90.0)
-    noise = {name: quiet[name] + 0.02 * rng.standard_normal(len(quiet)) for name in ("phi_rad", "theta_rad", "psi_rad")}
+    noise = {
+        name: quiet[name] + 0.02 * rng.standard_normal(len(quiet))
+        for name in ("phi_rad", "theta_rad", "psi_rad")
+    }
     noisy = quiet.with_columns(noise)
     assert not [f for f in check_record(noisy, (0.0, 90.0)) if f.code == "unit"]
     wrong = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
@@ -246,7 +266,9 @@ def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
         signals = SignalMap("test", {"V_mps": (entry,), "q_radps": (Entry("IMU", 0, ("GyrY",)),)})
         found = assemble(RawLog("dataflash", messages, {}), signals, None)
         again = check_again(found)
-        assert [f for f in again if f.code == "stuck"] == [f for f in found.metadata.findings if f.code == "stuck"]
+        assert [f for f in again if f.code == "stuck"] == [
+            f for f in found.metadata.findings if f.code == "stuck"
+        ]
         return [(f.numbers["start_s"], f.numbers["end_s"]) for f in again if f.code == "stuck"]
 
     assert told(stood) == [(pytest.approx(20.0, abs=0.05), pytest.approx(24.98, abs=0.05))]

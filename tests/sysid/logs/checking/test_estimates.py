@@ -29,7 +29,11 @@ def test_sensors_are_no_estimates() -> None:
 def test_rates_of_the_attitude_and_a_speed_without_noise() -> None:
     record = noisy(1)
     p, q, r = body_rates_of_attitude(*(record[n] for n in ATTITUDE), record.dt_s)
-    assert told(record.with_columns({"p_radps": p, "q_radps": q, "r_radps": r})) == ["p_radps", "q_radps", "r_radps"]
+    assert told(record.with_columns({"p_radps": p, "q_radps": q, "r_radps": r})) == [
+        "p_radps",
+        "q_radps",
+        "r_radps",
+    ]
     assert told(record.with_columns({"V_mps": EXACT["V_mps"]})) == ["V_mps"]
 
 
@@ -50,7 +54,10 @@ def test_angles_at_another_rate_than_the_grid() -> None:
     at = np.arange(time[0], time[-1], 0.05)
     ground = np.stack([moving_mean(record[n], round(0.5 / record.dt_s)) for n in GROUND])
     u, v, w = to_body({n: record[n] for n in ATTITUDE}, ground)
-    computed = {"alpha_rad": np.arctan2(w, u), "beta_rad": np.arcsin(v / np.sqrt(u**2 + v**2 + w**2))}
+    computed = {
+        "alpha_rad": np.arctan2(w, u),
+        "beta_rad": np.arcsin(v / np.sqrt(u**2 + v**2 + w**2)),
+    }
     meta = replace(record.metadata, native_hz={"alpha_rad": 20.0, "beta_rad": 20.0})
     sensed = {n: EXACT[n] + 0.003 * rng.standard_normal(time.size) for n in computed}
     for source, expected in ((computed, ["alpha_rad", "beta_rad"]), (sensed, [])):

@@ -27,7 +27,9 @@ CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 # --- made signals: dx/dt of a first-order heave, which a control and gusts move --------------------------------------------
 
 
-def made(seed: int, gust: float, feedback: float = 0.0, rows: int = 4500) -> tuple[list[Part], list[np.ndarray]]:
+def made(
+    seed: int, gust: float, feedback: float = 0.0, rows: int = 4500
+) -> tuple[list[Part], list[np.ndarray]]:
     """Spectra of x, y and the control; alpha' = x + g', x = -2 alpha + control, so that x follows what gusts do to alpha."""
     rng = np.random.default_rng(seed)
     dt, n = 0.02, rows
@@ -75,14 +77,19 @@ def test_controls_that_answer_gusts_get_a_wide_error():
     assert np.abs(deviations(found)).max() < 2.5
     assert not any(surely_late(late.late_s, late.std_s) for late in found)
     honest = [lateness(*made(seed, 2.0)) for seed in range(12)]
-    assert np.median([late.std_s for late in found]) > 3.0 * np.median([late.std_s for late in honest])
+    assert np.median([late.std_s for late in found]) > 3.0 * np.median(
+        [late.std_s for late in honest]
+    )
 
 
 def test_controls_without_a_part_in_the_motion_tell_nothing():
     for seed in range(12):
         parts, groups = made(seed, 0.5)
         other, _ = made(seed + 100, 0.5)
-        assert lateness([replace(p, z=o.z) for p, o in zip(parts, other, strict=True)], groups) == UNKNOWN
+        assert (
+            lateness([replace(p, z=o.z) for p, o in zip(parts, other, strict=True)], groups)
+            == UNKNOWN
+        )
     assert lateness([replace(p, z=0.0 * p.z) for p in parts], groups) == UNKNOWN
 
 
@@ -92,7 +99,10 @@ def test_a_short_flight_has_no_false_minimum(monkeypatch: pytest.MonkeyPatch):
 
     def false() -> int:
         found = [lateness(*one) for one in some]
-        return sum(abs(late.late_s - LATE_S) > 0.1 and surely_late(late.late_s, late.std_s) for late in found)
+        return sum(
+            abs(late.late_s - LATE_S) > 0.1 and surely_late(late.late_s, late.std_s)
+            for late in found
+        )
 
     assert false() == 0
     monkeypatch.setattr("sysid.logs.checking.lateness._variance_by_likelihood", lambda *_: 0.0)
@@ -112,7 +122,10 @@ def test_what_is_sure():
 
 
 def flown(w20_kt: float, count: int, rate_hz: float = 25.0) -> list[FlightRecord]:
-    cards = [card(500 + i, 20.0 + 3.0 * (i % 3), first=i, rate_hz=rate_hz, w20_kt=w20_kt) for i in range(count)]
+    cards = [
+        card(500 + i, 20.0 + 3.0 * (i % 3), first=i, rate_hz=rate_hz, w20_kt=w20_kt)
+        for i in range(count)
+    ]
     return fly([Flight(c, Airframe()) for c in cards])
 
 
@@ -127,14 +140,20 @@ def light() -> list[FlightRecord]:
 
 
 def made_late(record: FlightRecord, channel: str, late_s: float) -> FlightRecord:
-    return record.with_columns({channel: np.interp(record["time_s"] - late_s, record["time_s"], record[channel])})
+    return record.with_columns(
+        {channel: np.interp(record["time_s"] - late_s, record["time_s"], record[channel])}
+    )
 
 
 @pytest.mark.parametrize("channel", ["alpha_rad", "beta_rad"])
 @pytest.mark.parametrize("late_s", [0.03, 0.06])
 def test_a_late_vane_is_found_in_calm_air(calm: list[FlightRecord], channel: str, late_s: float):
     for record in calm:
-        found = {f.channel: f.numbers for f in check_physics(made_late(record, channel, late_s)) if f.code == "delay"}
+        found = {
+            f.channel: f.numbers
+            for f in check_physics(made_late(record, channel, late_s))
+            if f.code == "delay"
+        }
         assert found[channel]["delay_s"] == pytest.approx(late_s, abs=0.006)
         assert found[channel]["std_s"] < 0.0075
         assert abs(found[channel]["delay_s"] - late_s) < 3.5 * found[channel]["std_s"]
@@ -143,24 +162,35 @@ def test_a_late_vane_is_found_in_calm_air(calm: list[FlightRecord], channel: str
 
 @pytest.mark.parametrize("channel", ["alpha_rad", "beta_rad"])
 def test_errors_cover_in_turbulence(light: list[FlightRecord], channel: str):
-    found = [channel_lateness(made_late(record, channel, LATE_S), LAWS[channel]) for record in light]
+    found = [
+        channel_lateness(made_late(record, channel, LATE_S), LAWS[channel]) for record in light
+    ]
     assert {late.by for late in found} == {"controls"}
     z = deviations(found)
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
     # The phase between the two, by its own error.
-    naive = [judged(LAWS[channel], stretches(made_late(r, channel, LATE_S), LAWS[channel])) for r in light]
+    naive = [
+        judged(LAWS[channel], stretches(made_late(r, channel, LATE_S), LAWS[channel]))
+        for r in light
+    ]
     wrong = np.array([(r.late_s - LATE_S) / r.late_std_s for r in naive])
     assert np.sqrt(np.mean(wrong**2)) > 1.6
 
 
 def test_nothing_is_late_in_turbulence_that_is_not(light: list[FlightRecord]):
-    assert [f.message for record in light[:6] for f in check_physics(record) if f.code == "delay"] == []
+    assert [
+        f.message for record in light[:6] for f in check_physics(record) if f.code == "delay"
+    ] == []
 
 
-def test_without_controls_calm_air_tells_and_gusts_do_not(calm: list[FlightRecord], light: list[FlightRecord]):
+def test_without_controls_calm_air_tells_and_gusts_do_not(
+    calm: list[FlightRecord], light: list[FlightRecord]
+):
     law = LAWS["alpha_rad"]
     for record, most in ((calm[0], 0.05), (light[0], math.inf)):
-        bare = FlightRecord({n: v for n, v in record.columns.items() if n not in CONTROLS}, record.metadata)
+        bare = FlightRecord(
+            {n: v for n, v in record.columns.items() if n not in CONTROLS}, record.metadata
+        )
         late = channel_lateness(made_late(bare, "alpha_rad", 0.2), law)
         assert late.by == "motion"
         assert abs(late.late_s - 0.2) < 2.0 * late.std_s
@@ -176,6 +206,11 @@ def test_without_controls_calm_air_tells_and_gusts_do_not(calm: list[FlightRecor
 
 def test_a_position_stands_in_for_a_command(calm: list[FlightRecord]):
     record = calm[0]
-    columns = {("elevator_pos_deg" if n == "elevator_deg" else n): v for n, v in record.columns.items()}
-    either = [channel_lateness(r, LAWS["alpha_rad"]) for r in (record, FlightRecord(columns, record.metadata))]
+    columns = {
+        ("elevator_pos_deg" if n == "elevator_deg" else n): v for n, v in record.columns.items()
+    }
+    either = [
+        channel_lateness(r, LAWS["alpha_rad"])
+        for r in (record, FlightRecord(columns, record.metadata))
+    ]
     assert either[0] == either[1]

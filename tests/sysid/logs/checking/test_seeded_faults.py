@@ -22,26 +22,61 @@ from tests.helpers.log_faults import FAULTS, SURFACE_FAULTS, seeded
 from tests.helpers.synthetic import flight
 
 NOISE = {
-    "V_mps": 0.5, "alpha_rad": 0.002, "beta_rad": 0.002, "phi_rad": 0.003, "theta_rad": 0.003, "psi_rad": 0.005, "p_radps": 0.004,
-    "q_radps": 0.004, "r_radps": 0.004, "ax_mps2": 0.16, "ay_mps2": 0.16, "az_mps2": 0.16, "h_m": 0.3, "vn_mps": 0.05,
-    "ve_mps": 0.05, "vd_mps": 0.05,
-}  # fmt: skip
+    "V_mps": 0.5,
+    "alpha_rad": 0.002,
+    "beta_rad": 0.002,
+    "phi_rad": 0.003,
+    "theta_rad": 0.003,
+    "psi_rad": 0.005,
+    "p_radps": 0.004,
+    "q_radps": 0.004,
+    "r_radps": 0.004,
+    "ax_mps2": 0.16,
+    "ay_mps2": 0.16,
+    "az_mps2": 0.16,
+    "h_m": 0.3,
+    "vn_mps": 0.05,
+    "ve_mps": 0.05,
+    "vd_mps": 0.05,
+}
 
-QUICK = ("airspeed in knots", "accelerations in g", "height in feet", "az reversed", "rates in deg/s", "climb for sink")
+QUICK = (
+    "airspeed in knots",
+    "accelerations in g",
+    "height in feet",
+    "az reversed",
+    "rates in deg/s",
+    "climb for sink",
+)
 """Faults of the fast set: each kind of channel, each kind of slip."""
-GENUINE = ("airspeed in knots", "accelerations in g", "height in feet", "az reversed", "ay reversed", "q in deg/s")
+GENUINE = (
+    "airspeed in knots",
+    "accelerations in g",
+    "height in feet",
+    "az reversed",
+    "ay reversed",
+    "q in deg/s",
+)
 
 
 def noisy(seed: int, amplitude: float = 1.0) -> FlightRecord:
-    record, rng = flight(90.0, seed=seed, wind=(3.0, -2.0), amplitude=amplitude), np.random.default_rng(seed)
-    return record.with_columns({n: record[n] + s * rng.standard_normal(len(record)) for n, s in NOISE.items()})
+    record, rng = (
+        flight(90.0, seed=seed, wind=(3.0, -2.0), amplitude=amplitude),
+        np.random.default_rng(seed),
+    )
+    return record.with_columns(
+        {n: record[n] + s * rng.standard_normal(len(record)) for n, s in NOISE.items()}
+    )
 
 
 def slips(found: list[Finding]) -> dict[str, float]:
     return {f.channel: f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
 
 
-@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS])
+@pytest.mark.parametrize(
+    "name",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS],
+)
 def test_a_slip_is_named_with_its_channel_and_size(name: str) -> None:
     found = check_physics(seeded(noisy(1), FAULTS[name]))
     assert slips(found) == pytest.approx(FAULTS[name], rel=0.02)
@@ -54,8 +89,12 @@ def test_noise_is_no_finding(amplitude: float) -> None:
         assert [f for f in check_motion(noisy(seed, amplitude)) if f.severity != "info"] == []
 
 
-@pytest.mark.parametrize(("late_s", "bands", "expected"), [(0.0, 3, True), (-0.14, 3, False), (0.0, 1, False)])
-def test_what_gusts_do_to_relations_in_still_air_is_no_unit(late_s: float, bands: int, expected: bool) -> None:
+@pytest.mark.parametrize(
+    ("late_s", "bands", "expected"), [(0.0, 3, True), (-0.14, 3, False), (0.0, 1, False)]
+)
+def test_what_gusts_do_to_relations_in_still_air_is_no_unit(
+    late_s: float, bands: int, expected: bool
+) -> None:
     in_air = next(law for law in LAWS if law.subject == "az_mps2" and "alpha_rad" in law.uses)
     on_path = next(law for law in LAWS if law.subject == "az_mps2" and "vn_mps" in law.uses)
     relation = Relation(0.26, 0.5, late_s, 0.01, 0.95, bands)
@@ -88,7 +127,11 @@ def driven(sense: float) -> FlightRecord:
     for k in range(n):
         q += dt * (-3.0 * q + sense * 0.3 * elevator[k])
         out[k] = q
-    columns = {"time_s": dt * np.arange(n), "elevator_deg": elevator, "q_radps": out + 0.004 * rng.standard_normal(n)}
+    columns = {
+        "time_s": dt * np.arange(n),
+        "elevator_deg": elevator,
+        "q_radps": out + 0.004 * rng.standard_normal(n),
+    }
     return FlightRecord(columns, Metadata(dialect="record"))
 
 
@@ -112,7 +155,10 @@ def test_an_aircraft_that_swings_back_within_the_lags_tells_no_sign() -> None:
     # What it does at once is undone, and more, 0.12 s later.
     later = np.concatenate([np.zeros(6), elevator[:-6]])
     q = np.cumsum(dt * (-0.2 * elevator + 0.3 * later)) + 0.001 * rng.standard_normal(n)
-    record = FlightRecord({"time_s": dt * np.arange(n), "elevator_deg": elevator, "q_radps": q}, Metadata(dialect="record"))
+    record = FlightRecord(
+        {"time_s": dt * np.arange(n), "elevator_deg": elevator, "q_radps": q},
+        Metadata(dialect="record"),
+    )
     found = effect(record, AXES[0])
     assert found is not None
     assert found.slope > 0.0
@@ -138,7 +184,9 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
     at = np.arange(len(smooth))
     assert interpolated(np.interp(at, at[::5], smooth[::5])) == pytest.approx(5.0, rel=0.05)
     assert interpolated(smooth) is None
-    assert interpolated(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None  # a steady motion in steps of 11 mm
+    assert (
+        interpolated(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None
+    )  # a steady motion in steps of 11 mm
     still = smooth + rng.standard_normal(4000)
     assert stuck(still, 0.02) is None
     still[1000:1200] = still[1000]
@@ -153,7 +201,9 @@ def test_a_coarse_speed_through_a_factor_is_not_held() -> None:
     knots = np.round(43.0 + 2.0 * np.sin(np.arange(4000) * 0.01) + 0.5 * rng.standard_normal(4000))
     found = held(knots * 0.5144)
     assert found is None or not found.held
-    slow = held(np.round(np.cumsum(rng.standard_normal(4000)) / 3.0) * np.linspace(1.0, 1.000001, 4000))
+    slow = held(
+        np.round(np.cumsum(rng.standard_normal(4000)) / 3.0) * np.linspace(1.0, 1.000001, 4000)
+    )
     assert slow is None or not slow.held
     assert (kept := held(np.repeat(rng.standard_normal(800), 5))) is not None
     assert kept.held
@@ -186,28 +236,47 @@ def test_scale_sign_and_lateness_of_two_noisy_signals() -> None:
         assert found.allows(-57.3)
         assert not found.allows(57.3)
         assert found.late_s == pytest.approx(late, abs=0.004)
-    evident = sum(relate([rng.standard_normal(1000)], [rng.standard_normal(1000)], 0.02, 0.1, 2.5).evident for _ in range(200))
+    evident = sum(
+        relate([rng.standard_normal(1000)], [rng.standard_normal(1000)], 0.02, 0.1, 2.5).evident
+        for _ in range(200)
+    )
     assert evident == 0
-    assert relate_means(np.full(40, 9.8), np.full(40, -1.0)).scale == pytest.approx(-1.0 / 9.8, rel=0.01)
+    assert relate_means(np.full(40, 9.8), np.full(40, -1.0)).scale == pytest.approx(
+        -1.0 / 9.8, rel=0.01
+    )
 
 
 def test_every_law_holds_in_an_exact_flight() -> None:
     record = flight(120.0, seed=2)
     found = {law: judged(law, part) for law in LAWS if (part := stretches(record, law)) is not None}
     assert len(found) == len(LAWS)
-    off = {f"{law.subject}: {law.says}" for law, relation in found.items() if relation.evident and not relation.allows(1.0, 0.05)}
-    assert off <= {"h_m: airspeed and pitch angle", "V_mps: the turns that the accelerometers feel"}  # which are approximations
+    off = {
+        f"{law.subject}: {law.says}"
+        for law, relation in found.items()
+        if relation.evident and not relation.allows(1.0, 0.05)
+    }
+    assert off <= {
+        "h_m: airspeed and pitch angle",
+        "V_mps: the turns that the accelerometers feel",
+    }  # which are approximations
     vector = np.random.default_rng(0).standard_normal((3, len(record)))
-    np.testing.assert_allclose(to_body(record.columns, to_earth(record.columns, vector)), vector, atol=1e-12)
+    np.testing.assert_allclose(
+        to_body(record.columns, to_earth(record.columns, vector)), vector, atol=1e-12
+    )
 
 
 def test_the_line_that_mends_it() -> None:
     meta = Metadata(dialect="dataflash", channels={"q_radps": "IMU.GyrY"})
-    assert mend("q_radps", -1.0, meta) == '[signals.q_radps]\nmessage = "IMU"\nfield = "GyrY"\nscale = -1'
+    assert (
+        mend("q_radps", -1.0, meta)
+        == '[signals.q_radps]\nmessage = "IMU"\nfield = "GyrY"\nscale = -1'
+    )
 
 
 def test_a_record_imported_before_a_fault_was_known_is_checked_again(tmp_path: Path) -> None:
-    old = FlightRecord(seeded(noisy(1), FAULTS["az reversed"]).columns, Metadata(dialect="dataflash", findings=()))
+    old = FlightRecord(
+        seeded(noisy(1), FAULTS["az reversed"]).columns, Metadata(dialect="dataflash", findings=())
+    )
     old.write(tmp_path / "old.parquet")
     assert slips(list(import_log(tmp_path / "old.parquet").metadata.findings)) == {"az_mps2": -1.0}
     assert slips(check_again(noisy(1))) == {}

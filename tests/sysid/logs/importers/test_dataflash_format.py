@@ -26,7 +26,13 @@ def test_a_payload_is_read_as_struct_wrote_it() -> None:
     assert made is not None
     row = np.frombuffer(struct.pack("<QBiHi", 5_000_000, 1, -370000000, 2345, 12345), made.dtype)
     values = {c: scaled(row[c], k)[0] for c, k in zip(made.columns, made.characters, strict=True)}
-    assert values == {"TimeUS": 5_000_000, "I": 1, "Lat": pytest.approx(-37.0), "Spd": pytest.approx(23.45), "Alt": 123.45}
+    assert values == {
+        "TimeUS": 5_000_000,
+        "I": 1,
+        "Lat": pytest.approx(-37.0),
+        "Spd": pytest.approx(23.45),
+        "Alt": 123.45,
+    }
     assert made.time_column == ("TimeUS", 1e-6)
     assert made.instance_column == "I"
 
@@ -34,11 +40,20 @@ def test_a_payload_is_read_as_struct_wrote_it() -> None:
 @pytest.mark.parametrize(
     ("length", "name", "characters", "columns"),
     [
-        (7, "A B", "f", "X"), (7, "ABCDE", "f", "X"), (7, "Ä", "f", "X"), (7, "ABC", "ff", "X"), (11, "ABC", "ff", "X,X"),
-        (11, "ABC", "ff", "X,"), (7, "ABC", "?", "X"), (8, "ABC", "f", "X"), (7, "ABC", "f", ""),
+        (7, "A B", "f", "X"),
+        (7, "ABCDE", "f", "X"),
+        (7, "Ä", "f", "X"),
+        (7, "ABC", "ff", "X"),
+        (11, "ABC", "ff", "X,X"),
+        (11, "ABC", "ff", "X,"),
+        (7, "ABC", "?", "X"),
+        (8, "ABC", "f", "X"),
+        (7, "ABC", "f", ""),
     ],
-)  # fmt: skip
-def test_records_that_contradict_themselves_are_none(length: int, name: str, characters: str, columns: str) -> None:
+)
+def test_records_that_contradict_themselves_are_none(
+    length: int, name: str, characters: str, columns: str
+) -> None:
     assert make_format(130, length, name, characters, columns) is None
     assert make_format(130, 7, "ABC", "f", "X") is not None
 

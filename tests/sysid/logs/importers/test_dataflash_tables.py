@@ -41,12 +41,20 @@ def test_a_text_log_of_nothing_but_formats_is_refused(tmp_path: Path) -> None:
 
 def test_a_binary_logs_type_with_two_names_keeps_both(tmp_path: Path) -> None:
     def fmt(name: bytes, characters: bytes, columns: bytes) -> bytes:
-        return b"\xa3\x95\x80" + bytes([200, 19]) + name.ljust(4, b"\0") + characters.ljust(16, b"\0") + columns.ljust(64, b"\0")
+        return (
+            b"\xa3\x95\x80"
+            + bytes([200, 19])
+            + name.ljust(4, b"\0")
+            + characters.ljust(16, b"\0")
+            + columns.ljust(64, b"\0")
+        )
 
     def row(k: int, value: float) -> bytes:
         return b"\xa3\x95\xc8" + struct.pack("<Qff", 20000 * k, value, value)
 
-    data = fmt(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns") + fmt(b"IMU", b"Qff", b"TimeUS,GyrX,GyrY")
+    data = fmt(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns") + fmt(
+        b"IMU", b"Qff", b"TimeUS,GyrX,GyrY"
+    )
     data += b"".join(row(k, 0.1) for k in range(50)) + fmt(b"ATT", b"Qff", b"TimeUS,Roll,Pitch")
     data += b"".join(row(k, 5.0) for k in range(50))
     (tmp_path / "a.bin").write_bytes(data)
@@ -61,7 +69,8 @@ def text(*values: str) -> np.ndarray:
 
 def assembled(columns, formats):
     made = {
-        name: make_format(130 + k, length, name, chars, names) for k, (name, (length, chars, names)) in enumerate(formats.items())
+        name: make_format(130 + k, length, name, chars, names)
+        for k, (name, (length, chars, names)) in enumerate(formats.items())
     }
     assert None not in made.values()
     return assemble("dataflash", columns, made, {}, [], Path("a.bin"))
@@ -92,7 +101,11 @@ def test_parameters_texts_and_vehicle() -> None:
         "MSG": {"TimeUS": np.array([0, 1_500_000]), "Message": text("hello", "ArduPlane V4.6.0")},
         "VER": {"TimeUS": np.array([1]), "BU": np.array([2])},
     }
-    formats = {"PARM": (31, "QNf", "TimeUS,Name,Value"), "MSG": (75, "QZ", "TimeUS,Message"), "VER": (12, "QB", "TimeUS,BU")}
+    formats = {
+        "PARM": (31, "QNf", "TimeUS,Name,Value"),
+        "MSG": (75, "QZ", "TimeUS,Message"),
+        "VER": (12, "QB", "TimeUS,BU"),
+    }
     raw = assembled(columns, formats)
     assert raw.parameters == {"A": 2.0}
     assert raw.texts == ((0.0, "hello"), (1.5, "ArduPlane V4.6.0"))
@@ -110,23 +123,44 @@ def test_without_a_time_nothing_can_be_placed() -> None:
 
 @pytest.mark.parametrize(
     ("parameter", "vehicle"),
-    [("ATC_RAT_RLL_P", "ArduCopter"), ("RLL2SRV_TCONST", "ArduPlane"), ("Q_ENABLE", "ArduPlane VTOL"), ("X", "")],
+    [
+        ("ATC_RAT_RLL_P", "ArduCopter"),
+        ("RLL2SRV_TCONST", "ArduPlane"),
+        ("Q_ENABLE", "ArduPlane VTOL"),
+        ("X", ""),
+    ],
 )
-def test_a_log_without_texts_is_known_by_its_parameters(tmp_path: Path, parameter: str, vehicle: str) -> None:
-    lines = ["FMT, 129, 31, PARM, QNf, TimeUS,Name,Value", "FMT, 130, 20, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ"]
-    lines += [f"PARM, 0, {parameter}, 1"] + [f"IMU, {20000 * k}, 0, 0.1, 0.2, 0.3" for k in range(50)]
+def test_a_log_without_texts_is_known_by_its_parameters(
+    tmp_path: Path, parameter: str, vehicle: str
+) -> None:
+    lines = [
+        "FMT, 129, 31, PARM, QNf, TimeUS,Name,Value",
+        "FMT, 130, 20, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ",
+    ]
+    lines += [f"PARM, 0, {parameter}, 1"] + [
+        f"IMU, {20000 * k}, 0, 0.1, 0.2, 0.3" for k in range(50)
+    ]
     (tmp_path / "a.log").write_text("\n".join(lines))
     record = import_log(tmp_path / "a.log")
     assert record.metadata.vehicle == vehicle
     assert bool(no_aeroplane(record)) == (vehicle == "ArduCopter")
 
 
-def test_an_old_log_has_gps_on_the_autopilots_clock_and_its_airspeed_in_ntun(tmp_path: Path) -> None:
-    lines = ["FMT, 129, 40, GPS, IIff, TimeMS,T,Spd,GCrs", "FMT, 130, 20, IMU, Ifff, TimeMS,GyrX,GyrY,GyrZ",
-             "FMT, 131, 20, NTUN, If, TimeMS,Arspd"]  # fmt: skip
+def test_an_old_log_has_gps_on_the_autopilots_clock_and_its_airspeed_in_ntun(
+    tmp_path: Path,
+) -> None:
+    lines = [
+        "FMT, 129, 40, GPS, IIff, TimeMS,T,Spd,GCrs",
+        "FMT, 130, 20, IMU, Ifff, TimeMS,GyrX,GyrY,GyrZ",
+        "FMT, 131, 20, NTUN, If, TimeMS,Arspd",
+    ]
     for k in range(200):
         lines += [f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3", f"NTUN, {1000 + 20 * k}, {20 + 0.01 * k}"]
-        lines += [f"GPS, {412345000 + 20 * k}, {1000 + 20 * k}, {15 + 0.01 * k}, 0"] if k % 10 == 0 else []
+        lines += (
+            [f"GPS, {412345000 + 20 * k}, {1000 + 20 * k}, {15 + 0.01 * k}, 0"]
+            if k % 10 == 0
+            else []
+        )
     (tmp_path / "a.log").write_text("\n".join(lines))
     record = import_log(tmp_path / "a.log")
     assert (record["time_s"][0], record["time_s"][-1]) == pytest.approx((1.0, 4.98))
@@ -140,7 +174,10 @@ def test_an_old_logs_servo_outputs_are_named_ch(tmp_path: Path, card_path: Path)
         "FMT, 131, 20, RCOU, IHHHH, TimeMS,Ch1,Ch2,Ch3,Ch4",
     ]
     for k in range(100):
-        lines += [f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3, 0, 0, -9.8", f"RCOU, {1000 + 20 * k}, 1500, {1500 + k}, 1600, 1500"]
+        lines += [
+            f"IMU, {1000 + 20 * k}, 0.1, 0.2, 0.3, 0, 0, -9.8",
+            f"RCOU, {1000 + 20 * k}, 1500, {1500 + k}, 1600, 1500",
+        ]
     (tmp_path / "a.log").write_text("\n".join(lines))
     record = import_log(tmp_path / "a.log", None, card_path)
     assert record["elevator_deg"][-1] - record["elevator_deg"][0] == pytest.approx(99 / 20)

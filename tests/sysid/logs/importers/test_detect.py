@@ -15,11 +15,16 @@ from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog
 from tests.helpers.synthetic import flight
 
 
-def test_every_kind_is_told_under_a_strangers_name(tmp_path: Path, bin_log: Path, flown: FlightRecord) -> None:
+def test_every_kind_is_told_under_a_strangers_name(
+    tmp_path: Path, bin_log: Path, flown: FlightRecord
+) -> None:
     short = flown.rows(slice(0, 200))
     write_text_log(tmp_path / "dataflash-text", short)
     write_tlog(tmp_path / "tlog", short)
-    write_ulog(tmp_path / "ulog", {"airspeed": ((short["time_s"] * 1e6).astype(int), {"v": short["V_mps"]})})
+    write_ulog(
+        tmp_path / "ulog",
+        {"airspeed": ((short["time_s"] * 1e6).astype(int), {"v": short["V_mps"]})},
+    )
     for kind in ("csv", "parquet"):
         short.write(tmp_path / f"a.{kind}")
         (tmp_path / f"a.{kind}").rename(tmp_path / kind)
@@ -33,7 +38,9 @@ def test_every_kind_is_told_under_a_strangers_name(tmp_path: Path, bin_log: Path
         assert detect(path.with_suffix(".png")) == path.name
 
 
-def test_a_binary_log_whose_beginning_is_lost_is_told_by_its_first_format(tmp_path: Path, bin_log: Path) -> None:
+def test_a_binary_log_whose_beginning_is_lost_is_told_by_its_first_format(
+    tmp_path: Path, bin_log: Path
+) -> None:
     whole = bin_log.read_bytes()
     (tmp_path / "a").write_bytes(b"\0" * 50 + whole)
     assert detect(tmp_path / "a") == "dataflash"

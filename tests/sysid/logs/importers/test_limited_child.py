@@ -14,7 +14,9 @@ from sysid.logs.importers import limited_child
 
 def served(kind: str, path: Path, wanted=None) -> list[tuple[str, bytes]]:
     out = io.BytesIO()
-    limited_child._serve({"kind": kind, "path": str(path), "wanted": wanted, "memory": 2_000_000_000}, out)
+    limited_child._serve(
+        {"kind": kind, "path": str(path), "wanted": wanted, "memory": 2_000_000_000}, out
+    )
     data, pos, frames = out.getvalue(), 0, []
     while pos < len(data):
         (size,) = struct.unpack_from("<Q", data, pos + 1)
@@ -34,7 +36,11 @@ def test_a_log_is_sent_table_by_table_and_then_what_is_known_of_it(tmp_path: Pat
     assert {k: v.tolist() for k, v in fields.items()} == {"x": [1.0, 3.0]}
     about, facts = load(frames[2][1])
     assert about == "about"
-    assert (facts["dialect"], facts["counted"].tolist(), facts["counts"].tolist()) == ("csv", ["csv"], [2])
+    assert (facts["dialect"], facts["counted"].tolist(), facts["counts"].tolist()) == (
+        "csv",
+        ["csv"],
+        [2],
+    )
 
 
 def test_a_record_and_a_small_table_go_column_by_column(tmp_path: Path) -> None:

@@ -10,7 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.tables import read_csv, read_parquet, read_record, read_small_table, si_factor
+from sysid.logs.importers.tables import (
+    read_csv,
+    read_parquet,
+    read_record,
+    read_small_table,
+    si_factor,
+)
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
@@ -30,7 +36,13 @@ def test_jsbsim_csv_is_turned_into_si_by_its_suffixes(tmp_path: Path) -> None:
         "/fdm/jsbsim/atmosphere/rho-slugs_ft3": np.full(len(record), 1.225 / 515.378818393),
     }
     path = tmp_path / "out.csv"
-    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(
+        path,
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
     back = import_log(path)
     assert back.metadata.dialect == "jsbsim-csv"
     for name in ("V_mps", "alpha_rad", "psi_rad", "q_radps", "az_mps2", "elevator_deg"):
@@ -42,7 +54,9 @@ def test_jsbsim_csv_is_turned_into_si_by_its_suffixes(tmp_path: Path) -> None:
 def test_a_users_map_for_any_csv(tmp_path: Path) -> None:
     record = flight(10.0)
     path = tmp_path / "mine.csv"
-    table = np.column_stack([record["time_s"], np.degrees(record["q_radps"]), 1500 + 20 * record["elevator_deg"]])
+    table = np.column_stack(
+        [record["time_s"], np.degrees(record["q_radps"]), 1500 + 20 * record["elevator_deg"]]
+    )
     np.savetxt(path, table, delimiter=",", header="t,pitch_rate,ele_us", comments="")
     user_map = tmp_path / "map.toml"
     user_map.write_text(
@@ -67,17 +81,32 @@ def test_rows_are_counted_before_memory_is_asked_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time_s,q_radps," + ",".join(f"c{i}" for i in range(6000)) + "\n0,1\n", "has 6002 columns; at most 5000"),
+        (
+            "time_s,q_radps," + ",".join(f"c{i}" for i in range(6000)) + "\n0,1\n",
+            "has 6002 columns; at most 5000",
+        ),
         ("time_s,q_radps\n" + ",".join(["1"] * 9000) + "\n", "has 9000 columns; at most 5000"),
         ("time_s,q_radps\n" + "1" * 1_500_000, "line 2: has more than 1 MB"),
-        ("time_s," + ",".join(f"c{i}" for i in range(4000)) + "\n" + "1\n" * 100_000, "4001 columns would take 3.2 GB"),
-        ('# flight_record {"a":' + "[" * 3000 + "]" * 3000 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
-        ('# flight_record {"grid_hz":' + "1" * 5000 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
-        ('# flight_record {"grid_hz":1' + "0" * 400 + "}\ntime_s,q_radps\n0,1\n1,1\n", "metadata is damaged"),
+        (
+            "time_s," + ",".join(f"c{i}" for i in range(4000)) + "\n" + "1\n" * 100_000,
+            "4001 columns would take 3.2 GB",
+        ),
+        (
+            '# flight_record {"a":' + "[" * 3000 + "]" * 3000 + "}\ntime_s,q_radps\n0,1\n1,1\n",
+            "metadata is damaged",
+        ),
+        (
+            '# flight_record {"grid_hz":' + "1" * 5000 + "}\ntime_s,q_radps\n0,1\n1,1\n",
+            "metadata is damaged",
+        ),
+        (
+            '# flight_record {"grid_hz":1' + "0" * 400 + "}\ntime_s,q_radps\n0,1\n1,1\n",
+            "metadata is damaged",
+        ),
         ('# flight_record {"native_hz":[1]}\ntime_s,q_radps\n0,1\n1,1\n', "metadata is damaged"),
         ('time_s,q_radps\n0,1\n"1,2\n', "not a readable flight record"),
     ],
-)  # fmt: skip
+)
 def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(LogError, match=said):
@@ -90,11 +119,16 @@ def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, sai
         (pa.array([[1.0, 2.0]] * 50), "holds list<"),
         (pa.array([{"a": 1.0}] * 50), "holds struct<"),
         (pa.array([b"\xff\xfe"] * 50), "not a readable Parquet file"),
-        (pa.Array.from_buffers(pa.string(), 50, pa.array([b"\xff\xfe"] * 50).buffers()), "not a readable Parquet file"),
+        (
+            pa.Array.from_buffers(pa.string(), 50, pa.array([b"\xff\xfe"] * 50).buffers()),
+            "not a readable Parquet file",
+        ),
     ],
 )
 @pytest.mark.parametrize("mapped", [True, False])
-def test_columns_of_lists_structs_and_bytes_are_refused(tmp_path: Path, column: pa.Array, said: str, mapped: bool) -> None:
+def test_columns_of_lists_structs_and_bytes_are_refused(
+    tmp_path: Path, column: pa.Array, said: str, mapped: bool
+) -> None:
     name = "odd" if mapped else "q_radps"
     pq.write_table(pa.table({"time_s": np.arange(50) * 0.02, name: column}), tmp_path / "a.parquet")
     (tmp_path / "map.toml").write_text('[signals.q_radps]\nmessage = "csv"\nfield = "odd"\n')
@@ -103,7 +137,9 @@ def test_columns_of_lists_structs_and_bytes_are_refused(tmp_path: Path, column: 
 
 
 def test_columns_that_a_map_does_not_name_are_not_read(tmp_path: Path) -> None:
-    table = pa.table({"time_s": np.arange(50) * 0.02, "q": np.ones(50), "other": pa.array([[b"\xff"]] * 50)})
+    table = pa.table(
+        {"time_s": np.arange(50) * 0.02, "q": np.ones(50), "other": pa.array([[b"\xff"]] * 50)}
+    )
     pq.write_table(table, tmp_path / "a.parquet")
     (tmp_path / "map.toml").write_text('[signals.q_radps]\nmessage = "csv"\nfield = "q"\n')
     assert len(import_log(tmp_path / "a.parquet", tmp_path / "map.toml")) == 50
@@ -111,7 +147,9 @@ def test_columns_that_a_map_does_not_name_are_not_read(tmp_path: Path) -> None:
 
 def test_numbers_written_as_packed_texts_are_read(tmp_path: Path) -> None:
     values = [f"{k % 7}.5" if k else None for k in range(50)]
-    pq.write_table(pa.table({"time_s": np.arange(50) * 0.02, "q_radps": values}), tmp_path / "a.parquet")
+    pq.write_table(
+        pa.table({"time_s": np.arange(50) * 0.02, "q_radps": values}), tmp_path / "a.parquet"
+    )
     read = FlightRecord.read(tmp_path / "a.parquet")["q_radps"]
     assert np.isnan(read[0])
     np.testing.assert_array_equal(read[1:], [k % 7 + 0.5 for k in range(1, 50)])
@@ -120,16 +158,23 @@ def test_numbers_written_as_packed_texts_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
-        ("velocities/u-fps", 0.3048), ("accelerations/udot-ft_sec2", 0.3048), ("velocities/vtrue-kts", 1852.0 / 3600.0),
-        ("inertia/weight-lbs", 0.45359237 * 9.80665), ("aero/qbar-psf", 0.45359237 * 9.80665 / 0.3048**2),
-        ("inertia/mass-slugs", 0.45359237 * 9.80665 / 0.3048), ("aero/alpha-deg", 1.0), ("attitude/psi-rad", 1.0),
+        ("velocities/u-fps", 0.3048),
+        ("accelerations/udot-ft_sec2", 0.3048),
+        ("velocities/vtrue-kts", 1852.0 / 3600.0),
+        ("inertia/weight-lbs", 0.45359237 * 9.80665),
+        ("aero/qbar-psf", 0.45359237 * 9.80665 / 0.3048**2),
+        ("inertia/mass-slugs", 0.45359237 * 9.80665 / 0.3048),
+        ("aero/alpha-deg", 1.0),
+        ("attitude/psi-rad", 1.0),
     ],
-)  # fmt: skip
+)
 def test_suffixes_are_units(name: str, factor: float) -> None:
     assert si_factor(name) == pytest.approx(factor, rel=1e-6)
 
 
-def test_cells_that_are_no_numbers_are_dropouts_and_columns_of_words_stay_words(tmp_path: Path) -> None:
+def test_cells_that_are_no_numbers_are_dropouts_and_columns_of_words_stay_words(
+    tmp_path: Path,
+) -> None:
     rows = [f"{0.1 * k:.1f},{k},mode" for k in range(10)]
     rows[3] = "0.3,oops,mode"
     (tmp_path / "a.csv").write_text("t, x,word\n" + "\n".join(rows) + "\n")
@@ -138,12 +183,20 @@ def test_cells_that_are_no_numbers_are_dropouts_and_columns_of_words_stay_words(
     assert np.flatnonzero(np.isnan(table.fields["x"])).tolist() == [3]
     assert set(table.fields["word"]) == {"mode"}
     (finding,) = raw.findings
-    assert (finding.code, finding.channel, finding.numbers) == ("damaged-cells", "x", {"cells": 1.0, "line": 5.0})
-    assert list(read_csv(tmp_path / "a.csv", {"csv": frozenset({"x"})}).messages[("csv", 0)].fields) == ["x"]
+    assert (finding.code, finding.channel, finding.numbers) == (
+        "damaged-cells",
+        "x",
+        {"cells": 1.0, "line": 5.0},
+    )
+    assert list(
+        read_csv(tmp_path / "a.csv", {"csv": frozenset({"x"})}).messages[("csv", 0)].fields
+    ) == ["x"]
 
 
 def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"time": [0.0, None, 0.2, 0.3], "x": [1.0, 2.0, 3.0, 4.0]}), tmp_path / "a.parquet")
+    pq.write_table(
+        pa.table({"time": [0.0, None, 0.2, 0.3], "x": [1.0, 2.0, 3.0, 4.0]}), tmp_path / "a.parquet"
+    )
     table = read_parquet(tmp_path / "a.parquet").messages[("csv", 0)]
     assert table.time_s.tolist() == [0.0, 0.2, 0.3]
     assert table.fields["x"].tolist() == [1.0, 3.0, 4.0]
@@ -168,12 +221,17 @@ def test_tables_that_are_no_flight(tmp_path: Path, text: str, said: str) -> None
 
 
 def test_a_record_is_told_by_content_and_its_cells_are_numbers(tmp_path: Path) -> None:
-    (tmp_path / "a.parquet").write_text('# flight_record {"a": 1}\ntime_s,q_radps,manoeuvre\n0,1,\n1,,pull\n')
+    (tmp_path / "a.parquet").write_text(
+        '# flight_record {"a": 1}\ntime_s,q_radps,manoeuvre\n0,1,\n1,,pull\n'
+    )
     columns, metadata = read_record(tmp_path / "a.parquet")
     assert metadata == '{"a": 1}'
     assert columns["manoeuvre"].tolist() == ["", "pull"]
     assert np.isnan(columns["q_radps"][1])
-    for text, said in (("time_s,q_radps\n0,x\n", "row 1: column q_radps holds 'x'"), ("time_s,q\n0,1\n", "unknown column 'q'")):
+    for text, said in (
+        ("time_s,q_radps\n0,x\n", "row 1: column q_radps holds 'x'"),
+        ("time_s,q\n0,1\n", "unknown column 'q'"),
+    ):
         (tmp_path / "b.csv").write_text(text)
         with pytest.raises(LogError, match=said):
             read_record(tmp_path / "b.csv")

@@ -31,7 +31,11 @@ def test_tlog_gives_its_channels_on_the_vehicles_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(back["theta_rad"], theta, atol=2e-3)
     az = np.interp(back["time_s"], record["time_s"], record["az_mps2"])
     np.testing.assert_allclose(back["az_mps2"], az, atol=0.02)
-    (purpose,) = [p for p in log_info(import_log(path, card_path=TESTS / "sysid" / "data")).purposes if p.name == "identification"]
+    (purpose,) = [
+        p
+        for p in log_info(import_log(path, card_path=TESTS / "sysid" / "data")).purposes
+        if p.name == "identification"
+    ]
     assert "Hz; at least 20 Hz" in purpose.reason
 
 
@@ -58,10 +62,14 @@ def test_damage_costs_the_packets_it_hits_and_is_told(tmp_path: Path) -> None:
     parts = [attitude(7, 100 * k, 0.1) for k in range(1, 30)]
     broken = bytearray(parts[10])
     broken[-5] ^= 0xFF
-    (tmp_path / "a.tlog").write_bytes(b"".join([*parts[:5], b"\0" * 33, *parts[5:10], bytes(broken), *parts[11:]]))
+    (tmp_path / "a.tlog").write_bytes(
+        b"".join([*parts[:5], b"\0" * 33, *parts[5:10], bytes(broken), *parts[11:]])
+    )
     raw = tlog.read(tmp_path / "a.tlog")
     # The packet in front of the zeros is lost too: one counts when another follows.
-    assert np.setdiff1d(np.arange(1, 30), np.rint(10.0 * raw.messages[("ATTITUDE", 0)].time_s)).tolist() == [5, 11]
+    assert np.setdiff1d(
+        np.arange(1, 30), np.rint(10.0 * raw.messages[("ATTITUDE", 0)].time_s)
+    ).tolist() == [5, 11]
     found = {f.code: f.numbers for f in raw.findings}
     assert found["damaged-packets"] == {"packets": 1.0}
     assert found["damaged-bytes"]["bytes"] >= 33.0
@@ -98,7 +106,11 @@ def test_what_comes_in_bursts_is_placed_by_the_stamps_around_it(tmp_path: Path) 
     (tmp_path / "bursts.tlog").write_bytes(out)
     back = import_log(tmp_path / "bursts.tlog")
     assert np.isfinite(back["V_mps"]).mean() > 0.95
-    np.testing.assert_allclose(back["V_mps"][5:-5], np.interp(back["time_s"], record["time_s"], record["V_mps"])[5:-5], atol=0.25)
+    np.testing.assert_allclose(
+        back["V_mps"][5:-5],
+        np.interp(back["time_s"], record["time_s"], record["V_mps"])[5:-5],
+        atol=0.25,
+    )
     # Placed by receipt, which is up to a second late, the speed would miss by more.
     late = np.interp(np.floor(back["time_s"]), record["time_s"], record["V_mps"])
     assert np.abs(late - np.interp(back["time_s"], record["time_s"], record["V_mps"])).max() > 1.0

@@ -70,14 +70,24 @@ def test_an_angle_without_them_stays(kind: str) -> None:
     b.store("angle", b.load("s"))
     sections = {
         "nothing beside": (_publishing(beside=False), _reading()),
-        "another writer": (_publishing(), Section("other", b.finish({}), When(every=3)), _reading()),
+        "another writer": (
+            _publishing(),
+            Section("other", b.finish({}), When(every=3)),
+            _reading(),
+        ),
         "fed": (_publishing(), _reading()),
     }[kind]
     program = _program(*sections, streams=(Stream("angles", ("angle",)),) if kind == "fed" else ())
-    assert without_angles(program).sections[-1].function.counts() == program.sections[-1].function.counts()
+    assert (
+        without_angles(program).sections[-1].function.counts()
+        == program.sections[-1].function.counts()
+    )
 
 
 def test_a_program_without_such_slots_is_left_alone() -> None:
     program = _program(_reading())
-    program = replace(program, slots={name: value for name, value in program.slots.items() if not name.startswith("#")})
+    program = replace(
+        program,
+        slots={name: value for name, value in program.slots.items() if not name.startswith("#")},
+    )
     assert without_angles(program) is program

@@ -17,7 +17,9 @@ X = RNG.normal(size=400) * np.exp2(RNG.integers(-30, 30, 400))
 Y = RNG.normal(size=400) * np.exp2(RNG.integers(-30, 30, 400))
 
 
-def _made(make: Callable[[Value, Value], dict[str, Value]], x: np.ndarray = X, y: np.ndarray = Y) -> dict[str, np.ndarray]:
+def _made(
+    make: Callable[[Value, Value], dict[str, Value]], x: np.ndarray = X, y: np.ndarray = Y
+) -> dict[str, np.ndarray]:
     b = Builder()
     return evaluate(b.finish(make(b.input("x"), b.input("y"))), {"x": x, "y": y})[0]
 
@@ -38,12 +40,22 @@ def _error(made: dict[str, np.ndarray], exact: list[Fraction]) -> float:
         (a.two_sum, lambda x, y: x + y, 0.0),
         (lambda x, y: a.quick_sum(x, y * 2.0**-80), lambda x, y: x + y / 2**80, 0.0),
         (a.two_product, lambda x, y: x * y, 2.0**-103),
-        (lambda x, y: a.quotient(a.two_sum(x, y), a.two_product(x, y)), lambda x, y: (x + y) / (x * y), 2.0**-98),
-        (lambda x, y: a.product(a.two_sum(x, y), a.two_product(x, y)), lambda x, y: (x + y) * (x * y), 2.0**-100),
+        (
+            lambda x, y: a.quotient(a.two_sum(x, y), a.two_product(x, y)),
+            lambda x, y: (x + y) / (x * y),
+            2.0**-98,
+        ),
+        (
+            lambda x, y: a.product(a.two_sum(x, y), a.two_product(x, y)),
+            lambda x, y: (x + y) * (x * y),
+            2.0**-100,
+        ),
     ],
 )
 def test_two_doubles_are_that_exact(
-    make: Callable[[Value, Value], a.Two], exact: Callable[[Fraction, Fraction], Fraction], bound: float
+    make: Callable[[Value, Value], a.Two],
+    exact: Callable[[Fraction, Fraction], Fraction],
+    bound: float,
 ) -> None:
     wanted = [exact(Fraction(x), Fraction(y)) for x, y in zip(X.tolist(), Y.tolist(), strict=True)]
     made = _made(lambda x, y: _two(make(x, y)))
@@ -78,4 +90,9 @@ def test_signs_and_whole_numbers() -> None:
 def test_a_polynomial_is_its_sum() -> None:
     c = [0.5, -1.25, 2.0, 0.75, -3.0]
     x = np.linspace(-1, 1, 9)
-    np.testing.assert_allclose(_made(lambda v, _: {"r": a.polynomial(v, c)}, x, x)["r"], np.polyval(c[::-1], x), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        _made(lambda v, _: {"r": a.polynomial(v, c)}, x, x)["r"],
+        np.polyval(c[::-1], x),
+        rtol=0,
+        atol=1e-15,
+    )

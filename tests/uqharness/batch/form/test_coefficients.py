@@ -26,7 +26,10 @@ mp.mp.prec = 300
 def test_parts_add_up(parts: tuple[float, ...], exact: object, bits: int) -> None:
     true = exact()  # type: ignore[operator]
     assert abs(mp.fsum(map(mp.mpf, parts)) - true) <= abs(true) * mp.mpf(2) ** -bits
-    assert abs(mp.fsum(map(mp.mpf, parts)) * (1 + mp.mpf(2) ** -45) - true) > abs(true) * mp.mpf(2) ** -bits
+    assert (
+        abs(mp.fsum(map(mp.mpf, parts)) * (1 + mp.mpf(2) ** -45) - true)
+        > abs(true) * mp.mpf(2) ** -bits
+    )
 
 
 @pytest.mark.parametrize(
@@ -36,9 +39,14 @@ def test_parts_add_up(parts: tuple[float, ...], exact: object, bits: int) -> Non
         (c.COS, lambda r: (mp.cos(r) - 1 + r * r / 2) / r**4, mp.pi / 4),
     ],
 )
-def test_polynomials_are_their_functions(polynomial: tuple[float, ...], exact: object, largest: mp.mpf) -> None:
+def test_polynomials_are_their_functions(
+    polynomial: tuple[float, ...], exact: object, largest: mp.mpf
+) -> None:
     for k in range(1, 41):
         r = largest * k / 40
         value = mp.fsum(mp.mpf(x) * r ** (2 * n) for n, x in enumerate(polynomial))
         assert abs(value - exact(r)) * r**3 <= mp.mpf(2) ** -56 * r  # type: ignore[operator]
-        assert abs(value * (1 + mp.mpf(2) ** -40) - exact(largest)) * largest**3 > mp.mpf(2) ** -56 * largest  # type: ignore[operator]
+        assert (
+            abs(value * (1 + mp.mpf(2) ** -40) - exact(largest)) * largest**3
+            > mp.mpf(2) ** -56 * largest
+        )  # type: ignore[operator]

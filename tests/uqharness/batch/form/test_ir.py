@@ -73,7 +73,14 @@ def test_a_rebuilt_function_is_the_same() -> None:
     x = b.input("x")
     b.store("s", x.lt(0.0).choose(-x, b.load("t")))
     function = b.finish({"r": b.op("sin", x)})
-    assert rebuilt(function, ("sin", "lt", "neg", "select"), lambda builder, node, a: builder.op(node.operation, *a)) == function
+    assert (
+        rebuilt(
+            function,
+            ("sin", "lt", "neg", "select"),
+            lambda builder, node, a: builder.op(node.operation, *a),
+        )
+        == function
+    )
 
 
 def test_wrong_kinds_and_strangers_are_refused() -> None:
@@ -92,7 +99,10 @@ def test_tables_are_told_apart_and_folded() -> None:
     assert b.table([0.0, 1.0]).index != b.table([-0.0, 1.0]).index
     assert b.op("lookup", b.table([3.0, 4.0]), b.constant(1.5)).constant == 4.0
     function = b.finish({"r": b.op("lookup", b.table([3.0, 4.0]), b.input("x"))})
-    assert rebuilt(function, ("lookup",), lambda builder, node, a: builder.op(node.operation, *a)) == function
+    assert (
+        rebuilt(function, ("lookup",), lambda builder, node, a: builder.op(node.operation, *a))
+        == function
+    )
     with pytest.raises(ValueError, match="a number at least"):
         b.table([])
     with pytest.raises(ValueError, match="lookup takes table, f64"):

@@ -25,7 +25,20 @@ from uqharness.batch.machine.target import targets
 
 COUNT = int(os.environ.get("BATCH_POINTS", "20000"))
 INF, NAN = math.inf, math.nan
-SPECIAL = [0.0, -0.0, 1.0, -1.0, INF, -INF, NAN, 5e-324, -5e-324, 2.0**-1022, 1.7976931348623157e308, -1.7976931348623157e308]
+SPECIAL = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    INF,
+    -INF,
+    NAN,
+    5e-324,
+    -5e-324,
+    2.0**-1022,
+    1.7976931348623157e308,
+    -1.7976931348623157e308,
+]
 SPECIAL += [
     0.5,
     -0.5,
@@ -58,7 +71,9 @@ def test_errors_are_below_two_ulp(operation: str) -> None:
 def test_short_powers(exponent: float) -> None:
     x = np.random.default_rng(3).uniform(0.01, 30, 20_000)
     points = (x, np.full(len(x), exponent))
-    assert errors("pow", points, values("pow", (x,), exponent)).max() <= {3.0: 1.5, 4.0: 2.0}.get(exponent, 0.5)
+    assert errors("pow", points, values("pow", (x,), exponent)).max() <= {3.0: 1.5, 4.0: 2.0}.get(
+        exponent, 0.5
+    )
 
 
 def test_the_measure_says_no_to_an_error() -> None:
@@ -84,18 +99,30 @@ def _python(operation: str, *a: float) -> float:
 
 @pytest.mark.parametrize("operation", TRANSCENDENTAL)
 def test_special_values_are_those_of_c99(operation: str) -> None:
-    pairs = [(x, y) for x in SPECIAL for y in SPECIAL] if TRANSCENDENTAL[operation] == 2 else [(x,) for x in SPECIAL]
+    pairs = (
+        [(x, y) for x in SPECIAL for y in SPECIAL]
+        if TRANSCENDENTAL[operation] == 2
+        else [(x,) for x in SPECIAL]
+    )
     if operation in ("sin", "cos", "tan"):
         pairs = [p for p in pairs if not abs(p[0]) > 1.6e6 or math.isinf(p[0])]
     if operation == "fmod":
-        pairs = [p for p in pairs if not (p[1] and math.isfinite(p[0]) and abs(p[0] / p[1]) >= 2.0**50)]
+        pairs = [
+            p for p in pairs if not (p[1] and math.isfinite(p[0]) and abs(p[0] / p[1]) >= 2.0**50)
+        ]
     points = tuple(np.array(column) for column in zip(*pairs, strict=True))
     got = values(operation, points)
     wanted = np.array([_python(operation, *p) for p in pairs])
     rough = np.isfinite(wanted) & (wanted != 0) & np.isfinite(got)
     with np.errstate(all="ignore"):
-        fine = np.where(rough, np.abs(got - wanted) <= 2 * np.spacing(np.abs(wanted)), same_bits(got, wanted))
-    assert [(p, g, w) for p, g, w, f in zip(pairs, got.tolist(), wanted.tolist(), fine, strict=True) if not f] == []
+        fine = np.where(
+            rough, np.abs(got - wanted) <= 2 * np.spacing(np.abs(wanted)), same_bits(got, wanted)
+        )
+    assert [
+        (p, g, w)
+        for p, g, w, f in zip(pairs, got.tolist(), wanted.tolist(), fine, strict=True)
+        if not f
+    ] == []
 
 
 def test_beyond_the_limits_there_is_no_number() -> None:
@@ -107,7 +134,10 @@ def test_beyond_the_limits_there_is_no_number() -> None:
 def test_every_width_has_the_bits_of_numpy(operation: str) -> None:
     points = POINTS[operation](np.random.default_rng(5), 20_000)
     special = [(x, y) for x in SPECIAL for y in SPECIAL]
-    points = tuple(np.concatenate([p, column]) for p, column in zip(points, zip(*special, strict=True), strict=False))
+    points = tuple(
+        np.concatenate([p, column])
+        for p, column in zip(points, zip(*special, strict=True), strict=False)
+    )
     function = lowered(operation)
     inputs = dict(zip("xy", points, strict=False))
     reference = evaluate(function, inputs)[0]["r"]
@@ -127,7 +157,9 @@ def test_constants_are_folded_to_the_same_bits() -> None:
         assert set(function.counts()) == {"const"}
         got = np.array([function.nodes[i].value for i in function.outputs.values()])
         # The exponent is constant here: those of 0.5 and 2 are short, the others go the general way.
-        assert same_bits(got, values(operation, tuple(np.ascontiguousarray(c) for c in numbers.T))).all()
+        assert same_bits(
+            got, values(operation, tuple(np.ascontiguousarray(c) for c in numbers.T))
+        ).all()
 
 
 DIGEST = "5195305f7f94ecf2b7df077e4bd23eb2fe19e7e812f4000a10d87d455a51eabc"

@@ -17,13 +17,22 @@ from uqharness.batch.form.passes import alive, hoisted, joined, lowered, optimis
 from uqharness.batch.form.program import Program, Section, Stream, When
 
 LANES, FRAMES = 11, 40
-PASSES = {"joined": joined, "alive": alive, "hoisted": hoisted, "trimmed": trimmed, "optimised": optimised, "lowered": lowered}
+PASSES = {
+    "joined": joined,
+    "alive": alive,
+    "hoisted": hoisted,
+    "trimmed": trimmed,
+    "optimised": optimised,
+    "lowered": lowered,
+}
 
 
 def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
     rng = np.random.default_rng(4)
     own = {name: rng.normal(size=LANES) for name in ("s0", "s1", "s2", "constant a", "s20")}
-    state = begun(program, LANES, {name: value for name, value in own.items() if name in program.slots})
+    state = begun(
+        program, LANES, {name: value for name, value in own.items() if name in program.slots}
+    )
     out, frame = [], 1
     for frames in pieces:
         out.append(run_program(program, state, frame, frames, feeds(FRAMES, LANES), 2))
@@ -39,9 +48,15 @@ def _mixed(seed: int) -> tuple[Program, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in ("optimised", "lowered") else pytest.param(name, marks=pytest.mark.slow) for name in PASSES]
+    "name",
+    [
+        name if name in ("optimised", "lowered") else pytest.param(name, marks=pytest.mark.slow)
+        for name in PASSES
+    ],
 )
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_every_pass_keeps_the_bits_of_what_is_recorded(name: str, seed: int) -> None:
     program, wanted = _mixed(seed)
     changed = PASSES[name](program)
@@ -58,7 +73,10 @@ def test_a_wrong_pass_is_noticed() -> None:
 def _section(stores: dict[str, tuple[str, ...]], when: When | None = None) -> Section:
     """Each slot becomes the sum of others."""
     b = Builder()
-    values = {goal: sum((b.load(name) for name in names[1:]), b.load(names[0])) for goal, names in stores.items()}
+    values = {
+        goal: sum((b.load(name) for name in names[1:]), b.load(names[0]))
+        for goal, names in stores.items()
+    }
     return Section("s", b.finish({}, values), when or When())
 
 
@@ -76,19 +94,27 @@ def test_stores_that_nobody_needs_go() -> None:
     program = Program(sections, dict.fromkeys(names, 1.0), (), ("record",))
     # The last store of "over" is written over before anybody reads it.
     assert _stored(alive(program)) == [["a"], ["b", "over"], ["record"]]
-    assert _stored(alive(program, ["own", "over"])) == [["a"], ["b", "over", "own"], ["over", "record"]]
+    assert _stored(alive(program, ["own", "over"])) == [
+        ["a"],
+        ["b", "over", "own"],
+        ["over", "record"],
+    ]
     assert set(trimmed(alive(program)).slots) == {"a", "b", "x", "y", "over", "record"}
 
 
 def test_masks_counters_and_other_frames_keep_their_stores() -> None:
     sections = (
         _section({"record": ("x", "later"), "late": ("x", "x")}, When(mask="mask")),
-        _section({"mask": ("x", "y"), "count": ("x", "y"), "later": ("late", "y"), "n": ("x", "y")}),
+        _section(
+            {"mask": ("x", "y"), "count": ("x", "y"), "later": ("late", "y"), "n": ("x", "y")}
+        ),
         _section({"late": ("y", "y")}, When(every=2)),
         _section({"n": ("y", "x")}),
     )
     names = ("record", "x", "y", "later", "late", "mask", "count", "n")
-    program = Program(sections, dict.fromkeys(names, 1.0), (Stream("s", ("n",), counter="count"),), ("record",))
+    program = Program(
+        sections, dict.fromkeys(names, 1.0), (Stream("s", ("n",), counter="count"),), ("record",)
+    )
     assert _stored(alive(program)) == [["late", "record"], ["count", "later", "mask"], ["late"]]
 
 
@@ -97,7 +123,11 @@ def test_a_section_behind_another_that_turns_its_mask_is_not_joined() -> None:
     slots = {"m": 1.0, "x": 1.0, "y": 2.0, "r": 0.0}
     turning = (_section({"m": ("x", "x")}, when), _section({"r": ("x", "y")}, when))
     assert len(joined(Program(turning, slots)).sections) == 2
-    still = (_section({"x": ("x", "x")}, when), _section({"r": ("x", "y")}, when), _section({"y": ("r", "x")}, When(every=2)))
+    still = (
+        _section({"x": ("x", "x")}, when),
+        _section({"r": ("x", "y")}, when),
+        _section({"y": ("r", "x")}, When(every=2)),
+    )
     program = joined(Program(still, slots))
     assert [section.when for section in program.sections] == [when, When(every=2)]
     state = begun(program, 1)
@@ -116,7 +146,10 @@ def test_what_never_changes_is_done_once() -> None:
     assert changed.prelude is not None
     assert changed.sections[0].function.counts() == {"load": 3, "mul": 2, "add": 2, "const": 1}
     assert changed.prelude.counts()["div"] >= 1
-    a, b_ = begun(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}), begun(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])})
+    a, b_ = (
+        begun(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+        begun(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+    )
     assert same_bits(run_program(program, a, 1, 5), run_program(changed, b_, 1, 5)).all()
     with pytest.raises(ValueError, match="has a prelude"):
         hoisted(changed)
@@ -125,7 +158,9 @@ def test_what_never_changes_is_done_once() -> None:
 def test_a_slot_changed_between_calls_counts() -> None:
     b = Builder()
     b.store("x", b.op("exp", b.load("level")) + b.load("x"))
-    program = optimised(Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",)))
+    program = optimised(
+        Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",))
+    )
     state = begun(program, 1)
     run_program(program, state, 1, 2)
     state[:, list(program.slots).index("level"), :] = 1.0

@@ -27,7 +27,15 @@ def program(switch_written: float) -> Program:
         section("count", When(), count=lambda b: b.load("count") + b.load("gain")),
         section("fed", When(), out=lambda b: b.load("feed") * b.load("lane")),
     )
-    slots = {"setting": 2.0, "switch": 0.0, "gain": 1.0, "count": 0.0, "feed": 0.0, "lane": 3.0, "out": 0.0}
+    slots = {
+        "setting": 2.0,
+        "switch": 0.0,
+        "gain": 1.0,
+        "count": 0.0,
+        "feed": 0.0,
+        "lane": 3.0,
+        "out": 0.0,
+    }
     return Program(sections, slots, (Stream("air", ("feed",)),), ("count", "out"))
 
 
@@ -35,7 +43,9 @@ def flown(made: Program) -> np.ndarray:
     """Records of four frames in two lanes."""
     state = begun(made, 2, {"lane": np.array([3.0, 5.0])} if "lane" in made.slots else {})
     rows = np.arange(1.0, 5.0)[:, None]
-    return Interpreter(made).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[:, :2]
+    return Interpreter(made).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[
+        :, :2
+    ]
 
 
 def test_a_switch_that_stays_off_takes_its_section_along():
@@ -67,7 +77,9 @@ def test_what_an_initialising_frame_leaves_is_the_begin():
 
 
 def test_an_initialising_frame_that_differs_between_lanes_is_not_folded():
-    first = Program((section("first", When(), gain=lambda b: b.load("lane") * 1.0),), {"gain": 1.0, "lane": 3.0})
+    first = Program(
+        (section("first", When(), gain=lambda b: b.load("lane") * 1.0),), {"gain": 1.0, "lane": 3.0}
+    )
     made = settled((first,), program(0.0), ("lane",))
     count = next(s for s in made.sections if s.name == "count")
     assert "gain" in [node.name for node in count.function.nodes]

@@ -20,17 +20,34 @@ LANES, FRAMES = 11, 40
 
 
 def _flown(program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
-    own = {name: np.random.default_rng(4).normal(size=LANES) for name in ("s0", "s1", "s20") if name in program.slots}
+    own = {
+        name: np.random.default_rng(4).normal(size=LANES)
+        for name in ("s0", "s1", "s20")
+        if name in program.slots
+    }
     state = begun(program, LANES, own)
     out, frame = [], 1
     for frames in pieces:
-        out.append(run_program(program, state, frame, frames, feeds(FRAMES, LANES) if program.streams else {}, stride))
+        out.append(
+            run_program(
+                program,
+                state,
+                frame,
+                frames,
+                feeds(FRAMES, LANES) if program.streams else {},
+                stride,
+            )
+        )
         frame += frames
     return np.concatenate(out, axis=2)
 
 
-@pytest.mark.parametrize("stride", [1, 3, 10, *(pytest.param(stride, marks=pytest.mark.slow) for stride in (2, 6))])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4, 5))])
+@pytest.mark.parametrize(
+    "stride", [1, 3, 10, *(pytest.param(stride, marks=pytest.mark.slow) for stride in (2, 6))]
+)
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4, 5))]
+)
 def test_records_keep_their_bits(seed: int, stride: int) -> None:
     program = alive(joined(lowered(mixed(seed, sections=4 + seed))))
     wanted = _flown(program, stride)
@@ -55,7 +72,12 @@ def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
         b.store(f"read {every}", b.load(f"read {every}") + b.load("sum"))
         sections.append(Section(f"reader {every}", b.finish({}), When(every=every)))
     slots = {"x": 0.3, "sum": 0.0} | {f"read {every}": 0.0 for every in readers}
-    return Program(tuple(sections), slots, (), tuple(f"read {every}" for every in readers) + (("sum",) if kept else ()))
+    return Program(
+        tuple(sections),
+        slots,
+        (),
+        tuple(f"read {every}" for every in readers) + (("sum",) if kept else ()),
+    )
 
 
 def test_it_moves_behind_where_it_was() -> None:
@@ -67,24 +89,38 @@ def test_it_moves_behind_where_it_was() -> None:
 
 
 @pytest.mark.parametrize(
-    ("readers", "kept", "stride", "every"), [((2,), True, 4, 2), ((), True, 10, 10), ((), True, 1, 1), ((1,), False, 10, 1)]
+    ("readers", "kept", "stride", "every"),
+    [((2,), True, 4, 2), ((), True, 10, 10), ((), True, 1, 1), ((1,), False, 10, 1)],
 )
-def test_records_are_looked_at_too(readers: tuple[int, ...], kept: bool, stride: int, every: int) -> None:
+def test_records_are_looked_at_too(
+    readers: tuple[int, ...], kept: bool, stride: int, every: int
+) -> None:
     program = _two(readers, kept)
     changed = sunk(program, (), stride)
-    assert [s.when.every for s in changed.sections] == ([1] if every == 1 else [1, every]) + list(readers)
+    assert [s.when.every for s in changed.sections] == ([1] if every == 1 else [1, every]) + list(
+        readers
+    )
     assert (_flown(changed, stride) == _flown(program, stride)).all()
 
 
 def test_what_is_kept_masks_or_is_read_before_stays() -> None:
     program = _two()
     assert sunk(program, ("sum",)) == program
-    masked = replace(program, sections=(*program.sections, Section("m", program.sections[1].function, When(every=2, mask="sum"))))
+    masked = replace(
+        program,
+        sections=(
+            *program.sections,
+            Section("m", program.sections[1].function, When(every=2, mask="sum")),
+        ),
+    )
     assert sunk(masked) == masked
     backwards = replace(program, sections=program.sections[::-1])
     assert sunk(backwards) == backwards
     # A section that runs in one frame may look at any time.
-    once = replace(program, sections=(*program.sections, Section("once", program.sections[1].function, When(at=5))))
+    once = replace(
+        program,
+        sections=(*program.sections, Section("once", program.sections[1].function, When(at=5))),
+    )
     assert sunk(once) == once
 
 

@@ -15,7 +15,21 @@ from uqharness.batch.form.program import Program, Section, Stream, When
 from uqharness.batch.form.semantics import TRANSCENDENTAL
 from uqharness.batch.form.tangent import rate_name, tangent, tangent_program
 
-UNARY = ["sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log2", "log10", "sqrt", "abs", "neg"]
+UNARY = [
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "exp",
+    "log",
+    "log2",
+    "log10",
+    "sqrt",
+    "abs",
+    "neg",
+]
 BINARY = ["add", "sub", "mul", "div", "atan2", "pow", "fmod", "min", "max"]
 
 
@@ -34,7 +48,9 @@ def test_derivatives_are_those_of_central_differences(operation: str) -> None:
     for d, row in directions.items():
         up, _ = evaluate(plain, {n: at[n] + h * row.get(n, 0.0) for n in names})
         down, _ = evaluate(plain, {n: at[n] - h * row.get(n, 0.0) for n in names})
-        np.testing.assert_allclose(got[rate_name("r", d)], (up["r"] - down["r"]) / (2 * h), rtol=2e-8, atol=2e-8)
+        np.testing.assert_allclose(
+            got[rate_name("r", d)], (up["r"] - down["r"]) / (2 * h), rtol=2e-8, atol=2e-8
+        )
 
 
 def test_the_state_carries_derivatives_from_frame_to_frame() -> None:
@@ -44,7 +60,9 @@ def test_the_state_carries_derivatives_from_frame_to_frame() -> None:
     function = lower(tangent(b.finish({}), ["k"], ["k"]))
     state = {"s": np.array([0.3]), rate_name("s", "k"): np.zeros(1)}
     for _ in range(20):
-        _, state = evaluate(function, {"k": np.array([0.5]), rate_name("k", "k"): np.ones(1)}, state)
+        _, state = evaluate(
+            function, {"k": np.array([0.5]), rate_name("k", "k"): np.ones(1)}, state
+        )
 
     def run(k: float) -> float:
         s = 0.3
@@ -68,7 +86,10 @@ def test_selected_branches_and_bits() -> None:
     b = Builder()
     x = b.input("x")
     function = b.finish({"r": x.lt(0.0).choose(x * x, x * 5.0), "n": b.op("floor", x)})
-    got, _ = evaluate(tangent(function, ["d"], ["x"]), {"x": np.array([-2.0, 3.0]), rate_name("x", "d"): np.ones(2)})
+    got, _ = evaluate(
+        tangent(function, ["d"], ["x"]),
+        {"x": np.array([-2.0, 3.0]), rate_name("x", "d"): np.ones(2)},
+    )
     assert got[rate_name("r", "d")].tolist() == [-4.0, 5.0]
     assert got[rate_name("n", "d")].tolist() == [0.0, 0.0]
     with pytest.raises(ValueError, match=r"before form\.maths\.lower"):
@@ -84,7 +105,8 @@ def test_numbers_of_a_table_do_not_change_with_the_index() -> None:
     x = b.input("x")
     picked = b.op("lookup", b.table([2.0, 5.0]), b.op("floor", x))
     got, _ = evaluate(
-        tangent(b.finish({"r": picked * x}), ["d"], ["x"]), {"x": np.array([0.5, 1.5]), rate_name("x", "d"): np.ones(2)}
+        tangent(b.finish({"r": picked * x}), ["d"], ["x"]),
+        {"x": np.array([0.5, 1.5]), rate_name("x", "d"): np.ones(2)},
     )
     assert got[rate_name("r", "d")].tolist() == [2.0, 5.0]
 
@@ -94,7 +116,14 @@ def _swinging() -> Program:
     motion, slow, far = Builder(), Builder(), Builder()
     angle, rate = motion.load("angle"), motion.load("rate")
     faster = (
-        rate + (-motion.op("sin", angle) * motion.load("stiffness") - 0.1 * rate + motion.load("wind") + motion.load("held")) * 0.05
+        rate
+        + (
+            -motion.op("sin", angle) * motion.load("stiffness")
+            - 0.1 * rate
+            + motion.load("wind")
+            + motion.load("held")
+        )
+        * 0.05
     )
     motion.store("rate", faster)
     motion.store("angle", angle + faster * 0.05)
@@ -107,7 +136,16 @@ def _swinging() -> Program:
         Section("slow", slow.finish({}), When(every=2)),
         Section("far", far.finish({}), When(mask="is far")),
     )
-    slots = {"angle": 0.5, "rate": 0.0, "stiffness": 2.0, "wind": 0.0, "held": 0.0, "is far": 0.0, "clock": 0.0, "drag": 0.98}
+    slots = {
+        "angle": 0.5,
+        "rate": 0.0,
+        "stiffness": 2.0,
+        "wind": 0.0,
+        "held": 0.0,
+        "is far": 0.0,
+        "clock": 0.0,
+        "drag": 0.98,
+    }
     return Program(sections, slots, (Stream("air", ("wind",)),), ("angle", "clock"))
 
 
@@ -115,7 +153,9 @@ def test_a_flights_derivatives_are_those_of_central_differences() -> None:
     program = _swinging()
     directions = {"k": {"stiffness": 1.0}, "drag": {"drag": 1.0}, "start": {"angle": 1.0}}
     changed = tangent_program(program, directions)
-    air = {"air": Feed(np.random.default_rng(1).normal(size=(80, 1)), 0, np.zeros(4, dtype=np.int64))}
+    air = {
+        "air": Feed(np.random.default_rng(1).normal(size=(80, 1)), 0, np.zeros(4, dtype=np.int64))
+    }
     start = {"angle": np.array([0.5, 0.1, -0.7, 1.2])}
     made = run_program(changed, begun(changed, 4, start), 1, 80, air)[:, :4]
     plain = run_program(program, begun(program, 4, start), 1, 80, air)[:, :4]
@@ -127,7 +167,9 @@ def test_a_flights_derivatives_are_those_of_central_differences() -> None:
         for h in (1e-6, -1e-6):
             values = {**start, name: start.get(name, np.full(4, program.slots[name])) + h}
             ends.append(run_program(program, begun(program, 4, values), 1, 80, air)[0, :4])
-        np.testing.assert_allclose(made[2 + 2 * k], (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(
+            made[2 + 2 * k], (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-7
+        )
         assert np.abs(made[2 + 2 * k]).max() > 0.01
         assert not made[3 + 2 * k].any()
 

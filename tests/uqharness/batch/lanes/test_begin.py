@@ -28,17 +28,24 @@ TWO = "".join(engines.mounted("eng_io320", "prop_75in2f", k, "<feed>0</feed>") f
 def made() -> Iterator[flights.Craft]:
     """Two piston engines on an aircraft with a tank, whose mission begins in the steady state."""
     text = engines.aircraft(TWO + engines.tank(6.0), engines.HEAVY).replace(">10<", ">150<")
-    with flights.craft(text, {}, EVENTS, {**engines.stock("eng_io320", "prop_75in2f"), "start.xml": START}) as found:
+    with flights.craft(
+        text, {}, EVENTS, {**engines.stock("eng_io320", "prop_75in2f"), "start.xml": START}
+    ) as found:
         yield found
 
 
 def spec(made: flights.Craft, properties: dict[str, float] | None = None) -> FlightSpec:
-    return FlightSpec(made.root / "aircraft" / "point", made.script, 5.0, properties=properties or {})
+    return FlightSpec(
+        made.root / "aircraft" / "point", made.script, 5.0, properties=properties or {}
+    )
 
 
 def apart(one: FlightResult, other: FlightResult) -> float:
     return max(
-        float(np.abs(one.signals[name] - other.signals[name]).max() / max(0.01, np.abs(other.signals[name]).max()))
+        float(
+            np.abs(one.signals[name] - other.signals[name]).max()
+            / max(0.01, np.abs(other.signals[name]).max())
+        )
         for name in other.signals
     )
 
@@ -49,8 +56,13 @@ def test_engines_begin_in_the_steady_state(made: flights.Craft) -> None:
     assert apart(lane, fly(spec(made))) < 1e-7
 
 
-@pytest.mark.parametrize(("name", "values"), [("inertia/mass-slugs", (70.0, 60.0)), ("fcs/throttle-cmd-norm", (0.5, 0.9))])
-def test_lanes_differ_in_mass_and_throttle(made: flights.Craft, name: str, values: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("inertia/mass-slugs", (70.0, 60.0)), ("fcs/throttle-cmd-norm", (0.5, 0.9))],
+)
+def test_lanes_differ_in_mass_and_throttle(
+    made: flights.Craft, name: str, values: tuple[float, float]
+) -> None:
     specs = [spec(made, {name: value}) for value in values]
     lanes, judged = fly_many(specs), [fly(one) for one in specs]
     assert apart(lanes[0], judged[0]) < 1e-7

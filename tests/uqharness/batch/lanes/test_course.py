@@ -18,15 +18,32 @@ ACTIVE = {"uq/active": 1.0}
 def moving(tmp_path_factory):
     """Two airs of an aircraft whose bounds depend on the state: gusts, noise, walking levels, a transient part."""
     plane = with_bounds(tmp_path_factory.mktemp("bounds"), 0.001, transient=0.0004)
-    one = spec(plane, duration_s=24.0, burn_in_s=8.0, properties=ACTIVE, levels=WALK, transient=TRANSIENT, **EXPENSIVE)
-    specs = [one, replace(one, seed_noise=8, seed_turbulence=9, transient=replace(TRANSIENT, aleatory_id=5))]
+    one = spec(
+        plane,
+        duration_s=24.0,
+        burn_in_s=8.0,
+        properties=ACTIVE,
+        levels=WALK,
+        transient=TRANSIENT,
+        **EXPENSIVE,
+    )
+    specs = [
+        one,
+        replace(one, seed_noise=8, seed_turbulence=9, transient=replace(TRANSIENT, aleatory_id=5)),
+    ]
     return flown(specs)
 
 
 @pytest.fixture(scope="module")
 def own_turbulence():
     """JSBSim's own turbulence, whose filters are the aircraft's state."""
-    one = spec(duration_s=24.0, wind_mps=3.0, turbulence="moderate", turbulence_source="jsbsim", sensor_noise=True)
+    one = spec(
+        duration_s=24.0,
+        wind_mps=3.0,
+        turbulence="moderate",
+        turbulence_source="jsbsim",
+        sensor_noise=True,
+    )
     return flown([one, replace(one, seed_noise=8, seed_turbulence=9)])
 
 
@@ -48,9 +65,11 @@ def rows_of(recorded):
 
 
 def same(one, other):
-    return (one.status, one.reason, one.flown_s) == (other.status, other.reason, other.flown_s) and (
-        rows_of(one).tobytes() == rows_of(other).tobytes()
-    )
+    return (one.status, one.reason, one.flown_s) == (
+        other.status,
+        other.reason,
+        other.flown_s,
+    ) and (rows_of(one).tobytes() == rows_of(other).tobytes())
 
 
 @pytest.mark.parametrize("which", ["moving", "own_turbulence"])
@@ -76,7 +95,13 @@ def test_one_number_that_is_not_restored_is_seen(moving):
     histories = [name for name in slots if name.endswith(("/rate1", "/rate2"))]
     filters = [name for name in slots if name.startswith("#fcs/") or "actuator" in name]
     assert histories
-    for name in (histories[0], histories[-1], "#attitude/0", "simulation/sim-time-sec", *filters[:1]):
+    for name in (
+        histories[0],
+        histories[-1],
+        "#attitude/0",
+        "simulation/sim-time-sec",
+        *filters[:1],
+    ):
         state = held.state.copy()
         state[slots.index(name)] += 1e-6
         course = Course(made, [replace(held, state=state)])
@@ -183,7 +208,10 @@ def followed(made, specs):
     for number, frame in enumerate(STEPS):
         course.fly(frame)
         count = len(course.ends)
-        course.follow([*range(count), 0, count - 1], [*[None] * count, Branch(7, 3, 1, number), Branch(7, 4, 2, number)])
+        course.follow(
+            [*range(count), 0, count - 1],
+            [*[None] * count, Branch(7, 3, 1, number), Branch(7, 4, 2, number)],
+        )
     course.taken()
     course.fly(course.last)
     return course, course.splits, course.taken()
@@ -194,14 +222,23 @@ def restored(made, spec, splits):
     course = begun(made, [spec], splits[0].frame)
     for k, split in enumerate(splits):
         course.fly(split.frame)
-        course = Course(made, [course.held()[0].branched(made, split.root, split.aleatory_id, split.level, split.branch)])
+        course = Course(
+            made,
+            [
+                course.held()[0].branched(
+                    made, split.root, split.aleatory_id, split.level, split.branch
+                )
+            ],
+        )
         assert course.splits == [splits[: k + 1]]
     course.fly()
     return course
 
 
 @pytest.mark.parametrize("which", ["gusty", "moving", "own_turbulence"])
-def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(which, request, monkeypatch):
+def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(
+    which, request, monkeypatch
+):
     made, specs, _ = request.getfixturevalue(which)
     if which != "gusty":
         monkeypatch.setitem(globals(), "STEPS", (1000, 1600, 2000))

@@ -17,13 +17,24 @@ from uqharness.batch.models.winds import COUNTER, NORMALS
 def made(specs, frames=400):
     lanes = ready(specs[0]).lanes
     started = begin(lanes, specs)
-    state = begun(lanes.program, len(specs), {n: v for n, v in started.values.items() if n in lanes.program.slots})
+    state = begun(
+        lanes.program,
+        len(specs),
+        {n: v for n, v in started.values.items() if n in lanes.program.slots},
+    )
     return lanes, Feeder(lanes, specs, airs_of(lanes, specs, started.values), started.noise), state
 
 
 def specs(seeds=(1, 2, 1), **changes):
     return [
-        spec(duration_s=4.0, seed_turbulence=seed, seed_noise=seed + 10, sensor_noise=True, turbulence="light", **changes)
+        spec(
+            duration_s=4.0,
+            seed_turbulence=seed,
+            seed_noise=seed + 10,
+            sensor_noise=True,
+            turbulence="light",
+            **changes,
+        )
         for seed in seeds
     ]
 
@@ -103,4 +114,7 @@ def test_a_state_that_is_copied_goes_on_alike():
     assert copy.tobytes() == state.tobytes()
     _, other, whole = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
     at_once = lanes.flyer.fly(whole, 1, 200, other.feeds(everyone, 200, whole), 10)
-    assert np.ascontiguousarray(at_once[:, :3, 13:]).tobytes() == np.ascontiguousarray(records[:, :3]).tobytes()
+    assert (
+        np.ascontiguousarray(at_once[:, :3, 13:]).tobytes()
+        == np.ascontiguousarray(records[:, :3]).tobytes()
+    )

@@ -36,12 +36,19 @@ from uqharness.plugin.model_form_xml import constant_xml
 from uqharness.simulator import find_aircraft
 
 ACTIVE = {"uq/active": 1.0}
-MASS = {"inertia/mass-slugs": 1.5, "inertia/iyy-slugs_ft2": 3.9, "inertia/cg-x-in": 0.1, "inertia/ixz-slugs_ft2": 0.2}
+MASS = {
+    "inertia/mass-slugs": 1.5,
+    "inertia/iyy-slugs_ft2": 3.9,
+    "inertia/cg-x-in": 0.1,
+    "inertia/ixz-slugs_ft2": 0.2,
+}
 FLIGHTS = {
     "calm": spec(),
     "wind": spec(wind_mps=5.0, wind_from_deg=200.0, duration_s=30.0),
     "jsbsim's turbulence": spec(wind_mps=3.0, turbulence="moderate", turbulence_source="jsbsim"),
-    "jsbsim's turbulence, no wind": spec(turbulence="light", turbulence_source="jsbsim", duration_s=20.0),
+    "jsbsim's turbulence, no wind": spec(
+        turbulence="light", turbulence_source="jsbsim", duration_s=20.0
+    ),
     "host's turbulence": spec(wind_mps=3.0, turbulence="severe"),
     "noise": spec(sensor_noise=True, duration_s=30.0),
     "all": spec(**EXPENSIVE),
@@ -51,13 +58,20 @@ FLIGHTS = {
     "other integrators": spec(properties=SECOND_ORDER, wind_mps=3.0),
     "mass and inertia": spec(properties=MASS, wind_mps=2.0, duration_s=30.0),
     "span": spec(properties={"metrics/bw-ft": 11.0}, turbulence="light", duration_s=30.0),
-    "a parameter": spec(properties={"ap/altitude-cmd-m": 110.0, "ap/WP_LOITER_RAD": 90.0}, wind_mps=2.0),
-    "another start": spec(properties={"ic/psi-true-deg": 40.0, "ic/h-agl-ft": 500.0, "ic/lat-geod-deg": -33.0}, duration_s=30.0),
+    "a parameter": spec(
+        properties={"ap/altitude-cmd-m": 110.0, "ap/WP_LOITER_RAD": 90.0}, wind_mps=2.0
+    ),
+    "another start": spec(
+        properties={"ic/psi-true-deg": 40.0, "ic/h-agl-ft": 500.0, "ic/lat-geod-deg": -33.0},
+        duration_s=30.0,
+    ),
     "burn-in": spec(burn_in_s=20.0, duration_s=20.0, **EXPENSIVE),
     "another rate": spec(record_rate_hz=20.0, duration_s=10.0, **EXPENSIVE),
     "truth": spec("espaaro_truth", **EXPENSIVE),
     "stall": spec("synthetic_stall", **EXPENSIVE),
-    "stall, corner": spec("synthetic_stall", properties={"uq/active": 1.0, "uq/CZ/level": 0.0}, **EXPENSIVE),
+    "stall, corner": spec(
+        "synthetic_stall", properties={"uq/active": 1.0, "uq/CZ/level": 0.0}, **EXPENSIVE
+    ),
     "elevator doublet": spec(script="doublet-elevator", duration_s=20.0),
     "aileron doublet": spec("espaaro_truth", "doublet-aileron", 20.0),
     "rudder doublet": spec("synthetic_stall", "doublet-rudder", 20.0),
@@ -69,7 +83,10 @@ FLIGHTS = {
 QUICK = ("all", "walking levels", "mass and inertia", "stall")
 
 
-@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS])
+@pytest.mark.parametrize(
+    "name",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS],
+)
 def test_whole_flights(name):
     found = beyond(FLIGHTS[name])
     assert max(found.values()) < 1.0, found
@@ -79,7 +96,9 @@ def test_whole_flights(name):
 @pytest.mark.parametrize("aircraft", ["espaaro", "espaaro_truth", "synthetic_stall"])
 @pytest.mark.parametrize("integrators", [{}, SECOND_ORDER])
 def test_each_aircraft_with_each_set_of_integrators(aircraft, integrators):
-    found = beyond(spec(aircraft, duration_s=20.0, properties={**integrators, **ACTIVE}, **EXPENSIVE))
+    found = beyond(
+        spec(aircraft, duration_s=20.0, properties={**integrators, **ACTIVE}, **EXPENSIVE)
+    )
     assert max(found.values()) < 1.0, found
 
 
@@ -94,7 +113,13 @@ def test_bounds_that_depend_on_the_state(tmp_path):
 @pytest.mark.parametrize("outside", ["grow", pytest.param("clamp", marks=pytest.mark.slow)])
 def test_a_transient_part_that_walks(tmp_path, outside):
     plane = with_bounds(tmp_path, 0.001, transient=0.0004, outside=outside)
-    given = spec(plane, properties={**ACTIVE, "uq/CZ/level": 0.9}, duration_s=30.0, transient=TRANSIENT, **EXPENSIVE)
+    given = spec(
+        plane,
+        properties={**ACTIVE, "uq/CZ/level": 0.9},
+        duration_s=30.0,
+        transient=TRANSIENT,
+        **EXPENSIVE,
+    )
     found = beyond(given)
     assert max(found.values()) < 1.0, found
     if outside == "grow":
@@ -111,7 +136,9 @@ def test_a_transient_part_beside_levels_that_walk(tmp_path, air):
         (plane / "Systems" / "model-form.xml").write_bytes(text)
     script = "loiter" if air else "doublet-elevator"
     active = {**ACTIVE, "uq/CZ/transient": 0.0004} if not air else ACTIVE
-    found = beyond(spec(plane, script, 20.0, properties=active, levels=WALK, transient=TRANSIENT, **EXPENSIVE))
+    found = beyond(
+        spec(plane, script, 20.0, properties=active, levels=WALK, transient=TRANSIENT, **EXPENSIVE)
+    )
     assert max(found.values()) < 1.0, found
 
 
@@ -146,7 +173,9 @@ def test_another_flight_is_noticed(change):
     [
         {"wind_mps": 3.0, "turbulence": "moderate", "sensor_noise": True},
         pytest.param({"wind_mps": 3.0, "wind_from_deg": 20.0}, marks=pytest.mark.slow),
-        pytest.param({"turbulence": "severe", "levels": WALK, "properties": ACTIVE}, marks=pytest.mark.slow),
+        pytest.param(
+            {"turbulence": "severe", "levels": WALK, "properties": ACTIVE}, marks=pytest.mark.slow
+        ),
         pytest.param({}, marks=pytest.mark.slow),
     ],
 )
@@ -154,8 +183,18 @@ def test_an_aircraft_without_the_air_system(tmp_path, conditions):
     plane = without_air(tmp_path)
     found = beyond(spec(plane, "doublet-elevator", 20.0, **conditions))
     assert max(found.values()) < 1.0, found
-    other = spec(plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions, "wind_from_deg": 21.0})
-    assert max(beyond(spec(plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions}), changed=other).values()) > 1.0
+    other = spec(
+        plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions, "wind_from_deg": 21.0}
+    )
+    assert (
+        max(
+            beyond(
+                spec(plane, "doublet-elevator", 20.0, **{"wind_mps": 3.0, **conditions}),
+                changed=other,
+            ).values()
+        )
+        > 1.0
+    )
 
 
 @pytest.mark.slow
@@ -170,13 +209,19 @@ def test_bounds_with_levels_that_walk(tmp_path, aircraft):
 @pytest.mark.parametrize("aircraft", ["espaaro", "bounds"])
 def test_fifteen_minutes(tmp_path, aircraft):
     plane = with_bounds(tmp_path, 0.001) if aircraft == "bounds" else aircraft
-    found = beyond(spec(plane, duration_s=900.0, properties={**ACTIVE, "uq/CZ/level": 0.9}, **EXPENSIVE))
+    found = beyond(
+        spec(plane, duration_s=900.0, properties={**ACTIVE, "uq/CZ/level": 0.9}, **EXPENSIVE)
+    )
     assert max(found.values()) < 1.0, found
 
 
 def test_a_flight_that_diverges_ends_at_the_same_time(tmp_path):
     """Wild bounds: control is lost, and the numbers with it. Before that the engines agree."""
-    given = spec(with_bounds(tmp_path), properties={**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3}, **EXPENSIVE)
+    given = spec(
+        with_bounds(tmp_path),
+        properties={**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3},
+        **EXPENSIVE,
+    )
     assert fly(given).status == "diverged"
     found = beyond(given, until_s=15.0)
     assert max(found.values()) < 1.0, found
@@ -207,8 +252,15 @@ CONTACTS = """<ground_reactions>
 @pytest.mark.slow
 def test_contact_points_touch_as_in_jsbsim(tmp_path):
     text = (copied(tmp_path / "plain") / "espaaro.xml").read_text()
-    begin, end = text.index("<ground_reactions"), text.index("</ground_reactions>") if "</ground_reactions>" in text else -1
-    old = text[begin : end + len("</ground_reactions>")] if end > 0 else text[begin : text.index("/>", begin) + 2]
+    begin, end = (
+        text.index("<ground_reactions"),
+        text.index("</ground_reactions>") if "</ground_reactions>" in text else -1,
+    )
+    old = (
+        text[begin : end + len("</ground_reactions>")]
+        if end > 0
+        else text[begin : text.index("/>", begin) + 2]
+    )
     plane = copied(tmp_path, edits={"espaaro.xml": {old: CONTACTS}})
     for properties in (
         {"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 40.0},
@@ -259,7 +311,9 @@ def test_lanes_do_not_know_of_each_other():
     assert len({str(each) for each in alone}) == len(given)
     assert [_as_bytes(each) for each in fly_many(given)] == alone
     order = np.random.default_rng(1).permutation(len(given))
-    assert [_as_bytes(each) for each in fly_many([given[k] for k in order])] == [alone[k] for k in order]
+    assert [_as_bytes(each) for each in fly_many([given[k] for k in order])] == [
+        alone[k] for k in order
+    ]
     assert [_as_bytes(each) for each in fly_many(given * 3)] == alone * 3
 
 
@@ -278,7 +332,15 @@ def test_one_program_flies_all_conditions(tmp_path, air, source):
     plane, script = ("espaaro", "loiter") if air else (without_air(tmp_path), "doublet-elevator")
     cells = [(wind, turbulence) for turbulence in ("light", "severe") for wind in (0.0, 6.0)]
     given = [
-        spec(plane, script, 8.0, wind_mps=wind, wind_from_deg=250.0, turbulence=turbulence, turbulence_source=source)
+        spec(
+            plane,
+            script,
+            8.0,
+            wind_mps=wind,
+            wind_from_deg=250.0,
+            turbulence=turbulence,
+            turbulence_source=source,
+        )
         for wind, turbulence in cells
     ]
     lanes.forget()
@@ -362,7 +424,9 @@ def test_metrics_are_those_of_jsbsim():
     assert theirs.undefined == ours.undefined
     assert theirs.metrics.keys() == ours.metrics.keys()
     for name, value in theirs.metrics.items():
-        assert ours.metrics[name] == pytest.approx(value, rel=1e-7, abs=1e-7, nan_ok=math.isnan(value))
+        assert ours.metrics[name] == pytest.approx(
+            value, rel=1e-7, abs=1e-7, nan_ok=math.isnan(value)
+        )
 
 
 @pytest.mark.slow

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle
-from uqharness.batch.lanes.jsbsim_random import MODULUS, MULTIPLIER, JsbsimNormals, numpy_tries, polar_normals
+from uqharness.batch.lanes.jsbsim_random import (
+    MODULUS,
+    MULTIPLIER,
+    JsbsimNormals,
+    numpy_tries,
+    polar_normals,
+)
 from uqharness.batch.machine.random import compiled_tries
 from uqharness.batch.machine.target import targets
 
@@ -60,8 +66,12 @@ def test_a_seed_drops_the_second_normal_of_a_try() -> None:
     np.testing.assert_allclose([fdm[n] for n in "abc"], JsbsimNormals(77).take(3), rtol=1e-15)
 
 
-@pytest.mark.parametrize(("seeds", "shared"), [({"simulation": 9}, True), ({"simulation": 9, "atmosphere": 31}, False)])
-def test_turbulence_takes_four_from_its_own_or_the_common_generator(seeds: dict[str, int], shared: bool) -> None:
+@pytest.mark.parametrize(
+    ("seeds", "shared"), [({"simulation": 9}, True), ({"simulation": 9, "atmosphere": 31}, False)]
+)
+def test_turbulence_takes_four_from_its_own_or_the_common_generator(
+    seeds: dict[str, int], shared: bool
+) -> None:
     fdm = batch_oracle.load("".join(f'<function name="{n}"><random/></function>' for n in "abc"))
     for name, seed in seeds.items():
         fdm[f"{name}/randomseed"] = seed

@@ -13,7 +13,14 @@ from uqharness.batch.lanes.mission import constant_properties, initial_values, l
 from uqharness.batch.models.start import CONDITIONS
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission, staged_mission
-from uqharness.simulator import Source, StartSection, copy_folder, engine, find_aircraft, write_own_mission
+from uqharness.simulator import (
+    Source,
+    StartSection,
+    copy_folder,
+    engine,
+    find_aircraft,
+    write_own_mission,
+)
 
 BODY = """<system name='s'><property value='3'>s/declared</property><property value='3'>velocities/vc-kts</property>
 <function name='s/f'><sum><property>position/vrp-radius-ft</property><property>s/declared</property></sum></function></system>
@@ -46,7 +53,9 @@ def test_values_before_the_first_frame():
 
 def test_a_start_is_jsbsims():
     given = spec(
-        properties={"ic/psi-true-deg": 40.0, "inertia/mass-slugs": 1.5, "ap/WP_LOITER_RAD": 90.0}, wind_mps=3.0, duration_s=5.0
+        properties={"ic/psi-true-deg": 40.0, "inertia/mass-slugs": 1.5, "ap/WP_LOITER_RAD": 90.0},
+        wind_mps=3.0,
+        duration_s=5.0,
     )
     made = ready(given).lanes
     loaded = load_start(made, given)
@@ -57,10 +66,15 @@ def test_a_start_is_jsbsims():
 
 
 def test_begin_gives_each_lane_its_own():
-    many = [spec(properties={"ic/h-agl-ft": h, "uq/CZ/level": h / 1000.0}, duration_s=5.0) for h in (300.0, 400.0, 500.0)]
+    many = [
+        spec(properties={"ic/h-agl-ft": h, "uq/CZ/level": h / 1000.0}, duration_s=5.0)
+        for h in (300.0, 400.0, 500.0)
+    ]
     made = ready(many[0]).lanes
     together = begin(made, many)
-    assert together.values["position/h-agl-ft"][:3] == pytest.approx([300.0, 400.0, 500.0], abs=1e-6)
+    assert together.values["position/h-agl-ft"][:3] == pytest.approx(
+        [300.0, 400.0, 500.0], abs=1e-6
+    )
     assert list(together.values["uq/CZ/level"][:3]) == [0.3, 0.4, 0.5]
     alone = begin(made, many[1:2])
     assert all(together.values[name][1] == alone.values[name][0] for name in alone.values)
@@ -68,7 +82,9 @@ def test_begin_gives_each_lane_its_own():
 
 def test_what_the_model_computes_cannot_be_set():
     """JSBSim's engine says the same of a property that initialising overwrites."""
-    with pytest.raises(BadInputError, match="uq/CZ/delta was set to 1 and stands at 0 after initialising"):
+    with pytest.raises(
+        BadInputError, match="uq/CZ/delta was set to 1 and stands at 0 after initialising"
+    ):
         fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
 
 
@@ -88,7 +104,9 @@ def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
     (same,) = fly_many([given])
     assert before.signals["cross_track"].tobytes() == same.signals["cross_track"].tobytes()
     text = (plane / "Systems/autopilot.xml").read_text()
-    (plane / "Systems/autopilot.xml").write_text(text.replace("</channel>", "<wobbler/></channel>", 1))
+    (plane / "Systems/autopilot.xml").write_text(
+        text.replace("</channel>", "<wobbler/></channel>", 1)
+    )
     with pytest.raises(BadInputError):
         fly_many([given])
 
@@ -97,14 +115,27 @@ def test_a_start_with_the_control_system_at_rest_is_left_to_jsbsim(tmp_path):
     folder = tmp_path / "aircraft" / "x24b"
     folder.parent.mkdir()
     copy_folder(find_aircraft("x24b").folder, folder)
-    script, _ = write_own_mission(find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000.0), "steady")
-    given = spec(aircraft=str(folder), script=str(script), duration_s=1.0, burn_in_s=0.0, turbulence="none", sensor_noise=False)
-    with pytest.raises(BadInputError, match="bring the control system to rest before the flight begins"):
+    script, _ = write_own_mission(
+        find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000.0), "steady"
+    )
+    given = spec(
+        aircraft=str(folder),
+        script=str(script),
+        duration_s=1.0,
+        burn_in_s=0.0,
+        turbulence="none",
+        sensor_noise=False,
+    )
+    with pytest.raises(
+        BadInputError, match="bring the control system to rest before the flight begins"
+    ):
         ready(given)
 
     def moved():
         """Greatest way [rad] of the elevator from one row of JSBSim's flight to the next."""
-        recorded = record_mission(staged_mission(given), given, {"elevator": Source("fcs/elevator-pos-rad")})
+        recorded = record_mission(
+            staged_mission(given), given, {"elevator": Source("fcs/elevator-pos-rad")}
+        )
         assert recorded.status == "ok"
         return np.abs(np.diff(recorded.signals["elevator"])).max()
 

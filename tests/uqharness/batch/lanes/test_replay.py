@@ -21,17 +21,36 @@ INPUT = "aero/Cm_q"
 def program(stride: int) -> batch.ReplayProgram:
     with ReplayFolder(find_aircraft("espaaro")) as model:
         root = model.staging.root
-        files = batch.Files(model.staging.folder, model.staging.xml, root / "engine", root / "systems")
+        files = batch.Files(
+            model.staging.folder, model.staging.xml, root / "engine", root / "systems"
+        )
         controls = [model.card.inputs[name].property for name in CONTROLS]
-        return batch.make_replay(batch.read_sources(files, None), lambda: model.open(DT_S), DT_S, controls, [INPUT], [*RAW], stride)
+        return batch.make_replay(
+            batch.read_sources(files, None),
+            lambda: model.open(DT_S),
+            DT_S,
+            controls,
+            [INPUT],
+            [*RAW],
+            stride,
+        )
 
 
 def lane(frames: int = FRAMES, value: float = -13.8) -> batch.ReplayLane:
     conditions = {
-        "ic/lat-geod-rad": 0.6, "ic/long-gc-rad": 0.0, "ic/geod-alt-ft": 400.0,
-        "ic/phi-rad": 0.1, "ic/theta-rad": 0.05, "ic/psi-true-rad": 1.0,
-        "ic/u-fps": 72.0, "ic/v-fps": 0.5, "ic/w-fps": 1.0, "ic/p-rad_sec": 0.05, "ic/q-rad_sec": -0.02, "ic/r-rad_sec": 0.03,
-    }  # fmt: skip
+        "ic/lat-geod-rad": 0.6,
+        "ic/long-gc-rad": 0.0,
+        "ic/geod-alt-ft": 400.0,
+        "ic/phi-rad": 0.1,
+        "ic/theta-rad": 0.05,
+        "ic/psi-true-rad": 1.0,
+        "ic/u-fps": 72.0,
+        "ic/v-fps": 0.5,
+        "ic/w-fps": 1.0,
+        "ic/p-rad_sec": 0.05,
+        "ic/q-rad_sec": -0.02,
+        "ic/r-rad_sec": 0.03,
+    }
     controls = np.repeat([[0.2, 0.1, -0.1, 60.0]], frames + 1, axis=0)
     controls[10:, 0] = 2.0
     return batch.ReplayLane({INPUT: value}, conditions, 0.0, controls, DT_S)
@@ -70,7 +89,11 @@ def test_lanes_of_other_lengths_share_calls_and_rows_are_those_of_each_alone(mon
     lanes = [lane(frames, -13.8 - 0.1 * k) for k, frames in enumerate(lengths)]
     calls = []
     made = module._flown
-    monkeypatch.setattr(module, "_flown", lambda replay, jobs, values: (calls.append(len(jobs)), made(replay, jobs, values))[1])
+    monkeypatch.setattr(
+        module,
+        "_flown",
+        lambda replay, jobs, values: (calls.append(len(jobs)), made(replay, jobs, values))[1],
+    )
     together = flown(1, *lanes)
     # Eight lie side by side, whatever their lengths; what is much shorter than the longest begins a call of its own.
     assert calls == [8, 2]

@@ -9,7 +9,16 @@ import pytest
 
 from tests.helpers import batch_oracle
 from uqharness.batch.lanes.jsbsim_random import JsbsimNormals
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, HostGusts, MovingLevels, Noise, Turbulence, noise_streams
+from uqharness.batch.lanes.streams import (
+    GUSTS,
+    LEVELS,
+    TRANSIENTS,
+    HostGusts,
+    MovingLevels,
+    Noise,
+    Turbulence,
+    noise_streams,
+)
 from uqharness.batch.models.winds import NORMALS
 from uqharness.flight import Split, stepping
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters
@@ -47,8 +56,14 @@ def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates() -> None:
         for stream in noise_streams(DRAWS):
             if frame % stream.every == 0:
                 rows = fed[stream.name]
-                held |= zip(stream.columns, rows.array[frame // stream.every - 1 - rows.first_row], strict=True)
-        np.testing.assert_allclose([fdm[name] for name in names], [held[slot] for slot, _ in DRAWS], rtol=1e-15)
+                held |= zip(
+                    stream.columns,
+                    rows.array[frame // stream.every - 1 - rows.first_row],
+                    strict=True,
+                )
+        np.testing.assert_allclose(
+            [fdm[name] for name in names], [held[slot] for slot, _ in DRAWS], rtol=1e-15
+        )
 
 
 def test_first_draws_may_be_fewer() -> None:
@@ -101,7 +116,11 @@ def test_host_gusts_are_those_of_jsbsims_engine() -> None:
 
 @pytest.mark.parametrize(
     "driver",
-    [WALK, LevelDriver("white", 7, "white-000000", COEFFICIENTS), TransientDriver(7, 3, ("CX", "Cn"), (0.9, 1.4))],
+    [
+        WALK,
+        LevelDriver("white", 7, "white-000000", COEFFICIENTS),
+        TransientDriver(7, 3, ("CX", "Cn"), (0.9, 1.4)),
+    ],
 )
 def test_levels_are_those_of_jsbsims_engine(driver: LevelDriver | TransientDriver) -> None:
     theirs = np.concatenate(list(level_blocks(driver, 3000, 0.01)))
@@ -136,11 +155,15 @@ def test_gusts_that_branch_where_they_stand_are_those_with_the_split_from_the_st
         first = Split(frame, 1, 2, 3, 4)
         branch = own.branched(first)
         assert branch is not None
-        np.testing.assert_array_equal(branch.rows(700).array, gusts_with((first,), frame + 700)[frame:])
+        np.testing.assert_array_equal(
+            branch.rows(700).array, gusts_with((first,), frame + 700)[frame:]
+        )
         second = Split(frame + 700, 1, 2, 3, 5)
         again = branch.branched(second)
         assert again is not None
-        np.testing.assert_array_equal(again.rows(9000).array, gusts_with((first, second), frame + 9700)[frame + 700 :])
+        np.testing.assert_array_equal(
+            again.rows(9000).array, gusts_with((first, second), frame + 9700)[frame + 700 :]
+        )
         np.testing.assert_array_equal(own.rows(500).array, gusts_with((), frame + 500)[frame:])
     with pytest.raises(ValueError, match="stand at row"):
         own.branched(Split(3, 1, 2, 3, 4))

@@ -14,17 +14,36 @@ from uqharness.batch.lanes.understood import refusals
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly
 
-FILES = ("espaaro.xml", "Systems/air.xml", "Systems/autopilot.xml", "Systems/sensors.xml", "Systems/model-form.xml")
+FILES = (
+    "espaaro.xml",
+    "Systems/air.xml",
+    "Systems/autopilot.xml",
+    "Systems/sensors.xml",
+    "Systems/model-form.xml",
+)
 AERO = "<aerodynamics>"
 
 
 @pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
 @pytest.mark.parametrize(
     "script",
-    ["loiter", *(pytest.param(name, marks=pytest.mark.slow) for name in ("doublet-elevator", "flight-ident", "flight-bounds"))],
+    [
+        "loiter",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("doublet-elevator", "flight-ident", "flight-bounds")
+        ),
+    ],
 )
 def test_the_projects_aircraft_are_understood(name, script):
-    varying = ("uq/CZ/level", "uq/Cm/upper", "ap/WP_LOITER_RAD", "inertia/iyy-slugs_ft2", "metrics/bw-ft", "ic/psi-true-deg")
+    varying = (
+        "uq/CZ/level",
+        "uq/Cm/upper",
+        "ap/WP_LOITER_RAD",
+        "inertia/iyy-slugs_ft2",
+        "metrics/bw-ft",
+        "ic/psi-true-deg",
+    )
     assert refusals(spec(name, script, 10.0), varying) == ()
 
 
@@ -34,16 +53,38 @@ def test_the_projects_aircraft_are_understood(name, script):
         ("espaaro.xml", AERO, AERO + "<lift/>", "<lift> in <aerodynamics>"),
         ("espaaro.xml", "</fdm_config>", "<buoyant_forces/></fdm_config>", "<buoyant_forces>"),
         ("espaaro.xml", "</fdm_config>", "<wings/></fdm_config>", "<wings> is not understood"),
-        ("espaaro.xml", AERO, AERO + "<function name='a'><property>position/vrp-radius-ft</property></function>", "vrp-radius-ft"),
-        ("espaaro.xml", AERO, AERO + "<function name='a'><p>accelerations/uidot-ft_sec2</p></function>", "uidot"),
-        ("Systems/autopilot.xml", "</channel>", "<wobbler name='w'><input>uq/active</input></wobbler></channel>", "<wobbler>"),
-        ("Systems/autopilot.xml", "</channel>", "<pure_gain name='w' colour='red'><input>uq/active</input></pure_gain></channel>",
-         "colour"),
-        ("Systems/sensors.xml", "</channel>",
-         "<pure_gain name='velocities/u-fps'><input>uq/active</input><gain>1</gain></pure_gain></channel>",
-         "velocities/u-fps cannot be written"),
+        (
+            "espaaro.xml",
+            AERO,
+            AERO + "<function name='a'><property>position/vrp-radius-ft</property></function>",
+            "vrp-radius-ft",
+        ),
+        (
+            "espaaro.xml",
+            AERO,
+            AERO + "<function name='a'><p>accelerations/uidot-ft_sec2</p></function>",
+            "uidot",
+        ),
+        (
+            "Systems/autopilot.xml",
+            "</channel>",
+            "<wobbler name='w'><input>uq/active</input></wobbler></channel>",
+            "<wobbler>",
+        ),
+        (
+            "Systems/autopilot.xml",
+            "</channel>",
+            "<pure_gain name='w' colour='red'><input>uq/active</input></pure_gain></channel>",
+            "colour",
+        ),
+        (
+            "Systems/sensors.xml",
+            "</channel>",
+            "<pure_gain name='velocities/u-fps'><input>uq/active</input><gain>1</gain></pure_gain></channel>",
+            "velocities/u-fps cannot be written",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_broken_aircraft_is_refused_with_file_and_line(tmp_path, file, old, new, said):
     plane = copied(tmp_path, edits={file: {old: new}})
     text = (plane / file).read_text()
@@ -77,10 +118,26 @@ def test_what_varies_is_looked_at_as_well():
 
 
 READ = (
-    "position/vrp-radius-ft", "forces/load-factor", "orbital/eccentricity", "position/distance-from-start-mag-mt",
-    "simulation/frame", "velocities/ecef-x-fps", "gear/num-units", "velocities/vc-kts", "aero/cl-squared", "propulsion/tat-r",
-)  # fmt: skip
-ATTRIBUTES = ('colour="red"', 'unit="DEG"', 'type="x"', 'frame="WIND"', 'noscale="1"', 'copyto="fcs/x"', 'logic="OR"')
+    "position/vrp-radius-ft",
+    "forces/load-factor",
+    "orbital/eccentricity",
+    "position/distance-from-start-mag-mt",
+    "simulation/frame",
+    "velocities/ecef-x-fps",
+    "gear/num-units",
+    "velocities/vc-kts",
+    "aero/cl-squared",
+    "propulsion/tat-r",
+)
+ATTRIBUTES = (
+    'colour="red"',
+    'unit="DEG"',
+    'type="x"',
+    'frame="WIND"',
+    'noscale="1"',
+    'copyto="fcs/x"',
+    'logic="OR"',
+)
 TAGS = ("note", "pure_gain", "sum", "gradient", "lag_filter", "product", "wobbler")
 
 
@@ -93,25 +150,46 @@ def mutated(text, rng):
         new = rng.choice(TAGS)
         text = text[: tag.start(1)] + new + text[tag.end(1) :]
         end = text.find(f"</{tag.group(1)}>", tag.start())
-        return text if tag.group(3) or end < 0 else text[: end + 2] + new + text[end + 2 + len(tag.group(1)) :]
+        return (
+            text
+            if tag.group(3) or end < 0
+            else text[: end + 2] + new + text[end + 2 + len(tag.group(1)) :]
+        )
     if kind == "attribute":
         return f"{text[: tag.end(1)]} {rng.choice(ATTRIBUTES)}{text[tag.end(1) :]}"
     if kind in ("property", "number"):
-        pattern = r"<(?:property|p|input)>([^<]+)<" if kind == "property" else r">\s*(-?\d+\.?\d*)\s*<"
+        pattern = (
+            r"<(?:property|p|input)>([^<]+)<" if kind == "property" else r">\s*(-?\d+\.?\d*)\s*<"
+        )
         found = list(re.finditer(pattern, text))
         if not found:
             return text
-        place, new = rng.choice(found), rng.choice(READ if kind == "property" else ("1e-3", "-2", "0", "5", "0x10", "nan", ".5e0"))
+        place, new = (
+            rng.choice(found),
+            rng.choice(
+                READ if kind == "property" else ("1e-3", "-2", "0", "5", "0x10", "nan", ".5e0")
+            ),
+        )
         return text[: place.start(1)] + new + text[place.end(1) :]
     if not lines:
         return text
     line = rng.choice(lines)
-    return text[: line.start()] + text[line.end() :] if kind == "gone" else text[: line.end()] + line.group(0) + text[line.end() :]
+    return (
+        text[: line.start()] + text[line.end() :]
+        if kind == "gone"
+        else text[: line.end()] + line.group(0) + text[line.end() :]
+    )
 
 
 def outcome(plane):
     """How a mutant flies: refused by either, or the same flight. AssertionError for another flight."""
-    given = spec(plane, duration_s=3.0, turbulence_source="jsbsim", properties={"uq/active": 1.0}, **EXPENSIVE)
+    given = spec(
+        plane,
+        duration_s=3.0,
+        turbulence_source="jsbsim",
+        properties={"uq/active": 1.0},
+        **EXPENSIVE,
+    )
     try:
         theirs = fly(given)
     except BadInputError:
@@ -150,11 +228,22 @@ def test_mutants_are_refused_or_fly_the_same(tmp_path):
 
 def test_a_mutant_that_only_one_engine_flies_is_noticed(tmp_path, monkeypatch):
     plane = copied(tmp_path, edits={"Systems/model-form.xml": {">uq/CZ/upper<": ">uq/CZ/upper<"}})
-    plain = fly_many([spec(duration_s=3.0, turbulence_source="jsbsim", properties={"uq/active": 1.0}, **EXPENSIVE)])
+    plain = fly_many(
+        [
+            spec(
+                duration_s=3.0,
+                turbulence_source="jsbsim",
+                properties={"uq/active": 1.0},
+                **EXPENSIVE,
+            )
+        ]
+    )
     monkeypatch.setattr(f"{__name__}.fly_many", lambda _: plain)
     assert outcome(plane) == "same"
     file = plane / "Systems/model-form.xml"
-    file.write_text(file.read_text().replace('value="0.05">uq/CZ/upper', 'value="0.050001">uq/CZ/upper'))
+    file.write_text(
+        file.read_text().replace('value="0.05">uq/CZ/upper', 'value="0.050001">uq/CZ/upper')
+    )
     with pytest.raises(AssertionError):
         outcome(plane)
 

@@ -78,7 +78,9 @@ def test_lanes_do_not_depend_on_their_place(name: str, kernels: dict[str, Flight
     picked = chosen(start, order)
     records = kernels[name].fly(start, 1, FRAMES, given)
     moved = {key: feed._replace(offsets=feed.offsets[order]) for key, feed in given.items()}
-    assert same_bits(kernels[name].fly(picked, 1, FRAMES, moved)[:, : len(order)], records[:, order]).all()
+    assert same_bits(
+        kernels[name].fly(picked, 1, FRAMES, moved)[:, : len(order)], records[:, order]
+    ).all()
 
 
 @pytest.mark.parametrize("name", targets())
@@ -95,7 +97,10 @@ def test_a_row_beyond_a_lanes_own_is_nan_and_never_read(kernels: dict[str, Fligh
     b = Builder()
     b.store("count", b.load("count") + b.load("pace"))
     program = Program(
-        (Section("s", b.finish({})),), {"count": 0.0, "pace": 1.0, "n": 0.0}, (Stream("x", ("n",), counter="count"),), ("n",)
+        (Section("s", b.finish({})),),
+        {"count": 0.0, "pace": 1.0, "n": 0.0},
+        (Stream("x", ("n",), counter="count"),),
+        ("n",),
     )
     paces = np.array([1.0, -1.0, np.nan, 1e300, 0.5])
     feed = Feed(np.arange(10.0).reshape(-1, 1), 1, np.array([0, 3, 3, 3, 6]), 3)
@@ -105,7 +110,9 @@ def test_a_row_beyond_a_lanes_own_is_nan_and_never_read(kernels: dict[str, Fligh
     assert np.isnan(wanted[0, 1:4]).all()
     assert wanted[0, 4, 2:].tolist() == [6.0, 6.0, 7.0, 7.0]
     for target in targets().values():
-        got = compile_program(program, target).fly(begun(program, 5, {"pace": paces}), 1, 6, {"x": feed})
+        got = compile_program(program, target).fly(
+            begun(program, 5, {"pace": paces}), 1, 6, {"x": feed}
+        )
         assert same_bits(got, wanted).all()
 
 
@@ -121,7 +128,12 @@ def test_calls_that_do_not_fit_are_refused(kernels: dict[str, FlightKernel]) -> 
     with pytest.raises(ValueError, match="noise, wind are needed; received wind"):
         kernel.fly(state, 1, 4, {"wind": given["wind"]})
     with pytest.raises(ValueError, match="whole offset"):
-        kernel.fly(state, 1, 4, {**given, "wind": given["wind"]._replace(offsets=np.zeros(2 * 24, dtype=np.int64))})
+        kernel.fly(
+            state,
+            1,
+            4,
+            {**given, "wind": given["wind"]._replace(offsets=np.zeros(2 * 24, dtype=np.int64))},
+        )
     with pytest.raises(ValueError, match="the state has shape"):
         kernel.fly(state[:, :5], 1, 4, given)
     with pytest.raises(ValueError, match="count from 1"):
@@ -135,7 +147,10 @@ def test_threads_fly_side_by_side(kernels: dict[str, FlightKernel]) -> None:
     wanted = kernel.fly(_start(kernel.program), 1, FRAMES, given)
     found: list[np.ndarray] = []
     threads = [
-        threading.Thread(target=lambda: found.append(kernel.fly(_start(kernel.program), 1, FRAMES, given))) for _ in range(4)
+        threading.Thread(
+            target=lambda: found.append(kernel.fly(_start(kernel.program), 1, FRAMES, given))
+        )
+        for _ in range(4)
     ]
     for thread in threads:
         thread.start()

@@ -31,7 +31,9 @@ def test_any_number_of_lanes(lanes: int, name: str) -> None:
     outputs, after = compiled(_function(), targets()[name])(inputs, state)
     wanted, wanted_after = evaluate(_function(), inputs, state)
     assert all(same_bits(outputs[k], wanted[k]).all() for k in wanted)
-    assert all(same_bits(after[k], wanted_after[k]).all() for k in ("s", "untouched", "untouched twin"))
+    assert all(
+        same_bits(after[k], wanted_after[k]).all() for k in ("s", "untouched", "untouched twin")
+    )
 
 
 def test_a_nan_lane_harms_no_other() -> None:
@@ -91,8 +93,26 @@ def test_nothing_outside_is_called() -> None:
 def test_floor_is_exact_on_every_processor() -> None:
     b = Builder()
     function = b.finish({"r": b.op("floor", b.input("x"))})
-    special = [0.0, -0.0, 0.3, -0.3, 1.0, -1.0, 2.5, -2.5, np.inf, -np.inf, np.nan, 2.0**52 - 0.5, -(2.0**52) + 0.5, 1e300, 5e-324]
-    x = np.array([*special, -5e-324, 2.0**53 + 2, -1e300, 0.5, -0.5, 4503599627370495.5, -4503599627370495.5])
+    special = [
+        0.0,
+        -0.0,
+        0.3,
+        -0.3,
+        1.0,
+        -1.0,
+        2.5,
+        -2.5,
+        np.inf,
+        -np.inf,
+        np.nan,
+        2.0**52 - 0.5,
+        -(2.0**52) + 0.5,
+        1e300,
+        5e-324,
+    ]
+    x = np.array(
+        [*special, -5e-324, 2.0**53 + 2, -1e300, 0.5, -0.5, 4503599627370495.5, -4503599627370495.5]
+    )
     x = np.concatenate([x, np.random.default_rng(1).normal(size=1000) * 100])
     for name, target in targets().items():
         assert same_bits(compiled(function, target)({"x": x})[0]["r"], np.floor(x)).all(), name
@@ -104,8 +124,15 @@ def test_tables_are_held_at_their_ends(count: int) -> None:
     b = Builder()
     numbers = rng.normal(size=count)
     other = b.op("lookup", b.table([7.0, -0.0]), b.input("x") - 1.0)
-    function = b.finish({"r": b.op("lookup", b.table(numbers.tolist()), b.input("x")), "other": other})
-    x = np.concatenate([[0.0, -0.0, 0.99, 1.0, -3.0, np.nan, np.inf, -np.inf, 1e300, 35.999, 36.0], rng.uniform(-2, 40, 200)])
+    function = b.finish(
+        {"r": b.op("lookup", b.table(numbers.tolist()), b.input("x")), "other": other}
+    )
+    x = np.concatenate(
+        [
+            [0.0, -0.0, 0.99, 1.0, -3.0, np.nan, np.inf, -np.inf, 1e300, 35.999, 36.0],
+            rng.uniform(-2, 40, 200),
+        ]
+    )
     wanted = numbers[np.clip(np.nan_to_num(x, nan=0.0), 0, count - 1).astype(int)]
     assert same_bits(evaluate(function, {"x": x})[0]["r"], wanted).all()
     for name, target in targets().items():

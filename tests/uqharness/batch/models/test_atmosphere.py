@@ -15,12 +15,21 @@ RECORDS = tuple(f"atmosphere/{name}" for name in NAMES)
 HEIGHTS = (-1000.0, 0.0, 10.0, 5000.0, 36000.0, 36152.0, 50000.0, 65000.0, 66000.0, 100000.0)
 BODY = "<aerodynamics/>"
 MORE = ((27.0, 2116.228), (9.0, 2200.0))
-DAYS = [(0.0, 2116.228), (-54.0, 2000.0), *(pytest.param(*day, marks=pytest.mark.slow) for day in MORE)]
+DAYS = [
+    (0.0, 2116.228),
+    (-54.0, 2000.0),
+    *(pytest.param(*day, marks=pytest.mark.slow) for day in MORE),
+]
 """Bias [R] and pressure at sea level [psf]."""
 
 
 def at(height_ft, bias_R=0.0, sea_level_psf=2116.228):
-    return {**START, "ic/h-sl-ft": height_ft, "atmosphere/delta-T": bias_R, "atmosphere/P-sl-psf": sea_level_psf}
+    return {
+        **START,
+        "ic/h-sl-ft": height_ft,
+        "atmosphere/delta-T": bias_R,
+        "atmosphere/P-sl-psf": sea_level_psf,
+    }
 
 
 @pytest.mark.parametrize("height_ft", few(HEIGHTS, 3))
@@ -29,11 +38,19 @@ def at(height_ft, bias_R=0.0, sea_level_psf=2116.228):
     [
         (0.0, 2116.228),
         (-54.0, 2000.0),
-        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in ((27.0, 2116.228), (9.0, 2200.0))),
+        *(
+            pytest.param(*pair, marks=pytest.mark.slow)
+            for pair in ((27.0, 2116.228), (9.0, 2200.0))
+        ),
     ],
 )
 def test_as_in_jsbsim(height_ft, bias_R, sea_level_psf):
-    assert worst(compared(aircraft(BODY), RECORDS, frames=2, start=at(height_ft, bias_R, sea_level_psf))) < 1e-12
+    assert (
+        worst(
+            compared(aircraft(BODY), RECORDS, frames=2, start=at(height_ft, bias_R, sea_level_psf))
+        )
+        < 1e-12
+    )
 
 
 @pytest.mark.parametrize("bias_R", [27.0])
@@ -51,7 +68,10 @@ def test_a_breakpoint_a_little_off_is_noticed(monkeypatch):
     assert worst(compared(aircraft(BODY), RECORDS, frames=2, start=at(5000.0))) > 5e-12
 
 
-@pytest.mark.parametrize(("height_km", "pressure_Pa"), [(11.0, 22632.06), (20.0, 5474.889), (32.0, 868.0187), (47.0, 110.9063)])
+@pytest.mark.parametrize(
+    ("height_km", "pressure_Pa"),
+    [(11.0, 22632.06), (20.0, 5474.889), (32.0, 868.0187), (47.0, 110.9063)],
+)
 def test_the_table_of_1976(height_km, pressure_Pa):
     """U.S. Standard Atmosphere 1976, table 4 and table I: pressures at the geopotential heights where layers meet."""
     geometric_ft = 6356.766 * height_km / (6356.766 - height_km) * 1000.0 / FT_M

@@ -22,18 +22,30 @@ POINTS = {
     "RIGHT": ("BOGEY", -5, 20, -30, 0),
     "NOSE": ("STRUCTURE", -50, 0, 6, 0),
 }
-GROUND = "<ground_reactions>" + "".join(
-    f"""<contact type="{kind}" name="{name}"><location unit="IN"><x>{x}</x><y>{y}</y><z>{z}</z></location>
+GROUND = (
+    "<ground_reactions>"
+    + "".join(
+        f"""<contact type="{kind}" name="{name}"><location unit="IN"><x>{x}</x><y>{y}</y><z>{z}</z></location>
 <static_friction>0.8</static_friction><dynamic_friction>0.5</dynamic_friction><rolling_friction>0.02</rolling_friction>
 <spring_coeff unit="LBS/FT">100</spring_coeff><damping_coeff unit="LBS/FT/SEC">10</damping_coeff>
 <max_steer unit="DEG">0</max_steer><brake_group>NONE</brake_group><retractable>{retracts}</retractable></contact>"""
-    for name, (kind, x, y, z, retracts) in POINTS.items()
-) + "</ground_reactions>"  # fmt: skip
+        for name, (kind, x, y, z, retracts) in POINTS.items()
+    )
+    + "</ground_reactions>"
+)
 
 
 def contact(start, steps=120):
     """Step and number of the first contact by JSBSim, and time and number by the translation."""
-    given = {**START, "ic/h-sl-ft": 12.0, "ic/u-fps": 0.0, "ic/v-fps": 0.0, "ic/w-fps": 0.0, "ic/q-rad_sec": 0.0, **start}
+    given = {
+        **START,
+        "ic/h-sl-ft": 12.0,
+        "ic/u-fps": 0.0,
+        "ic/v-fps": 0.0,
+        "ic/w-fps": 0.0,
+        "ic/q-rad_sec": 0.0,
+        **start,
+    }
     with craft(aircraft("<aerodynamics/>", ground=GROUND), given) as made:
         fdm, sources = made.open(), made.sources()
         points = contact_points(fdm, find_aircraft(made.root / "aircraft" / "point"))

@@ -14,18 +14,32 @@ from tests.helpers.few import few
 from uqharness.batch.models import atmosphere, auxiliary, earth, motion
 
 AGREES, SEEN = 2e-11, 5e-10
-CONTROL = {"ic/lat-geod-rad": 1.05, "ic/h-sl-ft": 3000.0, "ic/u-fps": 200.0, "ic/phi-rad": 1.2, **integrators(3, 3, 1, 4)}
+CONTROL = {
+    "ic/lat-geod-rad": 1.05,
+    "ic/h-sl-ft": 3000.0,
+    "ic/u-fps": 200.0,
+    "ic/phi-rad": 1.2,
+    **integrators(3, 3, 1, 4),
+}
 
 
 @pytest.mark.parametrize("number", few(range(6), 3))
 @pytest.mark.parametrize("name", STATES)
 def test_a_frame_from_a_copied_state(name, number):
-    assert worst(one_frame({**STATES[name], **integrators(number, number, number, number)}, seed=number)) < AGREES
+    assert (
+        worst(
+            one_frame({**STATES[name], **integrators(number, number, number, number)}, seed=number)
+        )
+        < AGREES
+    )
 
 
 @pytest.mark.parametrize("numbers", [(1, 3, 1, 4), (3, 3, 3, 3), (2, 4, 5, 1)])
 def test_integrators_of_the_four_parts_differ(numbers):
-    assert worst(one_frame({**STATES["rapid roll"], **integrators(*numbers)}, seed=sum(numbers))) < AGREES
+    assert (
+        worst(one_frame({**STATES["rapid roll"], **integrators(*numbers)}, seed=sum(numbers)))
+        < AGREES
+    )
 
 
 def test_the_controls_state_agrees():
@@ -77,7 +91,11 @@ def test_wind_a_frame_late_is_noticed():
 def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
     place = earth.place
     monkeypatch.setattr(
-        earth, "place", lambda ecef: replace(place(ecef), height_ft=place(ecef).radius_ft - place(ecef).sea_level_radius_ft)
+        earth,
+        "place",
+        lambda ecef: replace(
+            place(ecef), height_ft=place(ecef).radius_ft - place(ecef).sea_level_radius_ft
+        ),
     )
     assert worst(one_frame(CONTROL)) > SEEN
 
@@ -85,7 +103,9 @@ def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
 def test_derivatives_of_another_frame_are_noticed(monkeypatch):
     """The history as it would be if the accelerations of a frame moved that frame."""
     names = motion.slots
-    monkeypatch.setattr(motion, "slots", lambda part, back=-1: names(part, back + 1 if back >= 1 else back))
+    monkeypatch.setattr(
+        motion, "slots", lambda part, back=-1: names(part, back + 1 if back >= 1 else back)
+    )
     assert worst(one_frame(CONTROL)) > SEEN
 
 
@@ -108,4 +128,6 @@ def test_the_quaternion_is_brought_to_unit_length_beyond_a_limit(monkeypatch):
 def test_slots_are_named_by_part_and_age():
     assert motion.slots("rates") == ["rates/0", "rates/1", "rates/2"]
     assert motion.slots("rates", 2) == ["rates/0/rate2", "rates/1/rate2", "rates/2/rate2"]
-    assert all(math.isclose(sum(weights), 1.0) for number, weights in motion.WEIGHTS.items() if number)
+    assert all(
+        math.isclose(sum(weights), 1.0) for number, weights in motion.WEIGHTS.items() if number
+    )

@@ -13,30 +13,49 @@ from uqharness.batch.models.start import CONDITIONS, rounded, start_state
 from uqharness.simulator import engine
 
 RECORDS = (
-    *(f"position/eci-{a}-ft" for a in "xyz"), *(f"velocities/eci-{a}-fps" for a in "xyz"),
-    *(f"velocities/{a}i-rad_sec" for a in "pqr"), *(f"velocities/{a}-fps" for a in "uvw"),
-    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")), "position/geod-alt-ft",
-    "position/lat-geod-rad", "position/long-gc-rad", "velocities/vt-fps", "aero/alpha-rad", "aero/beta-rad",
-)  # fmt: skip
+    *(f"position/eci-{a}-ft" for a in "xyz"),
+    *(f"velocities/eci-{a}-fps" for a in "xyz"),
+    *(f"velocities/{a}i-rad_sec" for a in "pqr"),
+    *(f"velocities/{a}-fps" for a in "uvw"),
+    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")),
+    "position/geod-alt-ft",
+    "position/lat-geod-rad",
+    "position/long-gc-rad",
+    "velocities/vt-fps",
+    "aero/alpha-rad",
+    "aero/beta-rad",
+)
 
 
 def random_start(seed):
     rng = np.random.default_rng(seed)
     return {
-        "ic/lat-geod-deg": rng.uniform(-85.0, 85.0), "ic/long-gc-deg": rng.uniform(-180.0, 180.0),
-        "ic/h-sl-ft": rng.uniform(0, 3e4), "ic/psi-true-deg": rng.uniform(0.0, 360.0), "ic/theta-deg": rng.uniform(-80.0, 80.0),
+        "ic/lat-geod-deg": rng.uniform(-85.0, 85.0),
+        "ic/long-gc-deg": rng.uniform(-180.0, 180.0),
+        "ic/h-sl-ft": rng.uniform(0, 3e4),
+        "ic/psi-true-deg": rng.uniform(0.0, 360.0),
+        "ic/theta-deg": rng.uniform(-80.0, 80.0),
         "ic/phi-deg": rng.uniform(-180.0, 180.0),
-        "ic/u-fps": rng.uniform(20.0, 500.0), "ic/v-fps": rng.normal() * 20.0, "ic/w-fps": rng.normal() * 20.0,
-        "ic/p-rad_sec": rng.normal(), "ic/q-rad_sec": rng.normal(), "ic/r-rad_sec": rng.normal(),
-    }  # fmt: skip
+        "ic/u-fps": rng.uniform(20.0, 500.0),
+        "ic/v-fps": rng.normal() * 20.0,
+        "ic/w-fps": rng.normal() * 20.0,
+        "ic/p-rad_sec": rng.normal(),
+        "ic/q-rad_sec": rng.normal(),
+        "ic/r-rad_sec": rng.normal(),
+    }
 
 
 def by_airspeed(seed):
     rng = np.random.default_rng(seed)
     return {
-        "ic/h-sl-ft": rng.uniform(0.0, 2e4), "ic/psi-true-deg": rng.uniform(0.0, 360.0), "ic/vt-fps": rng.uniform(50.0, 200.0),
-        "ic/alpha-deg": rng.normal() * 4.0, "ic/beta-deg": rng.normal() * 4.0, "ic/vw-mag-fps": 20.0, "ic/vw-dir-deg": 70.0,
-    }  # fmt: skip
+        "ic/h-sl-ft": rng.uniform(0.0, 2e4),
+        "ic/psi-true-deg": rng.uniform(0.0, 360.0),
+        "ic/vt-fps": rng.uniform(50.0, 200.0),
+        "ic/alpha-deg": rng.normal() * 4.0,
+        "ic/beta-deg": rng.normal() * 4.0,
+        "ic/vw-mag-fps": 20.0,
+        "ic/vw-dir-deg": 70.0,
+    }
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -44,8 +63,15 @@ def by_airspeed(seed):
 def test_jsbsims_state_behind_its_initialisation(made, seed):
     """Conditions are taken to 44 bits, which is 3e-14 of each."""
     wind = made is by_airspeed
-    names = [name for name in RECORDS if not (wind and name.startswith("aero/")) and not (wind and name == "velocities/vt-fps")]
-    assert worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=made(seed), floor=1.0)) < 3e-12
+    names = [
+        name
+        for name in RECORDS
+        if not (wind and name.startswith("aero/")) and not (wind and name == "velocities/vt-fps")
+    ]
+    assert (
+        worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=made(seed), floor=1.0))
+        < 3e-12
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in CONDITIONS if "fps" in name or "rad" in name])
@@ -54,7 +80,9 @@ def test_each_condition_a_little_off_is_noticed(name):
         fdm = made.open()
         given = {name: np.array([fdm[name]]) for name in CONDITIONS}
         engine.run_ic(fdm)
-        wanted = [fdm[f"position/eci-{a}-ft"] for a in "xyz"] + [fdm[f"velocities/eci-{a}-fps"] for a in "xyz"]
+        wanted = [fdm[f"position/eci-{a}-ft"] for a in "xyz"] + [
+            fdm[f"velocities/eci-{a}-fps"] for a in "xyz"
+        ]
         wanted += [fdm[f"velocities/{a}i-rad_sec"] for a in "pqr"]
         turned = attitude(fdm)
     parts = [("position", 3, 2e7), ("velocity", 3, 1e3), ("rates", 3, 1.0), ("attitude", 4, 1.0)]
@@ -62,7 +90,9 @@ def test_each_condition_a_little_off_is_noticed(name):
 
     def gap(conditions):
         found = start_state(conditions)
-        ours = np.array([found[f"#{part}/{k}"][0] for part, count, _ in parts for k in range(count)])
+        ours = np.array(
+            [found[f"#{part}/{k}"][0] for part, count, _ in parts for k in range(count)]
+        )
         sign = np.sign(ours[-4:] @ turned)
         return float(np.max(np.abs(ours - [*wanted, *(sign * turned)]) / sizes))
 
@@ -71,7 +101,10 @@ def test_each_condition_a_little_off_is_noticed(name):
 
 
 def test_lanes_do_not_mix():
-    many = {name: np.array([one[name] for one in (_conditions(0), _conditions(1), _conditions(2))]) for name in CONDITIONS}
+    many = {
+        name: np.array([one[name] for one in (_conditions(0), _conditions(1), _conditions(2))])
+        for name in CONDITIONS
+    }
     together = start_state(many)
     for lane in range(3):
         alone = start_state({name: values[lane : lane + 1] for name, values in many.items()})

@@ -79,7 +79,9 @@ def test_direction(size):
     for angle in np.linspace(-3.1, 3.1, 41):
         found = computed(vectors.direction, size * np.cos(angle), size * np.sin(angle))
         assert found == pytest.approx([np.cos(angle), np.sin(angle)], rel=0.0, abs=4e-16)
-        assert found != pytest.approx([np.cos(angle + 1e-14), np.sin(angle + 1e-14)], rel=0.0, abs=4e-16)
+        assert found != pytest.approx(
+            [np.cos(angle + 1e-14), np.sin(angle + 1e-14)], rel=0.0, abs=4e-16
+        )
 
 
 def test_the_origin_has_no_direction():

@@ -10,17 +10,31 @@ from tests.helpers.few import few
 
 ROLL = "<axis name='ROLL'><function name='f/roll'><product><p>i/l</p><v>.1</v></product></function></axis>"
 RECORDS = (
-    *(f"forces/f{k}{a}-aero-lbs" for k in "bws" for a in "xyz"), *(f"moments/{a}-aero-lbsft" for a in "lmn"),
-    "forces/lod-norm", "aero/cl-squared", "aero/alpha-rad", "aero/beta-rad", "aero/qbar-area", "aero/alpha-wing-rad",
-    "systems/stall-warn-norm", "aero/stall-hyst-norm", "aero/alpha-max-rad", "aero/alpha-min-rad", "aero/h_b-mac-ft",
-    "accelerations/wdot-ft_sec2", "accelerations/qdot-rad_sec2",
-)  # fmt: skip
+    *(f"forces/f{k}{a}-aero-lbs" for k in "bws" for a in "xyz"),
+    *(f"moments/{a}-aero-lbsft" for a in "lmn"),
+    "forces/lod-norm",
+    "aero/cl-squared",
+    "aero/alpha-rad",
+    "aero/beta-rad",
+    "aero/qbar-area",
+    "aero/alpha-wing-rad",
+    "systems/stall-warn-norm",
+    "aero/stall-hyst-norm",
+    "aero/alpha-max-rad",
+    "aero/alpha-min-rad",
+    "aero/h_b-mac-ft",
+    "accelerations/wdot-ft_sec2",
+    "accelerations/qdot-rad_sec2",
+)
 HOST = "<system name='host'><property>i/a</property><property>i/l</property></system>"
 
 
 def inputs(frames=30, seed=0):
     rng = np.random.default_rng(seed)
-    return {"i/a": rng.normal(size=frames + 1) * 20.0, "i/l": np.sin(np.arange(frames + 1) / 20.0) * 10.0}
+    return {
+        "i/a": rng.normal(size=frames + 1) * 20.0,
+        "i/l": np.sin(np.arange(frames + 1) / 20.0) * 10.0,
+    }
 
 
 def axis(name, factor, frame="", unit=""):
@@ -40,7 +54,14 @@ def body(text):
 
 
 def differences(text, changed=None, frames=30, start=START, records=RECORDS):
-    return compared(body(text), records, inputs(frames), frames, start, changed=None if changed is None else body(changed))
+    return compared(
+        body(text),
+        records,
+        inputs(frames),
+        frames,
+        start,
+        changed=None if changed is None else body(changed),
+    )
 
 
 SYSTEMS = {
@@ -136,9 +157,18 @@ STALL = (
 def test_stall_warning_and_hysteresis():
     found = differences(STALL, frames=110)
     assert worst(found) < 1e-10
-    assert worst(differences(STALL, STALL.replace("<max>7</max>", "<max>6</max>"), frames=110)) > 1e-3
-    assert worst(differences(STALL, STALL.replace("<min>3</min>", "<min>2</min>"), frames=110)) > 1e-3
-    radians = STALL.replace(' unit="DEG"', "").replace(">9<", ">.16<").replace(">7<", ">.12<").replace(">3<", ">.05<")
+    assert (
+        worst(differences(STALL, STALL.replace("<max>7</max>", "<max>6</max>"), frames=110)) > 1e-3
+    )
+    assert (
+        worst(differences(STALL, STALL.replace("<min>3</min>", "<min>2</min>"), frames=110)) > 1e-3
+    )
+    radians = (
+        STALL.replace(' unit="DEG"', "")
+        .replace(">9<", ">.16<")
+        .replace(">7<", ">.12<")
+        .replace(">3<", ">.05<")
+    )
     assert worst(differences(radians, frames=60)) < 1e-10
 
 
@@ -159,7 +189,9 @@ def test_the_reference_point_may_be_written():
     rest = f"</channel></flight_control><aerodynamics>{axes('XZ')}</aerodynamics>"
     text = aircraft(HOST + gain.format("x-in", 1.5) + rest)
     assert worst(compared(text, RECORDS, inputs(), 30)) < 1e-10
-    assert worst(compared(text, RECORDS, inputs(), 30, changed=text.replace("1.5", "1.50001"))) > 1e-6
+    assert (
+        worst(compared(text, RECORDS, inputs(), 30, changed=text.replace("1.5", "1.50001"))) > 1e-6
+    )
     # JSBSim keeps another area or span, and flies with the first.
     assert "metrics/Sw-sqft" in refused(text.replace("metrics/aero-rp-x-in", "metrics/Sw-sqft"))
 
@@ -171,13 +203,25 @@ def test_the_reference_point_may_be_written():
         (axes("X", "WIND") + axes("Z", "BODY"), "different frames"),
         (axes(("ROLL",), "WIND") + axes(("PITCH",)), "moments have one frame"),
         (axes("X") + axes("X").replace("f/X", "f/Y"), "stands here twice"),
-        ("<aero_ref_pt_shift_x><function name='s'><v>1</v></function></aero_ref_pt_shift_x>", "<aero_ref_pt_shift_x>"),
+        (
+            "<aero_ref_pt_shift_x><function name='s'><v>1</v></function></aero_ref_pt_shift_x>",
+            "<aero_ref_pt_shift_x>",
+        ),
         ("<axis name='X'><table name='t'/></axis>", "functions are"),
-        ("<axis name='ROLL'><function name='f' apply_at_cg='true'><v>1</v></function></axis>", "apply_at_cg"),
+        (
+            "<axis name='ROLL'><function name='f' apply_at_cg='true'><v>1</v></function></axis>",
+            "apply_at_cg",
+        ),
         ("<axis name='X' colour='red'/>", "attribute 'colour'"),
         ("<function name='f' type='template'><v>1</v></function>", "allowed are pre and post"),
-        ("<axis name='X'><function name='f'><p>position/vrp-radius-ft</p></function></axis>", "vrp-radius-ft"),
-        ("<axis name='X'><function name='f'><property>forces/load-factor</property></function></axis>", "forces/load-factor"),
+        (
+            "<axis name='X'><function name='f'><p>position/vrp-radius-ft</p></function></axis>",
+            "vrp-radius-ft",
+        ),
+        (
+            "<axis name='X'><function name='f'><property>forces/load-factor</property></function></axis>",
+            "forces/load-factor",
+        ),
     ],
 )
 def test_refused_with_line(text, said):

@@ -65,7 +65,9 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
 def test_a_switched_channel_counts_the_frames_in_which_it_is_on(rate: int) -> None:
     inputs = random_inputs()
     # Neither is it rounded nor does its sign count.
-    inputs["i/on"] = inputs["i/on"] * np.random.default_rng(5).choice([0.4, 0.6, -1.0, 1e-300], len(inputs["i/on"]))
+    inputs["i/on"] = inputs["i/on"] * np.random.default_rng(5).choice(
+        [0.4, 0.6, -1.0, 1e-300], len(inputs["i/on"])
+    )
     apart, control = judged(f'<channel execute="i/on" execrate="{rate}">{GAIN}</channel>', inputs)
     assert apart == {}
     assert control != {}
@@ -78,7 +80,9 @@ def test_a_channel_may_begin_in_flight(start: float) -> None:
     inputs["i/on"][50:] = 1.0
     lag = '<lag_filter name="l"><input>i/a</input><c1>@3</c1></lag_filter>'
     actuator = '<actuator name="a"><input>i/a</input><rate_limit>3</rate_limit></actuator>'
-    apart, control = judged(f'<channel execute="i/on" execrate="3">{lag}{actuator}</channel>', inputs)
+    apart, control = judged(
+        f'<channel execute="i/on" execrate="3">{lag}{actuator}</channel>', inputs
+    )
     assert apart == {}
     assert control != {}
 
@@ -91,12 +95,18 @@ def test_another_rate_is_noticed() -> None:
 
 def test_functions_of_all_systems_come_before_any_channel() -> None:
     first = '<channel><pure_gain name="g"><input>o/f</input><gain>2</gain></pure_gain></channel>'
-    second = '<property>i/a</property><function name="o/f"><sum><p>i/a</p><p>fcs/g</p></sum></function>'
-    text = oracle.model(first).replace("<aerodynamics/>", f'<flight_control name="x">{second}</flight_control><aerodynamics/>')
+    second = (
+        '<property>i/a</property><function name="o/f"><sum><p>i/a</p><p>fcs/g</p></sum></function>'
+    )
+    text = oracle.model(first).replace(
+        "<aerodynamics/>", f'<flight_control name="x">{second}</flight_control><aerodynamics/>'
+    )
     inputs = {"i/a": random_inputs(300)["i/a"]}
     fdm = oracle.loaded(text, 0.01)
     fdm["i/a"] = float(inputs["i/a"][0])
-    parts = [System(document, document.root) for document in (document_of(first), document_of(second))]
+    parts = [
+        System(document, document.root) for document in (document_of(first), document_of(second))
+    ]
     values = values_of(fdm)
     names = ["fcs/g", "o/f"]
     frames = {order: traced(parts[::order], values, ["i/a"]) for order in (1, -1)}
@@ -115,8 +125,12 @@ def _outer(text: str) -> System:
 
 def test_properties_beside_a_file_are_allowed_and_nothing_else() -> None:
     values = values_of(oracle.loaded(oracle.model("<property>i/a</property>"), 0.01))
-    traced([_outer('<system file="x"><property value="2">i/a</property></system>')], values, ["i/a"])
-    with pytest.raises(BadInputError, match=r"system.xml:2: <channel> beside a file is not understood"):
+    traced(
+        [_outer('<system file="x"><property value="2">i/a</property></system>')], values, ["i/a"]
+    )
+    with pytest.raises(
+        BadInputError, match=r"system.xml:2: <channel> beside a file is not understood"
+    ):
         traced([_outer('<system file="x">\n<channel/></system>')], values, ["i/a"])
     with pytest.raises(BadInputError, match="<autopilot> names a file of <system>"):
         traced([_outer('<autopilot file="x"/>')], values, ["i/a"])
@@ -142,7 +156,10 @@ EARLY = """<property>i/x</property><function name="o/f"><p>o/g</p></function>
         ('<channel execrate="1.5"/>', "whole number"),
         ('<channel execrate="-2"/>', "whole number"),
         ('<channel execute="none"/>', "property none is not computed"),
-        ('<function name="o/f" copyto="o/none"><v>1</v></function>', "o/none cannot be written by copyto"),
+        (
+            '<function name="o/f" copyto="o/none"><v>1</v></function>',
+            "o/none cannot be written by copyto",
+        ),
         ('<function name="o/f"><p>o/f</p></function>', "reads itself"),
         (INNER, "property o/inner is made by a <sum> of that name"),
         (TABLE, "property o/inner is made by a <table> of that name"),
@@ -195,10 +212,14 @@ def test_the_step_may_be_a_number_of_the_lane(attributes: str) -> None:
     for load_dt_s in (0.01, 0.02):
         # The step in the program does not count, that of the lane does.
         values = values_of(oracle.loaded(oracle.model(text), 0.01))
-        frames = traced([System(document, document.root)], values, list(inputs), load_dt_s, any_step=True)
+        frames = traced(
+            [System(document, document.root)], values, list(inputs), load_dt_s, any_step=True
+        )
         ours = run(frames, inputs, list(pair.theirs))
         assert all(same_bits(pair.theirs[name], ours[name]).all() for name in ours)
-    late = document_of('<channel><sensor name="s"><input>i/a</input><delay>.1</delay></sensor></channel>')
+    late = document_of(
+        '<channel><sensor name="s"><input>i/a</input><delay>.1</delay></sensor></channel>'
+    )
     with pytest.raises(BadInputError, match="no fixed number of frames"):
         traced([System(late, late.root)], values, list(inputs), any_step=True)
 
@@ -209,8 +230,14 @@ def test_systems_of_stock_aircraft_have_jsbsims_bits(name: str) -> None:
     parts = read_sources(aircraft, find_script("loiter")).systems
     pair = flown_by_both(aircraft, parts, 300)
     # The F-16 takes a cosine, which the C library rounds otherwise.
-    allowed = {"fcs/n-pilot-z-correction", "fcs/g-load-corrected", "fcs/g-load-norm"} if name == "f16" else set()
+    allowed = (
+        {"fcs/n-pilot-z-correction", "fcs/g-load-corrected", "fcs/g-load-norm"}
+        if name == "f16"
+        else set()
+    )
     assert set(pair.apart()) <= allowed
     for changed in pair.apart():
-        assert np.max(np.abs(pair.theirs[changed] - pair.ours[changed])) < 1e-15 * np.max(np.abs(pair.theirs[changed]))
+        assert np.max(np.abs(pair.theirs[changed] - pair.ours[changed])) < 1e-15 * np.max(
+            np.abs(pair.theirs[changed])
+        )
     assert sum(len(np.unique(series)) > 10 for series in pair.theirs.values()) >= 10

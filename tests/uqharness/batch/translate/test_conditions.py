@@ -18,7 +18,10 @@ from tests.helpers.batch_systems import refusal
         ('<test value="1">1 gt i/a</test>', "must be the name of a property; received '1'"),
         ('<test value="1">i/a gt 1e400</test>', "finite decimal number"),
         ('<test value="1">i/a gt 1 <value/></test>', "<value> in <test>"),
-        ('<test value="1">i/a gt 1 <test value="2">i/a lt 1</test></test>', "attribute 'value' of <test>"),
+        (
+            '<test value="1">i/a gt 1 <test value="2">i/a lt 1</test></test>',
+            "attribute 'value' of <test>",
+        ),
     ],
 )
 def test_refusals(test: str, message: str) -> None:

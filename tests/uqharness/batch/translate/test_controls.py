@@ -14,12 +14,20 @@ def test_a_surface_moves_in_all_units(name: str) -> None:
     body = f'<channel><pure_gain name="{name}"><input>i/a</input><gain>@.3</gain></pure_gain></channel>'
     apart, control = judged(body, random_inputs(300))
     assert apart == {}
-    assert len(control) == 3 if "flap" not in name and "brake" not in name and "spoiler" not in name else 2
+    assert (
+        len(control) == 3
+        if "flap" not in name and "brake" not in name and "spoiler" not in name
+        else 2
+    )
 
 
-@pytest.mark.parametrize("name", ["fcs/mag-elevator-pos-rad", "simulation/channel-dt", "fcs/a/saturated"])
+@pytest.mark.parametrize(
+    "name", ["fcs/mag-elevator-pos-rad", "simulation/channel-dt", "fcs/a/saturated"]
+)
 def test_what_takes_no_value(name: str) -> None:
-    fdm = oracle.load('<channel><actuator name="a"><input>fcs/elevator-cmd-norm</input></actuator></channel>')
+    fdm = oracle.load(
+        '<channel><actuator name="a"><input>fcs/elevator-cmd-norm</input></actuator></channel>'
+    )
     before = fdm[name]
     fdm[name] = 17.0
     assert fdm[name] == before

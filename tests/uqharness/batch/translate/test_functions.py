@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle as oracle
-from tests.helpers.batch_against import EXACT, ROTATIONS, TRANSCENDENTAL, arguments, compared, same_bits, translated, ulps
+from tests.helpers.batch_against import (
+    EXACT,
+    ROTATIONS,
+    TRANSCENDENTAL,
+    arguments,
+    compared,
+    same_bits,
+    translated,
+    ulps,
+)
 from uqharness.batch.form.ir import Builder, evaluate
 from uqharness.batch.machine.llvm import compiled
 from uqharness.batch.machine.target import targets
@@ -22,7 +31,9 @@ ROWS = 5000
 
 def test_ieee_operations_have_jsbsims_bits() -> None:
     theirs, ours = compared(EXACT, arguments(ROWS))
-    assert {name: float(np.mean(same_bits(theirs[name], ours[name]))) for name in EXACT} == dict.fromkeys(EXACT, 1.0)
+    assert {
+        name: float(np.mean(same_bits(theirs[name], ours[name]))) for name in EXACT
+    } == dict.fromkeys(EXACT, 1.0)
 
 
 def test_transcendental_operations_are_within_two_ulp() -> None:
@@ -41,7 +52,10 @@ def test_rotations_agree_to_rounding() -> None:
 
 def test_every_operation_is_compared() -> None:
     tried = {
-        tag for tag in RULES for body in (EXACT | TRANSCENDENTAL | ROTATIONS).values() if f"<{tag}>" in body or f"<{tag}/>" in body
+        tag
+        for tag in RULES
+        for body in (EXACT | TRANSCENDENTAL | ROTATIONS).values()
+        if f"<{tag}>" in body or f"<{tag}/>" in body
     }
     assert set(RULES) - tried == set()
 
@@ -57,13 +71,37 @@ def _tree(rng: np.random.Generator, depth: int) -> str:
     """A random tree of operations that JSBSim computes exactly."""
     if depth == 0 or rng.random() < 0.15:
         leaf = rng.integers(0, 4)
-        return f"<v>{rng.normal():.6g}</v>" if leaf == 3 else f"<p>{'-' if rng.random() < 0.2 else ''}i/{'abc'[leaf]}</p>"
+        return (
+            f"<v>{rng.normal():.6g}</v>"
+            if leaf == 3
+            else f"<p>{'-' if rng.random() < 0.2 else ''}i/{'abc'[leaf]}</p>"
+        )
     tag = rng.choice(
-        ["sum", "product", "difference", "quotient", "min", "max", "avg", "abs", "floor", "ifthen", "fraction", "toradians", "sqrt"]
+        [
+            "sum",
+            "product",
+            "difference",
+            "quotient",
+            "min",
+            "max",
+            "avg",
+            "abs",
+            "floor",
+            "ifthen",
+            "fraction",
+            "toradians",
+            "sqrt",
+        ]
     )
-    count = {"quotient": 2, "abs": 1, "floor": 1, "fraction": 1, "toradians": 1, "sqrt": 1, "ifthen": 2}.get(
-        tag, int(rng.integers(2, 5))
-    )
+    count = {
+        "quotient": 2,
+        "abs": 1,
+        "floor": 1,
+        "fraction": 1,
+        "toradians": 1,
+        "sqrt": 1,
+        "ifthen": 2,
+    }.get(tag, int(rng.integers(2, 5)))
     parts = "".join(_tree(rng, depth - 1) for _ in range(count))
     if tag == "ifthen":
         test = rng.choice(["lt", "le", "gt", "ge", "eq", "nq"])
@@ -76,7 +114,9 @@ def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
     functions = {f"t{k}": _tree(rng, 5) for k in range(60)}
     inputs = arguments(800)
     theirs, ours = compared(functions, inputs)
-    assert {n: float(np.mean(same_bits(theirs[n], ours[n]))) for n in functions} == dict.fromkeys(functions, 1.0)
+    assert {n: float(np.mean(same_bits(theirs[n], ours[n]))) for n in functions} == dict.fromkeys(
+        functions, 1.0
+    )
     function = translated(functions, inputs)
     for target in targets().values():
         made, _ = compiled(function, target)(inputs)
@@ -84,7 +124,12 @@ def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
 
 
 def test_draws_are_standard_draws_scaled() -> None:
-    tags = {"plain": "random", "scaled": 'random mean="1.7" stddev="0.3"', "mean": 'random mean="0.4"', "sd": 'random stddev="0.6"'}
+    tags = {
+        "plain": "random",
+        "scaled": 'random mean="1.7" stddev="0.3"',
+        "mean": 'random mean="0.4"',
+        "sd": 'random stddev="0.6"',
+    }
     uniform = {
         "unit": 'urandom lower="0" upper="1"',
         "none": "urandom",
@@ -100,7 +145,9 @@ def test_draws_are_standard_draws_scaled() -> None:
         document = parse_document(Path("f.xml"), f"<function>{body}</function>".encode())
         scope = Scope(builder, document, lambda _: None, lambda node: builder.input(node.tag))
         outputs[name] = function_value(scope, document.root)
-    ours, _ = evaluate(builder.finish(outputs), {"random": theirs["o/plain"], "urandom": theirs["o/none"]})
+    ours, _ = evaluate(
+        builder.finish(outputs), {"random": theirs["o/plain"], "urandom": theirs["o/none"]}
+    )
     for name in functions:
         assert same_bits(ours[name], theirs[f"o/{name}"]).all(), name
 
@@ -146,7 +193,10 @@ def test_what_ends_jsbsims_flight_is_nan() -> None:
         ('<sum unit="FT"><v>1</v><v>2</v></sum>', "attribute 'unit'"),
         ("<sum>3<v>1</v><v>2</v></sum>", "has arguments, not text"),
         ("<quotient><v>1</v></quotient>", "takes 2 arguments; received 1"),
-        ("<interpolate1d><p>i/a</p><v>1</v><v>2</v><v>3</v><v>3</v><v>3</v></interpolate1d>", "odd number"),
+        (
+            "<interpolate1d><p>i/a</p><v>1</v><v>2</v><v>3</v><v>3</v><v>3</v></interpolate1d>",
+            "odd number",
+        ),
         ("<v>1</v><v>2</v>", "has one operation"),
         ("<rotation_gamma_local/>", "takes 6 arguments; received 0"),
         ("<delay><p>i/a</p></delay>", "is unknown"),

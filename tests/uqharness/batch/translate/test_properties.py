@@ -27,20 +27,36 @@ def bare():
 
 
 def test_every_property_of_a_bare_aircraft_is_known():
-    names = [name for name in engine.catalog(bare()) if not name.startswith(FREE) or name.startswith("fcs/mag-")]
+    names = [
+        name
+        for name in engine.catalog(bare())
+        if not name.startswith(FREE) or name.startswith("fcs/mag-")
+    ]
     assert len(names) > 250
     assert [name for name in names if not own(name)] == []
 
 
 def test_properties_of_authors_are_not_jsbsims():
     assert not any(
-        own(name) for name in ("ap/engaged", "aero/Cm_q", "fcs/x", "uq/CZ/delta", "systems/flaps", "propulsion/my-switch")
+        own(name)
+        for name in (
+            "ap/engaged",
+            "aero/Cm_q",
+            "fcs/x",
+            "uq/CZ/delta",
+            "systems/flaps",
+            "propulsion/my-switch",
+        )
     )
 
 
 def test_writable_ones_take_a_value_in_jsbsim():
     fdm = bare()
-    names = [name for name in engine.catalog(fdm) if own(name) and writable(name) and name != "atmosphere/psiw-rad"]
+    names = [
+        name
+        for name in engine.catalog(fdm)
+        if own(name) and writable(name) and name != "atmosphere/psiw-rad"
+    ]
     assert {"atmosphere/delta-T", "atmosphere/wind-north-fps", "metrics/aero-rp-x-in"} <= set(names)
     fdm["atmosphere/wind-north-fps"] = 5.0
     for name in names:
@@ -58,7 +74,15 @@ def test_required_values_are_those_of_an_aircraft_that_sets_nothing():
 
 
 @pytest.mark.parametrize(
-    "name", [*REQUIRED, "position/h-sl-ft", "velocities/u-fps", "metrics/Sw-sqft", "aero/alpha-max-rad", "simulation/frame"]
+    "name",
+    [
+        *REQUIRED,
+        "position/h-sl-ft",
+        "velocities/u-fps",
+        "metrics/Sw-sqft",
+        "aero/alpha-max-rad",
+        "simulation/frame",
+    ],
 )
 def test_what_does_more_than_keep_a_value_is_not_writable(name):
     assert not writable(name)

@@ -22,12 +22,27 @@ DECLARED = "<system name='d'><property value='1'>o/start</property></system>"
 
 def test_systems_run_before_the_autopilot_and_that_before_the_flight_control():
     """Whatever their order in the file: each reads what the one before has made in the same frame."""
-    body = part("flight_control", "last", "middle", 3) + part("autopilot", "middle", "first", 2) + DECLARED
-    body += part("system", "first", "second", 1.5) + part("system", "second", "start", 1.25) + "<aerodynamics/>"
+    body = (
+        part("flight_control", "last", "middle", 3)
+        + part("autopilot", "middle", "first", 2)
+        + DECLARED
+    )
+    body += (
+        part("system", "first", "second", 1.5)
+        + part("system", "second", "start", 1.25)
+        + "<aerodynamics/>"
+    )
     with craft(aircraft(body)) as made:
         tags = [system.node.attributes["name"] for system in made.sources().systems]
     assert tags == ["d", "first", "second", "middle", "last"]
-    assert worst(compared(aircraft(body), [f"o/{n}" for n in ("first", "second", "middle", "last")], frames=5)) < 1e-15
+    assert (
+        worst(
+            compared(
+                aircraft(body), [f"o/{n}" for n in ("first", "second", "middle", "last")], frames=5
+            )
+        )
+        < 1e-15
+    )
 
 
 @pytest.mark.parametrize("place", ["x.xml", "Systems/x.xml", "systems/x.xml"])
@@ -51,8 +66,14 @@ def test_sections_are_found():
     ("body", "said"),
     [
         ("<aerodynamics/><aerodynamics/>", "<aerodynamics> stands here twice"),
-        ("<flight_control name='a'/><flight_control name='b'/><aerodynamics/>", "<flight_control> stands here twice"),
-        ("<autopilot name='a'/><autopilot name='b'/><aerodynamics/>", "<autopilot> stands here twice"),
+        (
+            "<flight_control name='a'/><flight_control name='b'/><aerodynamics/>",
+            "<flight_control> stands here twice",
+        ),
+        (
+            "<autopilot name='a'/><autopilot name='b'/><aerodynamics/>",
+            "<autopilot> stands here twice",
+        ),
         ("<wings/><aerodynamics/>", "<wings> is not understood"),
         ("<planet/><aerodynamics/>", "<planet> is not understood"),
     ],

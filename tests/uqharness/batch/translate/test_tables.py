@@ -17,16 +17,28 @@ def _points(rng: np.random.Generator, count: int) -> list[float]:
 
 def _lines(rng: np.random.Generator, rows: list[float], columns: list[float]) -> str:
     head = " ".join(map(repr, columns)) + "\n" if columns else ""
-    return head + "\n".join(" ".join(map(repr, [x, *rng.normal(size=max(1, len(columns))).tolist()])) for x in rows) + "\n"
+    return (
+        head
+        + "\n".join(
+            " ".join(map(repr, [x, *rng.normal(size=max(1, len(columns))).tolist()])) for x in rows
+        )
+        + "\n"
+    )
 
 
 def _table(rng: np.random.Generator, points: list[list[float]]) -> str:
     axes = zip(("row", "column", "table"), KEYS, strict=False)
-    heads = "".join(f'<independentVar lookup="{a}">{k}</independentVar>' for (a, k), _ in zip(axes, points, strict=False))
+    heads = "".join(
+        f'<independentVar lookup="{a}">{k}</independentVar>'
+        for (a, k), _ in zip(axes, points, strict=False)
+    )
     columns = points[1] if len(points) > 1 else []
     if len(points) < 3:
         return f"<table>{heads}<tableData>\n{_lines(rng, points[0], columns)}</tableData></table>"
-    parts = [f'<tableData breakPoint="{b!r}">\n{_lines(rng, points[0], columns)}</tableData>' for b in points[2]]
+    parts = [
+        f'<tableData breakPoint="{b!r}">\n{_lines(rng, points[0], columns)}</tableData>'
+        for b in points[2]
+    ]
     return f"<table>{heads}{''.join(parts)}</table>"
 
 
@@ -37,7 +49,21 @@ def _keys(rng: np.random.Generator, points: list[list[float]], rows: int) -> np.
     return out
 
 
-SIZES = [(1,), (2,), (3,), (12,), (1, 3), (3, 1), (2, 2), (7, 5), (4, 9), (2, 2, 2), (4, 3, 5), (1, 2, 3), (3, 1, 2)]
+SIZES = [
+    (1,),
+    (2,),
+    (3,),
+    (12,),
+    (1, 3),
+    (3, 1),
+    (2, 2),
+    (7, 5),
+    (4, 9),
+    (2, 2, 2),
+    (4, 3, 5),
+    (1, 2, 3),
+    (3, 1, 2),
+]
 SIZES += [(24,), (25,), (26,), (33,), (90,), (40, 3), (30, 30), (2, 26), (27, 2, 2)]
 
 
@@ -46,7 +72,10 @@ def test_tables_have_jsbsims_bits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     grids = [[_points(rng, n) for n in size] for size in SIZES]
     functions = {str(size): _table(rng, points) for size, points in zip(SIZES, grids, strict=True)}
-    keys = {name: _keys(rng, [p[axis] for p in grids if len(p) > axis], 4000) for axis, name in enumerate(KEYS)}
+    keys = {
+        name: _keys(rng, [p[axis] for p in grids if len(p) > axis], 4000)
+        for axis, name in enumerate(KEYS)
+    }
     keys["i/x"][:5] = np.nan
     theirs, ours = compared(functions, keys)
     shares = {name: float(np.mean(same_bits(theirs[name], ours[name]))) for name in functions}
@@ -81,13 +110,22 @@ ROW = '<independentVar lookup="row">i/x</independentVar>'
     [
         (f"<table>{ROW}<tableData>\n1 2\n1 3\n</tableData></table>", "must increase"),
         (f"<table>{ROW}<tableData>\n1 2\n2\n</tableData></table>", "has 2 numbers; received 1"),
-        (f"<table>{ROW}<tableData>\n1 x\n</tableData></table>", "finite decimal number; received 'x'"),
+        (
+            f"<table>{ROW}<tableData>\n1 x\n</tableData></table>",
+            "finite decimal number; received 'x'",
+        ),
         (f"<table>{ROW}<tableData>\n</tableData></table>", "no numbers"),
         (f"<table>{ROW}{ROW}<tableData>\n1 2\n</tableData></table>", "allowed once"),
         ("<table><tableData>\n1 2\n</tableData></table>", "no independentVar"),
         (f'<table type="internal">{ROW}<tableData>\n1 2\n</tableData></table>', "attribute 'type'"),
-        (f"<table>{ROW.replace('i/x', '<p>i/x</p>')}<tableData>\n1 2\n</tableData></table>", "which JSBSim ignores"),
-        (f"<table>{ROW.replace('i/x', 'i/unknown')}<tableData>\n1 2\n</tableData></table>", "i/unknown is not computed"),
+        (
+            f"<table>{ROW.replace('i/x', '<p>i/x</p>')}<tableData>\n1 2\n</tableData></table>",
+            "which JSBSim ignores",
+        ),
+        (
+            f"<table>{ROW.replace('i/x', 'i/unknown')}<tableData>\n1 2\n</tableData></table>",
+            "i/unknown is not computed",
+        ),
     ],
 )
 def test_refusals_have_file_and_line(table: str, message: str) -> None:

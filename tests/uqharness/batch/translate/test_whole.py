@@ -8,13 +8,32 @@ import pytest
 from tests.helpers.batch_flights import START, aircraft, compared, craft, translated, worst
 from uqharness.errors import BadInputError
 
-LATE = ("aero/alpha-rad", "aero/qbar-psf", "velocities/vt-fps", "accelerations/Nz", "accelerations/udot-ft_sec2",
-        "forces/fbz-total-lbs", "moments/m-total-lbsft", "velocities/vg-fps", "aero/h_b-mac-ft", "flight-path/gamma-rad",
-        "external_reactions/push/magnitude")  # fmt: skip
-NOW = ("velocities/u-fps", "attitude/theta-rad", "position/h-agl-ft", "velocities/q-rad_sec", "atmosphere/rho-slugs_ft3",
-       "atmosphere/total-wind-north-fps", "simulation/sim-time-sec", "velocities/v-down-fps")  # fmt: skip
+LATE = (
+    "aero/alpha-rad",
+    "aero/qbar-psf",
+    "velocities/vt-fps",
+    "accelerations/Nz",
+    "accelerations/udot-ft_sec2",
+    "forces/fbz-total-lbs",
+    "moments/m-total-lbsft",
+    "velocities/vg-fps",
+    "aero/h_b-mac-ft",
+    "flight-path/gamma-rad",
+    "external_reactions/push/magnitude",
+)
+NOW = (
+    "velocities/u-fps",
+    "attitude/theta-rad",
+    "position/h-agl-ft",
+    "velocities/q-rad_sec",
+    "atmosphere/rho-slugs_ft3",
+    "atmosphere/total-wind-north-fps",
+    "simulation/sim-time-sec",
+    "velocities/v-down-fps",
+)
 GAINS = "".join(
-    f"<pure_gain name='seen/n{number}'><input>{name}</input><gain>1</gain></pure_gain>" for number, name in enumerate((*LATE, *NOW))
+    f"<pure_gain name='seen/n{number}'><input>{name}</input><gain>1</gain></pure_gain>"
+    for number, name in enumerate((*LATE, *NOW))
 )
 BODY = f"""<system name='s'><property value='3'>external_reactions/push/magnitude</property><property value='2'>i/size</property>
 <channel name='c'>{GAINS}<summer name='s/size'><input>i/size</input><input>seen/n0</input></summer></channel></system>
@@ -24,7 +43,11 @@ BODY = f"""<system name='s'><property value='3'>external_reactions/push/magnitud
 <function name='f/m'><product><p>external_reactions/push/magnitude</p><v>.1</v></product></function></axis></aerodynamics>
 <external_reactions><force name='push' frame='BODY'><location unit='IN'><x>0</x><y>0</y><z>3</z></location>
 <direction><x>1</x><y>0</y><z>0</z></direction></force></external_reactions>"""
-RECORDS = (*(f"seen/n{number}" for number in range(len(LATE) + len(NOW))), "s/size", "velocities/u-fps")
+RECORDS = (
+    *(f"seen/n{number}" for number in range(len(LATE) + len(NOW))),
+    "s/size",
+    "velocities/u-fps",
+)
 INPUTS = {
     "atmosphere/wind-north-fps": np.linspace(0.0, 9.0, 21),
     "external_reactions/push/magnitude": np.sin(np.arange(21.0)) * 5.0,
@@ -73,7 +96,10 @@ def test_inputs_differ_between_lanes_and_constants_are_folded():
 
 
 def test_what_is_not_computed_cannot_be_recorded():
-    with craft(aircraft(BODY)) as made, pytest.raises(BadInputError, match="position/vrp-radius-ft is not computed"):
+    with (
+        craft(aircraft(BODY)) as made,
+        pytest.raises(BadInputError, match="position/vrp-radius-ft is not computed"),
+    ):
         translated(made, ["position/vrp-radius-ft"])
 
 
@@ -81,13 +107,19 @@ def test_what_is_not_computed_cannot_be_recorded():
     ("start", "said"),
     [
         ({"simulation/gravity-model": 0.0}, "simulation/gravity-model = 0"),
-        ({"simulation/integrator/rate/rotational": 8.0}, "simulation/integrator/rate/rotational = 8"),
+        (
+            {"simulation/integrator/rate/rotational": 8.0},
+            "simulation/integrator/rate/rotational = 8",
+        ),
         ({"simulation/gravitational-torque": 1.0}, "simulation/gravitational-torque = 1"),
         ({"forces/hold-down": 1.0}, "forces/hold-down = 1"),
     ],
 )
 def test_settings_that_are_refused(start, said):
-    with craft(aircraft(BODY), {**START, **start}) as made, pytest.raises(BadInputError, match=said):
+    with (
+        craft(aircraft(BODY), {**START, **start}) as made,
+        pytest.raises(BadInputError, match=said),
+    ):
         translated(made, RECORDS)
 
 
@@ -96,7 +128,9 @@ def test_gravitational_torque_is_more_than_rounding():
     from tests.helpers.batch_flights import by_jsbsim
 
     names = ["accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2"]
-    with craft(aircraft("<aerodynamics/>"), {**START, "simulation/gravitational-torque": 1.0}) as made:
+    with craft(
+        aircraft("<aerodynamics/>"), {**START, "simulation/gravitational-torque": 1.0}
+    ) as made:
         one = by_jsbsim(made.open(), {}, names, 2)
     with craft(aircraft("<aerodynamics/>"), START) as made:
         other = by_jsbsim(made.open(), {}, names, 2)

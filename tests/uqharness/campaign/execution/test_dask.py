@@ -61,10 +61,16 @@ def dask(cluster):
 def _validate_quickly(monkeypatch):
     import uqharness.campaign.run as campaign
 
-    monkeypatch.setattr(campaign, "ProcessExecutor", lambda workers, **keys: ProcessExecutor(workers, "fork", **keys))
+    monkeypatch.setattr(
+        campaign,
+        "ProcessExecutor",
+        lambda workers, **keys: ProcessExecutor(workers, "fork", **keys),
+    )
 
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
 
 
 def tables(folder):
@@ -74,7 +80,11 @@ def tables(folder):
 def flights(folder, numbers):
     fakes.campaign_file(folder)
     return [
-        (f"{index:04d}", FlightSpec(folder / "plane", folder / "loiter.xml", 150.0, seed_turbulence=index)) for index in numbers
+        (
+            f"{index:04d}",
+            FlightSpec(folder / "plane", folder / "loiter.xml", 150.0, seed_turbulence=index),
+        )
+        for index in numbers
     ]
 
 
@@ -134,7 +144,9 @@ def test_a_case_that_takes_dask_workers_with_it_is_counted_and_no_other(tmp_path
         found = fly(executor, fakes.kills_its_parent, cases)
     guilty = found.pop("0009")
     assert (guilty.status, guilty.reason) == ("crashed", "every Dask worker that flew it was lost")
-    assert found == fly(SerialExecutor(), fakes.steady, [case for case in cases if case[0] != "0009"])
+    assert found == fly(
+        SerialExecutor(), fakes.steady, [case for case in cases if case[0] != "0009"]
+    )
 
 
 @pytest.mark.slow
@@ -145,7 +157,10 @@ def test_a_lost_scheduler_is_a_sentence_and_keeps_what_was_done(tmp_path, monkey
         batches = executor.run(fakes.slow, flights(tmp_path, range(2000)))
         assert next(batch for batch in batches if batch)
         cluster.close()
-        with pytest.raises(BadInputError, match=r"scheduler at tcp://.* was lost; everything counted so far is kept"):
+        with pytest.raises(
+            BadInputError,
+            match=r"scheduler at tcp://.* was lost; everything counted so far is kept",
+        ):
             list(batches)
         executor.close()
 
@@ -153,7 +168,9 @@ def test_a_lost_scheduler_is_a_sentence_and_keeps_what_was_done(tmp_path, monkey
 def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path, dask, monkeypatch):
     cases = flights(tmp_path, [4])
     monkeypatch.setattr(dask_executor, "content_of", lambda *_: ("0" * 64, "0" * 64))
-    with pytest.raises(BadInputError, match=r"Dask worker on .*: aircraft .*plane has other content here; script"):
+    with pytest.raises(
+        BadInputError, match=r"Dask worker on .*: aircraft .*plane has other content here; script"
+    ):
         fly(dask, fakes.steady, cases)
     monkeypatch.undo()
     (tmp_path / "loiter.xml").unlink()
@@ -170,7 +187,8 @@ def test_a_worker_flies_with_no_function_that_its_operator_did_not_name(tmp_path
     from tests.helpers import torture
 
     with pytest.raises(
-        BadInputError, match=r"Dask worker on .*flies with uqharness.flight.fly:fly alone.*MODULES=tests.helpers.torture"
+        BadInputError,
+        match=r"Dask worker on .*flies with uqharness.flight.fly:fly alone.*MODULES=tests.helpers.torture",
     ):
         fly(dask, torture.tear, flights(tmp_path, [4]))
     with pytest.raises(BadInputError, match="flies with a function that its module holds by name"):
@@ -192,12 +210,18 @@ def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
     cases = flights(tmp_path, list(range(4, 24)))
     alone = fly(dask, fakes.hazardous, cases)
     together = [Group("jsbsim", tuple(cases[first : first + 10])) for first in (0, 10)]
-    found = {o.case_id: o for batch in dask.run_groups(OneByOne(fakes.hazardous), together) for o in batch}
+    found = {
+        o.case_id: o
+        for batch in dask.run_groups(OneByOne(fakes.hazardous), together)
+        for o in batch
+    }
     assert found == alone
 
 
 def test_a_worker_without_the_batch_engine_refuses_its_cases(monkeypatch):
-    monkeypatch.setattr(dask_task, "why_not", lambda engine: f"llvmlite is not installed for {engine}")
+    monkeypatch.setattr(
+        dask_task, "why_not", lambda engine: f"llvmlite is not installed for {engine}"
+    )
     group = Group("batch", (("0001", FlightSpec(Path("nowhere"), Path("nothing"), 1.0)),))
     content = (dask_task.ABSENT, dask_task.ABSENT)
     monkeypatch.setattr(dask_task, "_refuse_unlike", lambda *given: None)

@@ -38,11 +38,25 @@ from uqharness.flight import fly as flight
 from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver, TransientDriver
 
 FLIGHT = FlightSpec(
-    Path("/a/plane é"), Path("/b/loiter.xml"), 0.1 + 0.2, burn_in_s=5e-324, turbulence="moderate", sensor_noise=True,
-    seed_turbulence=2**70, properties={"uq/CX/level": 1 / 3, "x": -0.0, "low": -math.inf}, excursion_radius_m=(15.0, 1e300),
-    levels=LevelDriver("walk", 7, "e1", ("CX", "Cn"), (0.1, 2.5)), transient=TransientDriver(7, 3, ("CX", "Cm"), (0.9, 1 / 3)),
-)  # fmt: skip
-ORDER = Order(OWN_FLIGHT, False, Group("jsbsim", (("0001", FLIGHT),)), ("a" * 64, "b" * 64), (("jsbsim", "1.3.3"),))
+    Path("/a/plane é"),
+    Path("/b/loiter.xml"),
+    0.1 + 0.2,
+    burn_in_s=5e-324,
+    turbulence="moderate",
+    sensor_noise=True,
+    seed_turbulence=2**70,
+    properties={"uq/CX/level": 1 / 3, "x": -0.0, "low": -math.inf},
+    excursion_radius_m=(15.0, 1e300),
+    levels=LevelDriver("walk", 7, "e1", ("CX", "Cn"), (0.1, 2.5)),
+    transient=TransientDriver(7, 3, ("CX", "Cm"), (0.9, 1 / 3)),
+)
+ORDER = Order(
+    OWN_FLIGHT,
+    False,
+    Group("jsbsim", (("0001", FLIGHT),)),
+    ("a" * 64, "b" * 64),
+    (("jsbsim", "1.3.3"),),
+)
 OUTCOME = CaseOutcome("0001", "ok", "", 3.5, {"a": 1 / 3, "b": math.inf}, {"c": "why"})
 
 
@@ -55,12 +69,20 @@ def test_an_order_comes_back_as_it_was():
     assert back == ORDER
     ((case_id, back_flight),) = back.group.cases
     assert (case_id, str(back_flight.properties["x"])) == ("0001", "-0.0")
-    assert back != replace(ORDER, group=Group("jsbsim", (("0001", replace(FLIGHT, duration_s=0.3)),)))
-    several = replace(ORDER, group=Group("batch", (("0001", FLIGHT), ("0002", replace(FLIGHT, seed_noise=5)))), together=True)
+    assert back != replace(
+        ORDER, group=Group("jsbsim", (("0001", replace(FLIGHT, duration_s=0.3)),))
+    )
+    several = replace(
+        ORDER,
+        group=Group("batch", (("0001", FLIGHT), ("0002", replace(FLIGHT, seed_noise=5)))),
+        together=True,
+    )
     assert order_from(order_text(several)) == several
     given_so = MappingProxyType({"x": np.float64(1 / 3)})
     odd = order_of(replace(FLIGHT, properties=given_so, levels=None, seed_noise=np.int64(3)))
-    assert order_from(order_text(odd)) == order_of(replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3))
+    assert order_from(order_text(odd)) == order_of(
+        replace(FLIGHT, properties={"x": 1 / 3}, levels=None, seed_noise=3)
+    )
 
 
 @settings(max_examples=300, deadline=None)
@@ -68,7 +90,9 @@ def test_an_order_comes_back_as_it_was():
 def test_every_number_comes_back_bit_for_bit(value):
     back = order_from(order_text(order_of(replace(FLIGHT, properties={"x": value}))))
     assert struct.pack("<d", back.group.cases[0][1].properties["x"]) == struct.pack("<d", value)
-    (outcome,) = answer_from(answer_text(Answer((replace(OUTCOME, metrics={"x": value}),))), ("0001",))
+    (outcome,) = answer_from(
+        answer_text(Answer((replace(OUTCOME, metrics={"x": value}),))), ("0001",)
+    )
     assert struct.pack("<d", outcome.metrics["x"]) == struct.pack("<d", value)
 
 
@@ -79,7 +103,9 @@ def test_a_path_that_is_no_text_is_a_sentence():
 
 def test_nan_is_the_same_wherever_a_case_was_flown():
     negative = struct.unpack("<d", b"\x01\x00\x00\x00\x00\x00\xf8\xff")[0]
-    found = attempt(lambda _: FlightResult("ok", "", 1.0, {"x": negative}, {"x": "why"}, {}), "0001", FLIGHT)
+    found = attempt(
+        lambda _: FlightResult("ok", "", 1.0, {"x": negative}, {"x": "why"}, {}), "0001", FLIGHT
+    )
     (back,) = answer_from(answer_text(Answer((found,))), ("0001",))
     assert struct.pack("<d", found.metrics["x"]) == struct.pack("<d", back.metrics["x"])
     assert struct.pack("<d", found.metrics["x"]) != struct.pack("<d", negative)
@@ -87,10 +113,25 @@ def test_nan_is_the_same_wherever_a_case_was_flown():
 
 TEXT = order_text(ORDER)
 MALFORMED = [
-    "", "null", "[]", "{}", "{", "[" * 100_000, '{"case_id": "1"}', TEXT[:-1], TEXT.replace('"/b/loiter.xml"', "5"),
-    TEXT.replace('"walk"', '"jump"'), TEXT.replace("5e-324", '"5"'), TEXT.replace("5e-324", "null"), TEXT.replace("true", '"yes"'),
-    TEXT.replace('"1.3.3"]', '"1.3.3", "x"]'), b"\x80\x05.", None, 5, ORDER,
-]  # fmt: skip
+    "",
+    "null",
+    "[]",
+    "{}",
+    "{",
+    "[" * 100_000,
+    '{"case_id": "1"}',
+    TEXT[:-1],
+    TEXT.replace('"/b/loiter.xml"', "5"),
+    TEXT.replace('"walk"', '"jump"'),
+    TEXT.replace("5e-324", '"5"'),
+    TEXT.replace("5e-324", "null"),
+    TEXT.replace("true", '"yes"'),
+    TEXT.replace('"1.3.3"]', '"1.3.3", "x"]'),
+    b"\x80\x05.",
+    None,
+    5,
+    ORDER,
+]
 
 
 @pytest.mark.parametrize("text", MALFORMED, ids=range(len(MALFORMED)))
@@ -98,7 +139,9 @@ def test_a_malformed_order_is_one_sentence_to_the_campaign(text):
     with pytest.raises(BadInputError, match="malformed order on the Dask cluster") as error:
         order_from(text)
     assert "\n" not in str(error.value)
-    with pytest.raises(BadInputError, match=r"Dask worker on .*: malformed order on the Dask cluster"):
+    with pytest.raises(
+        BadInputError, match=r"Dask worker on .*: malformed order on the Dask cluster"
+    ):
         answer_from(fly_order(text), ("0001",))
 
 
@@ -109,7 +152,12 @@ def test_an_answer_is_that_of_the_case_asked_for():
         answer_from(text, ("0002",))
     with pytest.raises(BadInputError, match="answered with 1 flights; asked for were 2"):
         answer_from(text, ("0001", "0002"))
-    for bad in (text[:-1], text.replace('"ok"', "3"), json.dumps({"outcomes": [[]]}), json.dumps({"outcomes": {}})):
+    for bad in (
+        text[:-1],
+        text.replace('"ok"', "3"),
+        json.dumps({"outcomes": [[]]}),
+        json.dumps({"outcomes": {}}),
+    ):
         with pytest.raises(BadInputError, match="malformed answer"):
             answer_from(bad, ("0001",))
     with pytest.raises(BadInputError, match="status 'fine'"):
@@ -124,7 +172,13 @@ def test_functions_have_names_and_other_things_have_none(tmp_path):
     assert flight_name(fly_group) == OWN_GROUP
     assert flight_function(OWN_GROUP) is fly_group
     assert flight_name(fakes.steady) == "tests.helpers.campaign_fakes:steady"
-    for other in (lambda spec: None, fakes.NotThere(), RecordedFlight(tmp_path), print, fakes.NotThere.__call__):
+    for other in (
+        lambda spec: None,
+        fakes.NotThere(),
+        RecordedFlight(tmp_path),
+        print,
+        fakes.NotThere.__call__,
+    ):
         with pytest.raises(BadInputError, match="fly this campaign without --dask"):
             flight_name(other)
 
@@ -135,7 +189,11 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     foreign = ("harm:fly", "os:system", "tests.helpers.campaign_fakes:steady", ":", "")
-    for name in (*foreign, "uqharness.flight.fly:Path", "uqharness.cli.benchmarks.loop:bare_flight"):
+    for name in (
+        *foreign,
+        "uqharness.flight.fly:Path",
+        "uqharness.cli.benchmarks.loop:bare_flight",
+    ):
         with pytest.raises(BadInputError, match=r"flies with uqharness\.flight\.fly:fly alone"):
             flight_function(name)
         answer = fly_order(order_text(replace(ORDER, fly=name)))
@@ -145,7 +203,13 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
     assert flight_function("tests.helpers.campaign_fakes:steady") is fakes.steady
     assert flight_function("harm:fly") is sys.modules["harm"].fly
     assert (tmp_path / "ran").exists()
-    for name in ("harm:number", "harm:nothing", "harm:fly.__globals__", "tests.helpers.campaign_fakes:NotThere", "harm"):
+    for name in (
+        "harm:number",
+        "harm:nothing",
+        "harm:fly.__globals__",
+        "tests.helpers.campaign_fakes:NotThere",
+        "harm",
+    ):
         with pytest.raises(BadInputError, match="there is no flight function"):
             flight_function(name)
     for name in ("broken:fly", "absent:fly"):

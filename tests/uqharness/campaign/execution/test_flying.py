@@ -23,14 +23,20 @@ def signals(result: FlightResult) -> bytes:
 def test_each_name_flies_what_it_says():
     alone, moved = fly(SPEC), fly_one_ulp_off(SPEC)
     assert signals(alone) != signals(moved)
-    for name, expected in ((flying.JSBSIM, alone), (flying.JUDGE, alone), (flying.ONE_ULP_OFF, moved)):
+    for name, expected in (
+        (flying.JSBSIM, alone),
+        (flying.JUDGE, alone),
+        (flying.ONE_ULP_OFF, moved),
+    ):
         (found,) = flying.fly_group(name, [SPEC])
         assert signals(found) == signals(expected)
         assert expected.metrics.items() <= found.metrics.items()
 
 
 def test_the_judge_tells_how_near_a_radius_a_flight_came():
-    (found,) = flying.fly_group(flying.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)])
+    (found,) = flying.fly_group(
+        flying.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
+    )
     distance = np.abs(found.signals["cross_track"])
     expected = min(np.abs(distance - 1.0).min(), np.abs(distance - 0.75).min())
     assert found.metrics["nearest_excursions_1m"] == expected
@@ -39,8 +45,12 @@ def test_the_judge_tells_how_near_a_radius_a_flight_came():
 
 
 def test_the_batch_engine_is_asked_for_its_own(monkeypatch):
-    monkeypatch.setattr(batch, "fly_many", lambda specs: [fakes.steady(spec) for spec in specs], raising=False)
-    monkeypatch.setattr(batch, "refusals", lambda spec, varying: (spec.aircraft.name, *varying), raising=False)
+    monkeypatch.setattr(
+        batch, "fly_many", lambda specs: [fakes.steady(spec) for spec in specs], raising=False
+    )
+    monkeypatch.setattr(
+        batch, "refusals", lambda spec, varying: (spec.aircraft.name, *varying), raising=False
+    )
     monkeypatch.setattr(batch, "available", lambda: "llvmlite is not installed", raising=False)
     assert flying.fly_group("batch", [SPEC, SPEC]) == [fakes.steady(SPEC)] * 2
     assert flying.OwnBatch().refusals(SPEC, ("x",)) == ("espaaro", "x")

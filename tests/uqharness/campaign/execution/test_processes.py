@@ -13,23 +13,35 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor, default_timeout_s
+from uqharness.campaign.execution.processes import (
+    ProcessExecutor,
+    SerialExecutor,
+    default_timeout_s,
+)
 from uqharness.campaign.execution.worker import Group, OneByOne
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 
-pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
 
 
 def flights(number):
     return [
-        (f"{index:04d}", FlightSpec(Path("plane"), Path("loiter.xml"), 150.0, seed_turbulence=index)) for index in range(number)
+        (
+            f"{index:04d}",
+            FlightSpec(Path("plane"), Path("loiter.xml"), 150.0, seed_turbulence=index),
+        )
+        for index in range(number)
     ]
 
 
 def fly(executor, function, cases):
     outcomes = [outcome for batch in executor.run(function, cases) for outcome in batch]
-    assert sorted(outcome.case_id for outcome in outcomes) == sorted(case_id for case_id, _ in cases)
+    assert sorted(outcome.case_id for outcome in outcomes) == sorted(
+        case_id for case_id, _ in cases
+    )
     return {outcome.case_id: outcome for outcome in outcomes}
 
 
@@ -44,7 +56,9 @@ def test_serial_and_processes_agree():
 
 def test_crashes_are_counted_with_their_reason():
     found = fly(ProcessExecutor(2, "fork"), fakes.hazardous, flights(20))
-    kinds = {index: (found[f"{index:04d}"].status, found[f"{index:04d}"].reason) for index in range(10)}
+    kinds = {
+        index: (found[f"{index:04d}"].status, found[f"{index:04d}"].reason) for index in range(10)
+    }
     # level_sum is 3 for a flight without levels, and 3 * 7 + seed decides: see campaign_fakes.
     assert kinds[9] == ("crashed", "the worker process ended: signal 6 (SIGABRT) (tried 2 times)")
     assert kinds[0] == ("crashed", "the worker process ended: signal 11 (SIGSEGV) (tried 2 times)")
@@ -58,7 +72,10 @@ def test_a_hang_is_a_timeout_and_holds_nobody_up():
     executor = ProcessExecutor(2, "fork", timeout_s=lambda flight: 0.5)
     started = time.monotonic()
     found = fly(executor, fakes.hangs_sometimes, flights(20))
-    assert {case_id for case_id, outcome in found.items() if outcome.status == "timeout"} == {"0009", "0019"}
+    assert {case_id for case_id, outcome in found.items() if outcome.status == "timeout"} == {
+        "0009",
+        "0019",
+    }
     assert found["0009"].reason == "no result after 0.5 s (tried 2 times)"
     assert time.monotonic() - started < 20
 
@@ -91,19 +108,29 @@ def test_workers_killed_from_outside_cost_no_case():
 
 
 def groups(cases, size):
-    return [Group("batch", tuple(cases[first : first + size])) for first in range(0, len(cases), size)]
+    return [
+        Group("batch", tuple(cases[first : first + size])) for first in range(0, len(cases), size)
+    ]
 
 
 def fly_groups(executor, function, cases, size):
-    outcomes = [outcome for batch in executor.run_groups(function, groups(cases, size)) for outcome in batch]
-    assert sorted(outcome.case_id for outcome in outcomes) == sorted(case_id for case_id, _ in cases)
+    outcomes = [
+        outcome for batch in executor.run_groups(function, groups(cases, size)) for outcome in batch
+    ]
+    assert sorted(outcome.case_id for outcome in outcomes) == sorted(
+        case_id for case_id, _ in cases
+    )
     return {outcome.case_id: outcome for outcome in outcomes}
 
 
 def test_groups_give_what_single_flights_give():
     cases = flights(50)
     reference = fly(SerialExecutor(), fakes.steady, cases)
-    for executor, size in ((SerialExecutor(), 7), (ProcessExecutor(2, "fork"), 16), (ProcessExecutor(2, "spawn"), 50)):
+    for executor, size in (
+        (SerialExecutor(), 7),
+        (ProcessExecutor(2, "fork"), 16),
+        (ProcessExecutor(2, "spawn"), 50),
+    ):
         assert fly_groups(executor, OneByOne(fakes.steady), cases, size) == reference
 
 

@@ -6,10 +6,27 @@ import math
 
 import pytest
 
-from uqharness.campaign.folder.engine_file import ENGINE_CHECK, CheckRow, as_number, as_text, merge_checks, read_check, write_check
+from uqharness.campaign.folder.engine_file import (
+    ENGINE_CHECK,
+    CheckRow,
+    as_number,
+    as_text,
+    merge_checks,
+    read_check,
+    write_check,
+)
 
 ROW = CheckRow(
-    "whole", "3 m/s moderate", "00ff", "cross_track_median_m", as_text(0.1 + 0.2), "1.0", "2.0", "0.35", "excused", "a, b"
+    "whole",
+    "3 m/s moderate",
+    "00ff",
+    "cross_track_median_m",
+    as_text(0.1 + 0.2),
+    "1.0",
+    "2.0",
+    "0.35",
+    "excused",
+    "a, b",
 )
 STATUS = CheckRow("whole", "3 m/s moderate", "00ff", "status", "ok", "ok", "", "", "alike")
 

@@ -26,8 +26,13 @@ from uqharness.next_flight.mission_states import open_campaign
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 OLD = TESTS / "format_1"
-READING = (["campaign", "status"], ["campaign", "report", "--no-tracks"], ["sensitivity"],
-           ["campaign", "convergence", "--repeats", "2"], ["campaign", "area", "--value", "altitude_median_m=3"])  # fmt: skip
+READING = (
+    ["campaign", "status"],
+    ["campaign", "report", "--no-tracks"],
+    ["sensitivity"],
+    ["campaign", "convergence", "--repeats", "2"],
+    ["campaign", "area", "--value", "altitude_median_m=3"],
+)
 FLYING = (["campaign", "rerun", "--case", "0"], ["campaign", "merge"], ["campaign", "salvage"])
 
 
@@ -44,7 +49,12 @@ def made(tmp_path_factory):
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
-        run_campaign(read_campaign(fakes.campaign_file(root, text)), root / "out", executor=SerialExecutor(), fly=fakes.steady)
+        run_campaign(
+            read_campaign(fakes.campaign_file(root, text)),
+            root / "out",
+            executor=SerialExecutor(),
+            fly=fakes.steady,
+        )
     return root / "out"
 
 
@@ -143,7 +153,10 @@ def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(made, tmp
     frame = pd.read_parquet(made / "cases.parquet")
     gone = ("extrapolated_share", "level_CX", "status", "turbulence", "excursions_15m_3d")
     wrong = {name: frame.drop(columns=name) for name in gone}
-    wrong |= {f"{name} retyped": frame.assign(**{name: "x"}) for name in ("wind_mps", "aleatory_id", "altitude_mean_m")}
+    wrong |= {
+        f"{name} retyped": frame.assign(**{name: "x"})
+        for name in ("wind_mps", "aleatory_id", "altitude_mean_m")
+    }
     for column, value in (("status", "fine"), ("turbulence", "wild"), ("case_id", None)):
         wrong[f"{column} strange"] = frame.assign(**{column: value})
     wrong |= {"flights": frame.iloc[:3], "none": frame.iloc[:0]}
@@ -200,12 +213,21 @@ def test_results_of_0_1_can_be_read(tmp_path, capsys):
     assert {name: (folder / name).read_bytes() for name in before} == before
     # The same flights by this version: the tables are the same bytes, but for bands, which are rounded up to 1e-9 since 0.3.
     campaign = fakes.campaign_file(tmp_path / "again", (OLD / "campaign.toml").read_text())
-    run_campaign(read_campaign(campaign), tmp_path / "again" / "out", executor=SerialExecutor(), fly=fakes.steady)
+    run_campaign(
+        read_campaign(campaign),
+        tmp_path / "again" / "out",
+        executor=SerialExecutor(),
+        fly=fakes.steady,
+    )
     assert (tmp_path / "again" / "out" / "excursions.csv").read_bytes() == before["excursions.csv"]
     # Statements have more columns since 0.6 (aborted flights, measured clusters); what both have is the same.
-    statements, told = (pd.read_csv(place / "statements.csv") for place in (tmp_path / "again" / "out", folder))
+    statements, told = (
+        pd.read_csv(place / "statements.csv") for place in (tmp_path / "again" / "out", folder)
+    )
     pd.testing.assert_frame_equal(statements[list(told)], told, check_exact=True)
-    now, then = (pd.read_parquet(place / "pbox.parquet") for place in (tmp_path / "again" / "out", folder))
+    now, then = (
+        pd.read_parquet(place / "pbox.parquet") for place in (tmp_path / "again" / "out", folder)
+    )
     pd.testing.assert_frame_equal(now, then, check_exact=False, rtol=0.0, atol=2e-9)
     same = [name for name in now if not name.startswith("band_")]
     pd.testing.assert_frame_equal(now[same], then[same], check_exact=True)
@@ -217,11 +239,19 @@ def test_results_of_0_1_are_not_flown_on(tmp_path, capsys):
     shutil.copytree(OLD / "results", folder)
     shutil.copytree(folder, tmp_path / "merged" / "shards" / "1-of-1")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    for words in (["run", campaign, "--out", folder, "--serial"], ["rerun", folder, "--case", "0"], ["salvage", folder],
-                  ["merge", tmp_path / "merged"], ["salvage", tmp_path / "merged"]):  # fmt: skip
+    for words in (
+        ["run", campaign, "--out", folder, "--serial"],
+        ["rerun", folder, "--case", "0"],
+        ["salvage", folder],
+        ["merge", tmp_path / "merged"],
+        ["salvage", tmp_path / "merged"],
+    ):
         capsys.readouterr()
         assert main(["campaign", *map(str, words)]) == 2
-        assert "made by uqharness 0.1, whose flights carry no digests: finish it there" in capsys.readouterr().err
+        assert (
+            "made by uqharness 0.1, whose flights carry no digests: finish it there"
+            in capsys.readouterr().err
+        )
     code, said = call(capsys, ["campaign", "verify"], folder)
     assert code == 1
     assert said.out.count("no digests") == 6

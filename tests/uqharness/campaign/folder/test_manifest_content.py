@@ -12,9 +12,15 @@ from uqharness.campaign.folder.manifest_content import checked_content
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 GOOD = {
-    "format": 2, "state": "running", "command": "uqharness campaign run", "seed": 7, "cases": 192, "versions": {"numpy": "2"},
-    "campaign": tomllib.loads(CAMPAIGN), "hashes": {"aircraft": "a" * 64, "script": "b" * 64},
-}  # fmt: skip
+    "format": 2,
+    "state": "running",
+    "command": "uqharness campaign run",
+    "seed": 7,
+    "cases": 192,
+    "versions": {"numpy": "2"},
+    "campaign": tomllib.loads(CAMPAIGN),
+    "hashes": {"aircraft": "a" * 64, "script": "b" * 64},
+}
 
 
 def test_a_good_one_comes_back_with_every_setting():
@@ -38,7 +44,15 @@ def test_a_good_one_comes_back_with_every_setting():
         ({"tables": {"../a.csv": "a" * 64}}, "tables"),
         ({"shard": "1/2/3"}, "shard"),
         ({"campaign": {}}, "campaign.*is missing"),
-        ({"campaign": {**GOOD["campaign"], "campaign": {**GOOD["campaign"]["campaign"], "seed": "x"}}}, "campaign.campaign.seed"),
+        (
+            {
+                "campaign": {
+                    **GOOD["campaign"],
+                    "campaign": {**GOOD["campaign"]["campaign"], "seed": "x"},
+                }
+            },
+            "campaign.campaign.seed",
+        ),
     ],
 )
 def test_a_bad_one_is_named(change, said):
@@ -54,9 +68,13 @@ def test_what_is_missing_is_named():
 
 def test_corners_of_a_model_form_flew_without_interior_points_before_there_were_any():
     epistemic = {"method": "corners", "bounds": "model-form.json"}
-    old = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic}})["campaign"]["epistemic"]
+    old = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic}})[
+        "campaign"
+    ]["epistemic"]
     assert (old["interior"], old["set"]) == (0, "box")
-    new = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic | {"interior": 16}}})
+    new = checked_content(
+        GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic | {"interior": 16}}}
+    )
     assert new["campaign"]["epistemic"]["interior"] == 16
     assert "interior" not in checked_content(GOOD)["campaign"]["epistemic"]
     with pytest.raises(ValueError, match=r"bounds\.confidence"):

@@ -23,8 +23,11 @@ def test_a_sealed_manifest_holds_the_digest_of_every_table():
     old = {"state": "running", "cases": 2, "tables": {"area.csv": "b" * 64, "x.csv": "c" * 64}}
     found = sealed(old, store(), {"x.csv": b"new"})
     assert found == {
-        "state": "complete", "cases": 2, "journal": SUMMARY, "tables": {"area.csv": "b" * 64, "x.csv": sha256_hex(b"new")},
-    }  # fmt: skip
+        "state": "complete",
+        "cases": 2,
+        "journal": SUMMARY,
+        "tables": {"area.csv": "b" * 64, "x.csv": sha256_hex(b"new")},
+    }
     assert old["tables"]["x.csv"] == "c" * 64
 
 

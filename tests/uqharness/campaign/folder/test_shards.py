@@ -154,12 +154,24 @@ def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
     before = tables(flown)
     assert main(["campaign", "rerun", str(flown), "--case", row["case_id"][:10], "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["case_id"], found["status"], found["same_as_stored"]) == (row["case_id"], "ok", True)
+    assert (found["case_id"], found["status"], found["same_as_stored"]) == (
+        row["case_id"],
+        "ok",
+        True,
+    )
     target = flown / "rerun" / row["case_id"]
     record = pd.read_parquet(target / "record.parquet")
     # Burn-in included, 50 Hz, everything that moves: the scored part gives the stored score.
     assert len(record) == 8 * 50 + 1
-    assert {"V_mps", "elevator_deg", "error_cross_track", "level_CX", "delta_Cm", "upper_CX", "wind_down_mps"} <= set(record)
+    assert {
+        "V_mps",
+        "elevator_deg",
+        "error_cross_track",
+        "level_CX",
+        "delta_Cm",
+        "upper_CX",
+        "wind_down_mps",
+    } <= set(record)
     assert record["level_Cm"].nunique() > 300
     scored = record[record["scored"]]["error_cross_track"].abs()
     # The record is JSBSim's, whichever engine flew the case.
@@ -168,7 +180,9 @@ def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
     assert result["metrics"]["altitude_median_m"] == row["altitude_median_m"]
     assert result["levels"]["epistemic_id"] == row["epistemic_id"]
     assert result["properties"]["inertia/mass-slugs"] == row["variable_inertia/mass-slugs"]
-    assert etree.parse(str(target / "flight.svg")).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+    assert (
+        etree.parse(str(target / "flight.svg")).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+    )
     assert tables(flown) == before
 
 

@@ -18,7 +18,9 @@ from uqharness.errors import BadInputError
 
 
 def outcome(number, status="ok", **metrics):
-    return CaseOutcome(f"{number:016x}", status, "" if status == "ok" else "why", 210.0, metrics, {})
+    return CaseOutcome(
+        f"{number:016x}", status, "" if status == "ok" else "why", 210.0, metrics, {}
+    )
 
 
 def test_what_is_stored_comes_back(tmp_path):
@@ -58,14 +60,21 @@ def test_a_full_disk_is_a_sentence_and_loses_nothing(tmp_path):
 
 def test_a_damaged_journal_is_a_sentence(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"this is no database" * 100)
-    with pytest.raises(BadInputError, match=r"journal\.sqlite: damaged: file is not a database; nothing was changed"):
+    with pytest.raises(
+        BadInputError,
+        match=r"journal\.sqlite: damaged: file is not a database; nothing was changed",
+    ):
         Store(tmp_path)
 
 
 def test_a_journal_whose_making_was_cut_short_has_counted_nothing_and_goes_on(tmp_path):
     (tmp_path / JOURNAL).touch()
     with Store(tmp_path, read_only=True) as reader:
-        assert (reader.finished(), reader.statuses().total(), list(reader.outcomes())) == (set(), 0, [])
+        assert (reader.finished(), reader.statuses().total(), list(reader.outcomes())) == (
+            set(),
+            0,
+            [],
+        )
         assert reader.outcome("a") is None
         with Store(tmp_path) as store:
             store.add([outcome(1)])
@@ -97,7 +106,9 @@ def test_the_folder_is_held_by_one_run(tmp_path):
     with run_lock(tmp_path):
         assert is_running(tmp_path)
         with (
-            pytest.raises(BadInputError, match=f"another run is using this folder.*process {os.getpid()}"),
+            pytest.raises(
+                BadInputError, match=f"another run is using this folder.*process {os.getpid()}"
+            ),
             run_lock(tmp_path),
         ):
             pass
@@ -107,7 +118,12 @@ def test_the_folder_is_held_by_one_run(tmp_path):
             "print(is_running(Path(sys.argv[1])))\n"
             "with run_lock(Path(sys.argv[1])): pass"
         )
-        done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert done.stdout == "True\n"
         assert f"another run is using this folder (process {os.getpid()} on " in done.stderr
     assert not is_running(tmp_path)
@@ -164,13 +180,22 @@ def test_folders_that_are_none(tmp_path):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"versions": manifest()["versions"] | {"jsbsim": "1.4.0"}}, "jsbsim 1.3.3 then, 1.4.0 now"),
+        (
+            {"versions": manifest()["versions"] | {"jsbsim": "1.4.0"}},
+            "jsbsim 1.3.3 then, 1.4.0 now",
+        ),
         (
             {"hashes": {"aircraft": "c" * 64, "script": "b" * 64}},
             r"content of the aircraft \(plane\) has changed: aaaaaaaaaaaa",
         ),
-        ({"hashes": {"aircraft": "a" * 64, "script": "c" * 64}}, r"content of the script \(m.xml\) has changed"),
-        ({"campaign": {**manifest()["campaign"], "aleatory": {"flights": 8}}}, r"\[aleatory\] flights was 4, is 8"),
+        (
+            {"hashes": {"aircraft": "a" * 64, "script": "c" * 64}},
+            r"content of the script \(m.xml\) has changed",
+        ),
+        (
+            {"campaign": {**manifest()["campaign"], "aleatory": {"flights": 8}}},
+            r"\[aleatory\] flights was 4, is 8",
+        ),
     ],
 )
 def test_each_difference_is_named(tmp_path, change, named):
@@ -179,9 +204,14 @@ def test_each_difference_is_named(tmp_path, change, named):
 
 
 def test_what_does_not_change_a_flight_is_no_difference(tmp_path):
-    moved = {**manifest()["campaign"], "campaign": {"aircraft": "../plane", "mission": "m.xml", "seed": 7}}
+    moved = {
+        **manifest()["campaign"],
+        "campaign": {"aircraft": "../plane", "mission": "m.xml", "seed": 7},
+    }
     refuse_if_different(tmp_path, manifest(), manifest(campaign=moved, state="complete"))
-    refuse_if_different(tmp_path, manifest(), manifest(versions=manifest()["versions"] | {"pyarrow": "27"}))
+    refuse_if_different(
+        tmp_path, manifest(), manifest(versions=manifest()["versions"] | {"pyarrow": "27"})
+    )
 
 
 def test_synchronous_is_as_stated(tmp_path):

@@ -32,7 +32,9 @@ def test_paths_that_are_not_split_have_the_excursions_of_plain_flights():
     paths = LoiterPaths(FLIGHTS, [0, 1, 2], ROOT, WATCH)
     found = run(paths, 3, Levels(()), 2)
     flown = fly_many(FLIGHTS)
-    counts = np.array([[one.metrics[f"excursions_{radius:g}m"] for radius in RADII] for one in flown])
+    counts = np.array(
+        [[one.metrics[f"excursions_{radius:g}m"] for radius in RADII] for one in flown]
+    )
     assert counts.sum() > 2
     np.testing.assert_array_equal(found.events, counts.mean(axis=0))
     np.testing.assert_array_equal(found.probability, (counts > 0).mean(axis=0))
@@ -58,19 +60,29 @@ def test_the_same_paths_again_and_branches_that_part(split):
 
 def test_a_branched_path_is_the_one_that_jsbsim_flies(split):
     """To the rounding of a double at the first excursion; a path with other branches goes elsewhere."""
-    hit = max((one for one in split[0].hits if one.splits), key=lambda one: one.frame - one.splits[0].frame)
+    hit = max(
+        (one for one in split[0].hits if one.splits),
+        key=lambda one: one.frame - one.splits[0].frame,
+    )
     assert hit.frame > hit.splits[0].frame + 200
     flight = replace(FLIGHTS[hit.aleatory_id], duration_s=hit.frame * 0.01 - ONE.burn_in_s)
     mission = staged_mission(flight)
 
     def last(splits):
-        flown = record_mission(mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=splits)
+        flown = record_mission(
+            mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=splits
+        )
         return abs(float(flown.signals["cross_track"][-1]))
 
     assert abs(last(hit.splits) - hit.distance_m) < 1e-6
     assert abs(last(()) - hit.distance_m) > 1e-3
     with pytest.raises(ValueError, match="host's gusts alone"):
-        record_mission(mission, replace(flight, turbulence_source="jsbsim"), scored_signals(mission), splits=hit.splits)
+        record_mission(
+            mission,
+            replace(flight, turbulence_source="jsbsim"),
+            scored_signals(mission),
+            splits=hit.splits,
+        )
 
 
 def test_steps_and_aircraft_that_cannot_be_split():

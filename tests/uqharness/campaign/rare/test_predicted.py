@@ -27,11 +27,15 @@ def test_a_first_order_process_is_predicted_as_theory_has_it(process):
     x, regressors = process
     found = fit(regressors, 5.0 + x, 1.0, 9.0, (0.25, 1.0, 3.0))
     assert found.horizons_s == (1.0, 3.0), "a quarter is no whole number of rows"
-    for steps, slopes, constant, sigma in zip((1, 3), found.coefficients, found.constants, found.sigmas, strict=True):
+    for steps, slopes, constant, sigma in zip(
+        (1, 3), found.coefficients, found.constants, found.sigmas, strict=True
+    ):
         assert slopes[0] == pytest.approx(KEEP**steps, abs=0.02)
         assert slopes[1] == pytest.approx(0.0, abs=0.03)
         assert constant == pytest.approx(5.0, abs=0.1)
-        assert sigma == pytest.approx(math.sqrt((1.0 - KEEP ** (2 * steps)) / (1.0 - KEEP**2)), rel=0.03)
+        assert sigma == pytest.approx(
+            math.sqrt((1.0 - KEEP ** (2 * steps)) / (1.0 - KEEP**2)), rel=0.03
+        )
 
 
 def test_a_score_is_the_nearest_prediction_in_standard_deviations():
@@ -40,7 +44,9 @@ def test_a_score_is_the_nearest_prediction_in_standard_deviations():
     assert scores == pytest.approx([-1.0, -1.0, 1.0 / NOW_M])
     regressors = np.random.default_rng(1).standard_normal((7, 1))
     whole = one.score(regressors, regressors[:, 0])
-    assert [one.score(regressors[k : k + 1], regressors[k : k + 1, 0])[0] for k in range(7)] == whole.tolist()
+    assert [
+        one.score(regressors[k : k + 1], regressors[k : k + 1, 0])[0] for k in range(7)
+    ] == whole.tolist()
     assert np.isnan(one.score(np.array([[np.nan]]), np.array([np.nan])))[0]
 
 

@@ -33,7 +33,9 @@ def test_reads_a_campaign_and_fills_in_defaults(tmp_path):
 
 
 def test_lists_and_asymmetric_bounds(tmp_path):
-    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 1.5]").replace('"moderate"', '["light", "severe"]')
+    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 1.5]").replace(
+        '"moderate"', '["light", "severe"]'
+    )
     spec = read(tmp_path, text.replace("CX = 0.008", "CX = [-0.001, 0.008]"))
     assert spec.aleatory.wind_mps == (0.0, 1.5)
     assert spec.aleatory.turbulence == ("light", "severe")
@@ -43,23 +45,51 @@ def test_lists_and_asymmetric_bounds(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "fragments"),
     [
-        ("seed = 7", "sede = 7", ["sede: unknown key", "did you mean seed?", "allowed: aircraft, mission, seed"]),
+        (
+            "seed = 7",
+            "sede = 7",
+            ["sede: unknown key", "did you mean seed?", "allowed: aircraft, mission, seed"],
+        ),
         ("[aleatory]", "[aleotory]", ["[aleotory]: unknown section", "did you mean aleatory?"]),
         ("seed = 7", 'seed = "seven"', ["[campaign] seed", "integer", 'received "seven"']),
         ("seed = 7", "seed = -1", ["[campaign] seed", "greater than or equal to 0", "received -1"]),
         ("seed = 7", "seed = true", ["[campaign] seed", "received true"]),
-        ("flights = 3", "flights = 0", ["[aleatory] flights", "greater than or equal to 1", "received 0"]),
-        ("duration_s = 150", "duration_s = nan", ["[aleatory] duration_s", "finite", "received nan"]),
+        (
+            "flights = 3",
+            "flights = 0",
+            ["[aleatory] flights", "greater than or equal to 1", "received 0"],
+        ),
+        (
+            "duration_s = 150",
+            "duration_s = nan",
+            ["[aleatory] duration_s", "finite", "received nan"],
+        ),
         ("wind_mps = 3", "wind_mps = [3, 300]", ["[aleatory] wind_mps", "60", "received 300"]),
         ("wind_mps = 3", "wind_mps = [3, 3]", ["[aleatory] wind_mps", "none twice"]),
         ("wind_mps = 3", "wind_mps = []", ["[aleatory] wind_mps", "at least one"]),
         ('"moderate"', '"heavy"', ["[aleatory] turbulence", "'light'", 'received "heavy"']),
         ('"jsbsim"', '"xplane"', ["turbulence_source", "'spec'", 'received "xplane"']),
         ('method = "corners"', 'method = "lhs"', ['"lhs" needs samples', "samples = 2000"]),
-        ('method = "corners"', 'method = "corners"\nsamples = 9', ["samples belongs to", '"corners"']),
-        ('method = "corners"', 'method = "corners"\nwalk_rate_per_sqrt_s = 1', ['belongs to method = "walk"']),
-        ('method = "corners"', 'method = "walk"\nsamples = 0', ["samples", "greater than or equal to 1"]),
-        ('method = "corners"', 'method = "sobol"', ["[epistemic] method", "'corners'", 'received "sobol"']),
+        (
+            'method = "corners"',
+            'method = "corners"\nsamples = 9',
+            ["samples belongs to", '"corners"'],
+        ),
+        (
+            'method = "corners"',
+            'method = "corners"\nwalk_rate_per_sqrt_s = 1',
+            ['belongs to method = "walk"'],
+        ),
+        (
+            'method = "corners"',
+            'method = "walk"\nsamples = 0',
+            ["samples", "greater than or equal to 1"],
+        ),
+        (
+            'method = "corners"',
+            'method = "sobol"',
+            ["[epistemic] method", "'corners'", 'received "sobol"'],
+        ),
         ('method = "corners"', 'method = "levels"', ["levels", "[0, 0.5, 1]"]),
         ("CX = 0.008", "CX = -0.008", ["bounds", "CX = -0.008", "half-width"]),
         ("CX = 0.008", "CX = [0.001, 0.008]", ["bounds", "lower <= 0 <= upper"]),
@@ -82,7 +112,9 @@ def test_each_mistake_is_named_with_its_line(tmp_path, old, new, fragments):
 
 def test_missing_key_points_at_its_section(tmp_path):
     text = CAMPAIGN.replace("seed = 7\n", "")
-    with pytest.raises(BadInputError, match=rf":{line_of(text, '[campaign]')}: \[campaign\] seed: required"):
+    with pytest.raises(
+        BadInputError, match=rf":{line_of(text, '[campaign]')}: \[campaign\] seed: required"
+    ):
         read(tmp_path, text)
 
 
@@ -100,7 +132,9 @@ def test_all_mistakes_are_listed_at_once(tmp_path):
 
 def test_bad_toml_names_the_line(tmp_path):
     text = CAMPAIGN.replace("flights = 3", "flights = = 3")
-    with pytest.raises(BadInputError, match=rf"campaign.toml:{line_of(text, 'flights')}: not valid TOML"):
+    with pytest.raises(
+        BadInputError, match=rf"campaign.toml:{line_of(text, 'flights')}: not valid TOML"
+    ):
         read(tmp_path, text)
 
 
@@ -111,17 +145,29 @@ def test_bad_toml_names_the_line(tmp_path):
             '[stop]\nrule = "decide"\nradius_m = 20\n',
             ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
         ),
-        ('[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n', "must hold [metrics] acceptable_per_h = 0.1"),
+        (
+            '[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n',
+            "must hold [metrics] acceptable_per_h = 0.1",
+        ),
         ('[stop]\nrule = "decide"\nindifference_per_h = [0.3, 0.05]\n', "must be [lower, upper]"),
         ('[stop]\nrule = "decide"\nerror_rate = 0.5\n', "[stop] error_rate: must be less than 0.5"),
-        ('[stop]\nrule = "decide"\nhours = 500\n', 'hours belongs to rule = "hours", not to "decide"'),
+        (
+            '[stop]\nrule = "decide"\nhours = 500\n',
+            'hours belongs to rule = "hours", not to "decide"',
+        ),
         ('[stop]\nrule = "band-width"\n', '"band-width" needs band_width'),
         (
             '[stop]\nrule = "hours"\nhours = 500\n',
             "flights = 3, but [stop] hours = 500 of flights of 150 s asks for 12000",
         ),
-        ('[stop]\nrule = "sprt"\n', "[stop] rule: must be 'flights', 'hours', 'band-width' or 'decide'"),
-        ("[metrics]\ndispersion = 0.5\n", "[metrics] dispersion: must be greater than or equal to 1"),
+        (
+            '[stop]\nrule = "sprt"\n',
+            "[stop] rule: must be 'flights', 'hours', 'band-width' or 'decide'",
+        ),
+        (
+            "[metrics]\ndispersion = 0.5\n",
+            "[metrics] dispersion: must be greater than or equal to 1",
+        ),
         ('[epistemic.parameters]\nfit = "fit.json"\n', "[epistemic.parameters] needs samples"),
         ("[metrics]\nrearm_m = 15\n", "less than the smallest radius, 15 m"),
     ],
@@ -156,14 +202,21 @@ def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
     assert spec.inputs.walk_rates == pytest.approx(dict.fromkeys(COEFFICIENTS, 0.01202), rel=1e-3)
     assert spec.as_dict()["epistemic"]["walk_rate_per_sqrt_s"] == spec.inputs.walk_rates
     rates = ", ".join(f"{name} = 0.0{number}" for number, name in enumerate(COEFFICIENTS, 1))
-    assert read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates["Cn"] == 0.06
+    assert (
+        read(tmp_path, text.replace("sqrt_s = 0.012", f"sqrt_s = {{ {rates} }}")).inputs.walk_rates[
+            "Cn"
+        ]
+        == 0.06
+    )
 
 
 VARIABLE = '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
 
 
 def test_variables_with_known_and_unknown_means(tmp_path):
-    extra = '[aleatory.variables."metrics/Sw-sqft"]\ndistribution = "uniform"\nlow = 20\nhigh = 22\n'
+    extra = (
+        '[aleatory.variables."metrics/Sw-sqft"]\ndistribution = "uniform"\nlow = 20\nhigh = 22\n'
+    )
     variables = read(tmp_path, CAMPAIGN + VARIABLE + extra).aleatory.variables
     load, area = variables["inertia/pointmass-weight-lbs[1]"], variables["metrics/Sw-sqft"]
     assert load.mean_interval == (1.0, 2.0)
@@ -176,7 +229,11 @@ def test_variables_with_known_and_unknown_means(tmp_path):
     ("old", "new", "fragments"),
     [
         ('"normal"', '"gamma"', ["distribution", "'normal' or 'uniform'", 'received "gamma"']),
-        ('"normal"', '"uniform"', ["uniform", "low and high or mean and half_width", "received mean, std"]),
+        (
+            '"normal"',
+            '"uniform"',
+            ["uniform", "low and high or mean and half_width", "received mean, std"],
+        ),
         ("std = 0.5", "std = 0", ["std", "greater than 0", "received 0"]),
         ("std = 0.5", "stddev = 0.5", ["stddev: unknown key", "allowed: distribution, mean, std"]),
         ("mean = [1, 2]", "mean = [2, 1]", ["low < high"]),
@@ -193,8 +250,13 @@ def test_each_mistake_in_a_variable_is_named_with_its_line(tmp_path, old, new, f
     for fragment in ('[aleatory.variables."inertia/pointmass-weight-lbs[1]"]', *fragments):
         assert fragment in message, message
     # A mistake in one key points at it, one between keys at the variable's header.
-    at_key = line_of(text, new) if new and "\n" not in new and "low < high" not in fragments[0] else 0
-    assert any(f"campaign.toml:{line}: " in message for line in (at_key, line_of(text, "[aleatory.variables"))), message
+    at_key = (
+        line_of(text, new) if new and "\n" not in new and "low < high" not in fragments[0] else 0
+    )
+    assert any(
+        f"campaign.toml:{line}: " in message
+        for line in (at_key, line_of(text, "[aleatory.variables"))
+    ), message
 
 
 def test_unreadable_files(tmp_path):

@@ -26,7 +26,9 @@ def test_six_intervals_of_95_percent():
     assert ellipsoid.reach(1, 0.95) == 1.0
     # What it claims: as many of six normals lie within. A corner's own radius, z sqrt(6), holds more.
     drawn = np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 6)), axis=1)
-    assert np.mean(drawn < ellipsoid.joint_radius(6, 0.95)) == pytest.approx(0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / 200_000))
+    assert np.mean(drawn < ellipsoid.joint_radius(6, 0.95)) == pytest.approx(
+        0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / 200_000)
+    )
     assert np.mean(drawn < math.sqrt(6.0) * ellipsoid.marginal_radius(0.95)) > 0.99
 
 

@@ -16,7 +16,9 @@ def made(**section) -> EpistemicSection:
 
 
 def test_one_number_is_both_bounds_and_a_pair_is_itself():
-    found = made(method="corners", coefficients=["Cm", "CX"], bounds={"CX": 0.008, "Cm": [-0.01, 0.02]})
+    found = made(
+        method="corners", coefficients=["Cm", "CX"], bounds={"CX": 0.008, "Cm": [-0.01, 0.02]}
+    )
     assert found.coefficients == ("CX", "Cm")
     assert found.bounds == {"CX": (-0.008, 0.008), "Cm": (-0.01, 0.02)}
     assert made(method="corners", bounds="model-form.json").bounds == "model-form.json"
@@ -31,9 +33,15 @@ def test_one_rate_is_everyones():
     ("section", "said"),
     [
         ({"method": "corners", "bounds": {"CX": 0.01}}, "bounds lack CY, CZ"),
-        ({"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.01, "Cm": 0.01}}, "given for Cm, which is not among"),
+        (
+            {"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.01, "Cm": 0.01}},
+            "given for Cm, which is not among",
+        ),
         ({"method": "corners", "bounds": "wide"}, "must be numbers"),
-        ({"method": "corners", "bounds": BOUNDS | {"CX": -0.01}}, "half-width and cannot be negative"),
+        (
+            {"method": "corners", "bounds": BOUNDS | {"CX": -0.01}},
+            "half-width and cannot be negative",
+        ),
         ({"method": "corners", "bounds": BOUNDS | {"CX": [0.01, 0.02]}}, "lower <= 0 <= upper"),
         ({"method": "corners", "bounds": BOUNDS | {"CX": [1, 2, 3]}}, "a number .±. or a pair"),
         ({"method": "levels", "bounds": BOUNDS}, "levels belongs to method"),
@@ -42,10 +50,22 @@ def test_one_rate_is_everyones():
         ({"method": "levels", "bounds": BOUNDS, "levels": [0.5, 0.5]}, "none twice"),
         ({"method": "lhs", "bounds": BOUNDS}, 'method = "lhs" needs samples'),
         ({"method": "corners", "bounds": BOUNDS, "samples": 5}, "flies every combination"),
-        ({"method": "walk", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": 0.0}, "a rate is a number above 0"),
-        ({"method": "walk", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": {"CX": 0.1}}, "lacks CY"),
-        ({"method": "white", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": 0.1}, 'not to "white"'),
-        ({"method": "none", "parameters": {"fit": "fit.json"}}, ".epistemic.parameters. needs samples"),
+        (
+            {"method": "walk", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": 0.0},
+            "a rate is a number above 0",
+        ),
+        (
+            {"method": "walk", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": {"CX": 0.1}},
+            "lacks CY",
+        ),
+        (
+            {"method": "white", "samples": 5, "bounds": BOUNDS, "walk_rate_per_sqrt_s": 0.1},
+            'not to "white"',
+        ),
+        (
+            {"method": "none", "parameters": {"fit": "fit.json"}},
+            ".epistemic.parameters. needs samples",
+        ),
         ({"method": "corners", "coefficients": ["CX", "CX"]}, "none twice"),
         ({"method": "corners", "coefficients": ["CQ"]}, "coefficients"),
         (
@@ -64,10 +84,15 @@ def test_sections_that_contradict_themselves(section, said):
 
 
 def test_a_confidence_belongs_to_a_box():
-    box = ParametersSection.model_validate({"fit": "fit.json", "distribution": "box", "confidence": 0.9})
+    box = ParametersSection.model_validate(
+        {"fit": "fit.json", "distribution": "box", "confidence": 0.9}
+    )
     assert box.box_confidence == 0.9
     assert ParametersSection.model_validate({"fit": "fit.json"}).box_confidence == 0.95
-    for section, said in (({"confidence": 0.9}, "a normal distribution has no edge"), ({"parameters": []}, "at least one")):
+    for section, said in (
+        ({"confidence": 0.9}, "a normal distribution has no edge"),
+        ({"parameters": []}, "at least one"),
+    ):
         with pytest.raises(ValidationError, match=said):
             ParametersSection.model_validate({"fit": "fit.json", **section})
 

@@ -11,10 +11,17 @@ from uqharness.campaign.spec.stop import StopSection, without_flights
 @pytest.mark.parametrize(
     "section",
     [
-        {}, {"rule": "hours", "hours": 5.0}, {"rule": "band-width", "band_width": 0.1},
-        {"rule": "decide", "radius_m": 15.0, "indifference_per_h": [1.0, 2.0], "answer_for": "corner"},
+        {},
+        {"rule": "hours", "hours": 5.0},
+        {"rule": "band-width", "band_width": 0.1},
+        {
+            "rule": "decide",
+            "radius_m": 15.0,
+            "indifference_per_h": [1.0, 2.0],
+            "answer_for": "corner",
+        },
     ],
-)  # fmt: skip
+)
 def test_rules_with_their_own_keys(section):
     assert StopSection.model_validate(section).rule == section.get("rule", "flights")
 

@@ -33,10 +33,19 @@ def test_values_of_draws(section, draw, level, value):
     ("section", "said"),
     [
         ({"distribution": "normal", "mean": 1.0}, "needs mean and std, and no more; received mean"),
-        ({"distribution": "normal", "mean": 1.0, "std": 1.0, "low": 0.0}, "received mean, std, low"),
-        ({"distribution": "uniform", "mean": 1.0, "std": 1.0}, "low and high or mean and half_width"),
+        (
+            {"distribution": "normal", "mean": 1.0, "std": 1.0, "low": 0.0},
+            "received mean, std, low",
+        ),
+        (
+            {"distribution": "uniform", "mean": 1.0, "std": 1.0},
+            "low and high or mean and half_width",
+        ),
         ({"distribution": "uniform"}, "received none"),
-        ({"distribution": "uniform", "low": 2.0, "high": 2.0}, "low = 2 must be less than high = 2"),
+        (
+            {"distribution": "uniform", "low": 2.0, "high": 2.0},
+            "low = 2 must be less than high = 2",
+        ),
         ({"distribution": "normal", "mean": [2.0, 1.0], "std": 1.0}, "low < high"),
         ({"distribution": "normal", "mean": 1.0, "std": 0.0}, "greater than 0"),
     ],

@@ -18,7 +18,12 @@ def test_every_loop_is_measured_and_said(monkeypatch):
     monkeypatch.setattr(benchmark_batch, "target_names", lambda: ends)
     found = measure_batch("espaaro", 1.0, 1, campaign_airs=1)
     loops = {"a_us_per_step", "c_us_per_step"}
-    loops |= {f"d_{name}_{source}_{what}" for name in ends for source in ("spec", "jsbsim") for what in ("us_per_step", "over_a")}
+    loops |= {
+        f"d_{name}_{source}_{what}"
+        for name in ends
+        for source in ("spec", "jsbsim")
+        for what in ("us_per_step", "over_a")
+    }
     campaigns = {"e_1_flight_hours_per_hour", "e_2_flight_hours_per_hour", "e_2_over_1"}
     assert set(found) == loops | campaigns
     assert all(value > 0.0 for value in found.values())

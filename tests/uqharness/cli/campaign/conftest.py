@@ -13,5 +13,7 @@ def flown(tmp_path, monkeypatch):
     """Folder with campaign.toml and out, the results."""
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     path = fakes.campaign_file(tmp_path)
-    assert run_words(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--serial"]) == 0
+    assert (
+        run_words(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--serial"]) == 0
+    )
     return tmp_path

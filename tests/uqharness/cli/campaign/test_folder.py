@@ -32,11 +32,21 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     assert call("status", out, "--json") == 1
     found = json.loads(capsys.readouterr().out)
     (answer,) = found.pop("answers")
-    assert (answer["condition"], answer["answer"], answer["hours"]) == ("3 m/s moderate", "open", 8.0)
+    assert (answer["condition"], answer["answer"], answer["hours"]) == (
+        "3 m/s moderate",
+        "open",
+        8.0,
+    )
     assert (found.pop("engine"), bool(found.pop("engine_why"))) == ("jsbsim", True)
     # Bounds given as numbers have no confidence to join.
     assert (found.pop("joint"), found.pop("joint_level")) == ([], None)
-    assert found == {"state": "interrupted", "cases": 200, "done": 192, "failed": 0, "statuses": {"ok": 192}}
+    assert found == {
+        "state": "interrupted",
+        "cases": 200,
+        "done": 192,
+        "failed": 0,
+        "statuses": {"ok": 192},
+    }
     assert call("status", out) == 1
     assert "resume with: uqharness campaign run" in capsys.readouterr().err
     with run_lock(out):
@@ -53,7 +63,9 @@ def test_report(flown, capsys):
     assert (len(found["figures"]), found["flown_again"]) == (6, [])
 
 
-def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_cheap(flown, capsys, monkeypatch):
+def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_cheap(
+    flown, capsys, monkeypatch
+):
     asked = []
 
     def again(folder, case):
@@ -70,11 +82,17 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
     out = flown / "out"
     capsys.readouterr()
     # 64 corners fly the same three flights, so that the ends of the table are the answer.
-    rows = read_cases(out, read_manifest(out)).sort_values(["cross_track_median_m", "case_id"], ascending=[False, True])
+    rows = read_cases(out, read_manifest(out)).sort_values(
+        ["cross_track_median_m", "case_id"], ascending=[False, True]
+    )
     cases = rows["case_id"].tolist()
     monkeypatch.setattr(verbs, "MOST_SHOWN_S", 1e6)
     assert call("report", out, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["flown_again"] == asked == [cases[0], cases[len(cases) // 2]]
+    assert (
+        json.loads(capsys.readouterr().out)["flown_again"]
+        == asked
+        == [cases[0], cases[len(cases) // 2]]
+    )
     monkeypatch.setattr(verbs, "shown_cases", lambda frame: ("refused",))
     assert call("report", out) == 0
     assert "the page has no new ground track: the aircraft has changed" in capsys.readouterr().err

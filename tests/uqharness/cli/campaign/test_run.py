@@ -36,19 +36,28 @@ def test_run_again_resumes_and_speaks_json(flown, capsys):
     capsys.readouterr()
     assert call("run", flown / "campaign.toml", "--out", flown / "out", "--serial", "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["cases"], found["done_before"], found["failed"], found["statuses"]) == (192, 192, 0, {"ok": 192})
+    assert (found["cases"], found["done_before"], found["failed"], found["statuses"]) == (
+        192,
+        192,
+        0,
+        {"ok": 192},
+    )
 
 
 def test_hours_replace_the_number_of_flights(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     path = fakes.campaign_file(tmp_path)
-    assert call("run", path, "--out", tmp_path / "out", "--serial", "--hours", "0.05", "--json") == 0
+    assert (
+        call("run", path, "--out", tmp_path / "out", "--serial", "--hours", "0.05", "--json") == 0
+    )
     assert json.loads(capsys.readouterr().out)["cases"] == 2 * 64
 
 
 def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    walks = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 500\nwalk_rate_per_sqrt_s = 0.012')
+    walks = fakes.CAMPAIGN.replace(
+        '"corners"', '"walk"\nsamples = 500\nwalk_rate_per_sqrt_s = 0.012'
+    )
     path = fakes.campaign_file(tmp_path, walks)
     words = ("run", path, "--out", tmp_path / "out", "--serial", "--samples", "4", "--json")
     assert call(*words) == 0
@@ -57,7 +66,9 @@ def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
     with pytest.raises(BadInputError, match="draws no epistemic samples"):
         call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "o2", "--samples", "4")
     with pytest.raises(BadInputError, match="must be from 1"):
-        call("run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0")
+        call(
+            "run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0"
+        )
 
 
 def test_bad_input_is_for_the_command_line_to_print(tmp_path):
@@ -65,11 +76,27 @@ def test_bad_input_is_for_the_command_line_to_print(tmp_path):
         call("run", tmp_path / "no.toml", "--out", tmp_path / "o")
     path = fakes.campaign_file(tmp_path)
     for verb in (("run", path, "--out", tmp_path / "o"), ("check", path)):
-        with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):
+        with pytest.raises(
+            BadInputError, match="--workers 0: a whole number of at least 1 is needed"
+        ):
             call(*verb, "--workers", "0")
 
 
-@pytest.mark.parametrize("verb", ["check", "run", "status", "report", "merge", "rerun", "verify", "salvage", "convergence", "area"])
+@pytest.mark.parametrize(
+    "verb",
+    [
+        "check",
+        "run",
+        "status",
+        "report",
+        "merge",
+        "rerun",
+        "verify",
+        "salvage",
+        "convergence",
+        "area",
+    ],
+)
 def test_each_verb_has_help_with_an_example(verb, capsys):
     with pytest.raises(SystemExit) as left:
         call(verb, "--help")

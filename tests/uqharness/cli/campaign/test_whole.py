@@ -40,7 +40,16 @@ def test_salvage_writes_again_what_was_damaged(flown, capsys):
     capsys.readouterr()
     assert call("salvage", out, "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"folder", "kept", "flown", "missing", "statuses", "rewritten", "aside", "shards"}
+    assert set(found) == {
+        "folder",
+        "kept",
+        "flown",
+        "missing",
+        "statuses",
+        "rewritten",
+        "aside",
+        "shards",
+    }
     assert (found["kept"], found["flown"]) == (192, 0)
     assert table.read_bytes() == before
 
@@ -51,6 +60,19 @@ def test_a_size_without_its_campaign_is_refused(flown):
 
 
 def test_the_words_that_fly_it_again_have_the_size(tmp_path):
-    args = build_parser().parse_args(["campaign", "salvage", "out", "--campaign", "c.toml", "--hours", "0.50", "--samples", "3"])
+    args = build_parser().parse_args(
+        ["campaign", "salvage", "out", "--campaign", "c.toml", "--hours", "0.50", "--samples", "3"]
+    )
     words = flying_command(args, tmp_path)
-    assert words == ["uqharness", "campaign", "run", "c.toml", "--out", str(tmp_path), "--hours", "0.5", "--samples", "3"]
+    assert words == [
+        "uqharness",
+        "campaign",
+        "run",
+        "c.toml",
+        "--out",
+        str(tmp_path),
+        "--hours",
+        "0.5",
+        "--samples",
+        "3",
+    ]

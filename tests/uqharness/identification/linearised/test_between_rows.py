@@ -25,7 +25,15 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
     aircraft = find_aircraft("espaaro")
     controls = np.tile([1.0, 0.0, 0.0, 55.0], (12, 1))
     controls[6:, :2] += 4.0
-    segment = Segment("step", "f", 0.02 * np.arange(12), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    segment = Segment(
+        "step",
+        "f",
+        0.02 * np.arange(12),
+        controls,
+        np.array([22.0, 0.03, *np.zeros(7)]),
+        100.0,
+        100.0,
+    )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
         (away,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
     middle, end = away
@@ -43,9 +51,19 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
     aircraft = find_aircraft("espaaro")
     fine = np.tile([1.0, 0.0, 0.0, 55.0], (31, 1))
     fine[16:, 0] += 4.0
-    segment = Segment("step", "f", 0.03 * np.arange(11), fine[::3], np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    segment = Segment(
+        "step",
+        "f",
+        0.03 * np.arange(11),
+        fine[::3],
+        np.array([22.0, 0.03, *np.zeros(7)]),
+        100.0,
+        100.0,
+    )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (between,) = between_rows.middles(model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))]))
+        (between,) = between_rows.middles(
+            model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))])
+        )
         (averaged,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
     rows = fine[::3, 0]
 
@@ -68,7 +86,9 @@ def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_t
     pressure = probe.reference.qbar * MASS.S
     assert felt[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
     # A pitching moment turns an accelerometer ahead of the CG up: z is down.
-    assert felt[6] == pytest.approx([0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]])
+    assert felt[6] == pytest.approx(
+        [0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]]
+    )
     assert not replace(probe, jumped=None).felt_jump().any()
 
 
@@ -82,11 +102,28 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     controls[15:, 1] -= 3.0
     outputs = (*FELT, "q_radps")
     arm = (0.1, 0.0, 0.05)
-    segment = Segment("step", "f", DT * np.arange(25), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0, arm_m=arm)
+    segment = Segment(
+        "step",
+        "f",
+        DT * np.arange(25),
+        controls,
+        np.array([22.0, 0.03, *np.zeros(7)]),
+        100.0,
+        100.0,
+        arm_m=arm,
+    )
     blank = np.zeros((25, len(outputs)))
-    setup = Setup((), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",))
-    with ReplayFolder(aircraft, ideal=ideal) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
-        seen, lacking = (fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), ALONE) for share in (0.0, 1.0))
+    setup = Setup(
+        (), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",)
+    )
+    with (
+        ReplayFolder(aircraft, ideal=ideal) as model,
+        ReplayFolder(aircraft, ideal=CONTROLS) as straight,
+    ):
+        seen, lacking = (
+            fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), ALONE)
+            for share in (0.0, 1.0)
+        )
         fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, ALONE)
         with ReplayFolder(aircraft) as servos:
             assert not between_rows.middles(servos, setup, seen.point)[0][1].any()
@@ -105,11 +142,24 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
     controls[8:12, 0] += 4.0
     controls[15:19, 1] -= 3.0
     outputs = (*FELT, "p_radps", "q_radps", "r_radps")
-    segment = Segment("step", "f", DT * np.arange(25), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
+    segment = Segment(
+        "step",
+        "f",
+        DT * np.arange(25),
+        controls,
+        np.array([22.0, 0.03, *np.zeros(7)]),
+        100.0,
+        100.0,
+    )
     noise = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
-    setup = Setup((), (segment,), ({},), outputs, (np.zeros((25, 6)),), noise, (), {}, jumping=("f",))
+    setup = Setup(
+        (), (segment,), ({},), outputs, (np.zeros((25, 6)),), noise, (), {}, jumping=("f",)
+    )
     names = ("aero/Cm_de", "aero/CZ_de", "aero/Cl_da", "aero/Cn_da")
-    with ReplayFolder(aircraft, ideal=CONTROLS[:3]) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+    with (
+        ReplayFolder(aircraft, ideal=CONTROLS[:3]) as model,
+        ReplayFolder(aircraft, ideal=CONTROLS) as straight,
+    ):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
         point = Point(values, {unseen("f"): share}, (segment.start,))
@@ -121,16 +171,34 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         ramped = carried(seen, by, names, of.inputs, {}).columns
         for k, name in enumerate(names):
             step = 0.02 * values[name]
-            sides = [fly(model, setup, replace(point, values={**values, name: values[name] + s}), ALONE) for s in (step, -step)]
+            sides = [
+                fly(model, setup, replace(point, values={**values, name: values[name] + s}), ALONE)
+                for s in (step, -step)
+            ]
             expected = (sides[0].outputs[0] - sides[1].outputs[0]) / (2.0 * step) / noise
-            error, before = (np.linalg.norm(v[:, :, k] - expected) / np.linalg.norm(expected) for v in (found, ramped))
+            error, before = (
+                np.linalg.norm(v[:, :, k] - expected) / np.linalg.norm(expected)
+                for v in (found, ramped)
+            )
             assert error < 0.01 < 0.03 < before
 
 
 def test_flights_jump_where_the_models_controls_do():
     controls = np.tile([-1.0, 0.0, 0.0, 55.0], (4, 1))
-    segment = Segment("step", "f", DT * np.arange(4), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0)
-    setup = Setup((), (segment,), ({},), ("q_radps",), (np.zeros((4, 1)),), np.ones(1), (), {}, jumping=("stale",))
+    segment = Segment(
+        "step", "f", DT * np.arange(4), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0
+    )
+    setup = Setup(
+        (),
+        (segment,),
+        ({},),
+        ("q_radps",),
+        (np.zeros((4, 1)),),
+        np.ones(1),
+        (),
+        {},
+        jumping=("stale",),
+    )
     aircraft = find_aircraft("espaaro")
     with ReplayFolder(aircraft, ideal=("elevator",)) as at_once, ReplayFolder(aircraft) as servos:
         assert between_rows.with_jumps(setup, at_once).jumping == ("f",)
@@ -150,7 +218,12 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
         for part in asked:
             x = np.column_stack(list(part.states.values()))
             none = np.zeros((len(x), 3))
-            yield SimpleNamespace(aero_force=none, other_force=none, aero_moment=loads(x, part.controls), other_moment=none)
+            yield SimpleNamespace(
+                aero_force=none,
+                other_force=none,
+                aero_moment=loads(x, part.controls),
+                other_moment=none,
+            )
 
     monkeypatch.setattr(between_rows, "force_all", forced)
     monkeypatch.setattr(between_rows, "altitudes", lambda model, segment, height: height)
@@ -159,11 +232,18 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
     away = np.zeros((2, 3, 4))
     away[:, 1, 1] = -4.0, -8.0  # stands at 0 until the third row
     none = np.zeros((4, 3))
-    probe = SimpleNamespace(reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u)
+    probe = SimpleNamespace(
+        reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u
+    )
     setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
-    (bend,) = between_rows.bends_of(None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map)
+    (bend,) = between_rows.bends_of(
+        None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map
+    )
     assert bend.shape == (2, 3, 6)
     np.testing.assert_allclose(bend[1, :, 3], [0.0, -512.0, 0.0])
-    np.testing.assert_allclose(bend[0, :, 3], [0.0, 22.0**2 - 0.5 * (400.0 + 512.0 + 576.0), 7.0**3 - 0.5 * (512.0 + 216.0)])
+    np.testing.assert_allclose(
+        bend[0, :, 3],
+        [0.0, 22.0**2 - 0.5 * (400.0 + 512.0 + 576.0), 7.0**3 - 0.5 * (512.0 + 216.0)],
+    )
     assert not bend[:, :, :3].any()
     assert not bend[:, :, 4:].any()

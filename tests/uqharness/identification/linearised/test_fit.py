@@ -24,7 +24,9 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
 
     monkeypatch.setattr(fits, "corrected_each", corrected_each)
     assert in_one_step(None, names[:2], fit) == {"aero/CZ_q": (1.5, 0.2), "aero/Cm_q": (-2.5, 0.2)}
-    assert in_one_step(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {"aero/CZ_q": (1.0, 0.2)}
+    assert in_one_step(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {
+        "aero/CZ_q": (1.0, 0.2)
+    }
     assert asked == [names, (*names, "effect/Cm/de")]
 
 

@@ -10,16 +10,36 @@ from uqharness.identification.linearised.types import Point
 
 def test_a_fit_is_sought_from_where_a_point_stands():
     """What `point_of` makes of a fit, the other way: biases lie before the sensor's gain."""
-    nuisance = {"bias/f/p_radps": 0.03, "lateness/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
+    nuisance = {
+        "bias/f/p_radps": 0.03,
+        "lateness/f/controls": 0.004,
+        "delay/f/alpha_rad": 0.01,
+        "unseen/f": 0.25,
+    }
     point = Point({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
     begin = begun_at(point)
-    assert begin == {"bias/f/p_radps": pytest.approx(0.02), "delay/f/controls": 0.004, "delay/f/alpha_rad": 0.01, "unseen/f": 0.25}
+    assert begin == {
+        "bias/f/p_radps": pytest.approx(0.02),
+        "delay/f/controls": 0.004,
+        "delay/f/alpha_rad": 0.01,
+        "unseen/f": 0.25,
+    }
 
 
 def test_a_point_has_what_a_fit_found_and_nothing_of_what_it_did_not_estimate():
-    values = {"aero/Cm_q": -10.0, "delay/f/controls": 0.03, "delay/f/alpha_rad": 0.04, "unseen/f": 0.5}
+    values = {
+        "aero/Cm_q": -10.0,
+        "delay/f/controls": 0.03,
+        "delay/f/alpha_rad": 0.04,
+        "unseen/f": 0.5,
+    }
     found = SimpleNamespace(values=lambda: values, starts=list)
     setup = SimpleNamespace(nuisance=("bias/f/p_radps", "lateness/f/controls", "delay/f/alpha_rad"))
     point = point_of(found, setup, ["aero/Cm_q"])
     assert point.values == {"aero/Cm_q": -10.0}
-    assert point.nuisance == {"bias/f/p_radps": 0.0, "lateness/f/controls": 0.03, "delay/f/alpha_rad": 0.04, "unseen/f": 0.5}
+    assert point.nuisance == {
+        "bias/f/p_radps": 0.0,
+        "lateness/f/controls": 0.03,
+        "delay/f/alpha_rad": 0.04,
+        "unseen/f": 0.5,
+    }

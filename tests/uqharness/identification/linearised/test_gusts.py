@@ -36,16 +36,27 @@ from uqharness.simulator.aircraft import find_aircraft
 
 OUTPUTS = ("V_mps", "alpha_rad", "ax_mps2")
 N, DT = 40, 0.02
-MASS = MassProperties(21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66)
+MASS = MassProperties(
+    21.0, np.array([[11.1, 0.0, -0.5], [0.0, 7.7, 0.0], [-0.5, 0.0, 18.4]]), 1.38, 0.38, 3.66
+)
 
 
 def point(**sensed: float) -> Point:
-    return Point({}, {}, (), {f"effect/sensor.{k.replace('__', '/')}": v for k, v in sensed.items()})
+    return Point(
+        {}, {}, (), {f"effect/sensor.{k.replace('__', '/')}": v for k, v in sensed.items()}
+    )
 
 
 def setup_of(measured: np.ndarray) -> SimpleNamespace:
     segment = SimpleNamespace(flight="one", dt_s=DT)
-    return SimpleNamespace(outputs=OUTPUTS, measured=(measured,), segments=(segment,), which=[0, 1, 8], servos={}, limits={})
+    return SimpleNamespace(
+        outputs=OUTPUTS,
+        measured=(measured,),
+        segments=(segment,),
+        which=[0, 1, 8],
+        servos={},
+        limits={},
+    )
 
 
 @pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
@@ -61,8 +72,12 @@ def test_a_path_goes_with_the_sensors_that_measured_it():
     """An airspeed sensor that reads a quarter too much, a gyro with a bias: the states change, what was measured stays."""
     x = np.abs(np.random.default_rng(2).standard_normal((N, len(STATES)))) + 1.0
     setup = setup_of(np.zeros((N, 3)))
-    before = replace(point(V_mps__scale=0.1, alpha_rad__bias=0.02), nuisance={"bias/one/q_radps": 0.01})
-    after = replace(point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0})
+    before = replace(
+        point(V_mps__scale=0.1, alpha_rad__bias=0.02), nuisance={"bias/one/q_radps": 0.01}
+    )
+    after = replace(
+        point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0}
+    )
     (found,) = as_measured(setup, [x], before, after)  # type: ignore[arg-type]
     V, alpha, q = (STATES.index(c) for c in ("V_mps", "alpha_rad", "q_radps"))
     np.testing.assert_allclose(1.25 * found[:, V], 1.1 * x[:, V])
@@ -83,7 +98,9 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     late = rows_late(setup, segment, there)
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
     (z,) = in_step(setup, there)
-    model = as_sensed(truth.copy(), setup, segment, there, late, behind=-0.25 * np.gradient(truth, axis=0))
+    model = as_sensed(
+        truth.copy(), setup, segment, there, late, behind=-0.25 * np.gradient(truth, axis=0)
+    )
     inside = slice(8, N - 8)
     np.testing.assert_allclose(z[inside], model[inside], atol=1.5e-3)
     np.testing.assert_allclose(model[inside, 1], np.sin(6.0 * (t + 0.005))[inside], atol=1.5e-3)
@@ -99,7 +116,15 @@ def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
     rng = np.random.default_rng(8)
     turn = 0.1 * rng.standard_normal((3, 3)) - np.diag([0.4, 0.2, 0.0])
     phi, H = expm(turn), rng.standard_normal((N, 3, 3))
-    steps = Steps(DT, np.tile(phi, (N - 1, 1, 1)), *(np.zeros((N - 1, 3, 6)),) * 2, np.zeros((N - 1, 3)), H, H, np.zeros((N, 3)))
+    steps = Steps(
+        DT,
+        np.tile(phi, (N - 1, 1, 1)),
+        *(np.zeros((N - 1, 3, 6)),) * 2,
+        np.zeros((N - 1, 3)),
+        H,
+        H,
+        np.zeros((N, 3)),
+    )
     found = refine_gusts.between_rows(steps, [0, 2], [late, 0.0])
     expected = H[:, 0] @ expm(-late * turn)
     assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 100.0
@@ -114,12 +139,20 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     probe, acting, h = probe_of(rng), GustStates(MASS.b), 2.0 * DT
     slopes = np.zeros((N, 6, 6))
     slopes[:, 3, 3] = -12.0 * MASS.inertia[0, 0]
-    rolled = replace(probe.reference, dt_s=h, slopes=slopes, consistent=False, x=0.3 * probe.reference.x + [14.0, *[0.0] * 7])
+    rolled = replace(
+        probe.reference,
+        dt_s=h,
+        slopes=slopes,
+        consistent=False,
+        x=0.3 * probe.reference.x + [14.0, *[0.0] * 7],
+    )
     probe = replace(probe, reference=rolled)
     names = ("beta_rad", "p_radps", "az_mps2")
     which = [STEP_OUTPUTS.index(n) for n in names]
     segment = SimpleNamespace(flight="one", dt_s=h)
-    setup = SimpleNamespace(outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),))
+    setup = SimpleNamespace(
+        outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),)
+    )
     linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], ALONE)  # type: ignore[arg-type]
     steps = linearise(rolled, probe.mass, gusts=acting)
     y = steps.y_ref[:, which]
@@ -132,7 +165,11 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
         for j in range(many):
             share = part * j / many
             r = replace(
-                rolled, **{n: (v := getattr(rolled, n))[:-1] + share * np.diff(v, axis=0) for n in ("x", "force", "moment")}
+                rolled,
+                **{
+                    n: (v := getattr(rolled, n))[:-1] + share * np.diff(v, axis=0)
+                    for n in ("x", "force", "moment")
+                },
             )
             r = replace(r, slopes=slopes[:-1])
             at = at + part * h / many * rates(r, probe.mass, at, gusts=acting)
@@ -143,17 +180,25 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     expected = x[:-1] - after(-late, x[:-1]) if late < 0.0 else ends - after(1.0 - late, x[:-1])
     rows = slice(0, N - 1) if late < 0.0 else slice(1, N)
     expected = expected[:, [STATES.index(n) for n in names[:2]]]
-    by_rate = late * h * rates(rolled, probe.mass, x, gusts=acting)[rows][:, [STATES.index(n) for n in names[:2]]]
+    by_rate = (
+        late
+        * h
+        * rates(rolled, probe.mass, x, gusts=acting)[rows][:, [STATES.index(n) for n in names[:2]]]
+    )
     assert np.abs(behind[rows, :2] - expected).max() < 0.1 * np.abs(by_rate - expected).max()
     # The reference's own differences are its jumps, here much larger than anything that moves.
     assert np.abs(np.diff(y[:, 0])).max() > 10.0 * np.abs(behind[:, 0]).max()
     np.testing.assert_array_equal(behind[:, 2], 0.0)
     # A force that a control alone changes goes with the control, between its rows.
-    flat = replace(probe, reference=replace(rolled, x=np.tile(rolled.x[:1], (N, 1)), consistent=True))
+    flat = replace(
+        probe, reference=replace(rolled, x=np.tile(rolled.x[:1], (N, 1)), consistent=True)
+    )
     steps = linearise(flat.reference, flat.mass, gusts=acting)
     y = steps.y_ref[:, which]
     found = linear._behind(flat, steps, y, acting, np.array([0.0, 0.0, 1e-6]))
-    first = h * rates(flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting)
+    first = h * rates(
+        flat.reference, flat.mass, whole_states(flat.reference.x, acting), gusts=acting
+    )
     ended = -first[:-1]
     still = np.einsum("nj,nj->n", steps.H[1:, which[2]], ended)
     np.testing.assert_allclose(1e6 * found[1:, 2], np.diff(y[:, 2]) + still, rtol=1e-4, atol=1e-4)
@@ -163,17 +208,34 @@ def probe_of(rng: np.random.Generator) -> Probe:
     """Of a replay."""
     x = np.column_stack([20.0 + 0.1 * np.arange(N) / N, *(0.1 * rng.standard_normal((7, N)))])
     loads = rng.standard_normal((N, 6))
-    reference = Reference(DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), True)
+    reference = Reference(
+        DT, x, loads[:, :3], loads[:, 3:], np.zeros((N, 6, 6)), np.full(N, 245.0), np.zeros(3), True
+    )
     none, rate = np.zeros((N, 3)), np.gradient(x, DT, axis=0)
     return Probe(
-        reference, MASS, rng.standard_normal((N, 6)), none, none, np.zeros((N, 6, 4)), np.zeros((N, 4)), np.zeros(N),
-        np.full(N, np.inf), x, x, rate, rate[:, 1:3],
-    )  # fmt: skip
+        reference,
+        MASS,
+        rng.standard_normal((N, 6)),
+        none,
+        none,
+        np.zeros((N, 6, 4)),
+        np.zeros((N, 4)),
+        np.zeros(N),
+        np.full(N, np.inf),
+        x,
+        x,
+        rate,
+        rate[:, 1:3],
+    )
 
 
 def predicted_of(rng: np.random.Generator) -> Probe:
     """In turbulence."""
-    (body, x, rate), flow_rate, probe = rng.standard_normal((3, N, 8)), rng.standard_normal((N, 2)), probe_of(rng)
+    (body, x, rate), flow_rate, probe = (
+        rng.standard_normal((3, N, 8)),
+        rng.standard_normal((N, 2)),
+        probe_of(rng),
+    )
     reference = replace(probe.reference, consistent=False)
     return replace(probe, reference=reference, body=body, x=x, rate=rate, flow_rate=flow_rate)
 
@@ -182,12 +244,17 @@ def test_inertia_does_not_know_the_airs_rotation():
     rng = np.random.default_rng(1)
     probe = predicted_of(rng)
     (ixz,) = [e for e in subsystem_effects([], [], []) if e.term == "Ixz"]
-    setup, flown = setup_of(np.zeros((N, 3))), SimpleNamespace(outputs=[np.zeros((N, 3))], point=point())
+    setup, flown = (
+        setup_of(np.zeros((N, 3))),
+        SimpleNamespace(outputs=[np.zeros((N, 3))], point=point()),
+    )
     (columns,) = effect_columns(setup, [probe], flown, [ixz])  # type: ignore[arg-type]
     _, found = columns.inputs[ixz.key]
     (p, q, r), (dp, _, dr) = probe.body[:, 3:6].T, probe.rate[:, 3:6].T
     moment = np.column_stack([dr + p * q, r**2 - p**2, dp - q * r])
-    np.testing.assert_allclose(found[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b])))
+    np.testing.assert_allclose(
+        found[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b]))
+    )
 
 
 def test_coefficients_know_the_airs_rotation_and_not_its_acceleration():
@@ -203,7 +270,9 @@ def test_coefficients_know_the_airs_rotation_and_not_its_acceleration():
 def test_a_delay_takes_the_models_rate_in_gusts_and_the_outputs_own_in_calm_air():
     rng = np.random.default_rng(3)
     probe, ramp = predicted_of(rng), 3.0 * DT * np.arange(N)
-    np.testing.assert_array_equal(probe.rate_of("alpha_rad", ramp), probe.rate[:, STATES.index("alpha_rad")])
+    np.testing.assert_array_equal(
+        probe.rate_of("alpha_rad", ramp), probe.rate[:, STATES.index("alpha_rad")]
+    )
     np.testing.assert_allclose(probe.rate_of("ax_mps2", ramp)[1:], 3.0)
     np.testing.assert_allclose(probe_of(rng).rate_of("alpha_rad", ramp), 3.0)
 
@@ -213,21 +282,31 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
     truth = rng.standard_normal((N, 3))
     setup = setup_of(np.zeros((N, 3)))
     (segment,) = setup.segments
-    (scale,) = [e for e in subsystem_effects([], ["alpha_rad"], []) if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")]
+    (scale,) = [
+        e
+        for e in subsystem_effects([], ["alpha_rad"], [])
+        if (e.subsystem, e.term) == ("sensor.alpha_rad", "scale")
+    ]
 
     def read(size: float) -> np.ndarray:
-        return as_sensed(truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4))  # type: ignore[arg-type]
+        return as_sensed(
+            truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4)
+        )  # type: ignore[arg-type]
 
     here = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
     flown = SimpleNamespace(outputs=[read(0.8)], point=here)
     (columns,) = effect_columns(setup, [probe_of(rng)], flown, [scale])  # type: ignore[arg-type]
-    np.testing.assert_allclose(columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8
+    )
 
 
 def test_a_sensor_that_reads_more_reads_more_of_everything():
     rng = np.random.default_rng(5)
     probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
-    plain, scaled = (steps_of([probe], [None], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8)))  # type: ignore[arg-type]
+    plain, scaled = (
+        steps_of([probe], [None], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8))
+    )  # type: ignore[arg-type]
     np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
     np.testing.assert_array_equal(np.delete(scaled.H, 1, axis=1), np.delete(plain.H, 1, axis=1))
     np.testing.assert_array_equal(scaled.phi, plain.phi)
@@ -247,11 +326,21 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
             fails = noise[0] > 1.0
             none = np.zeros((1, 13))
             slope = np.zeros(1) if fails else np.array([1000.0 * away])
-            return Score(np.inf if fails else 500.0 * away**2, slope, none, none, (np.array([100.0]), none, none))
+            return Score(
+                np.inf if fails else 500.0 * away**2,
+                slope,
+                none,
+                none,
+                (np.array([100.0]), none, none),
+            )
 
     monkeypatch.setattr("sysid.effects.turbulence.AirLikelihood", Made)
-    search = turbulence._Search(lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], ALONE)  # type: ignore
-    found = search.descend([0], turbulence._Point((GustStates(3.0),), np.ones(7), np.array([0.1])), ["wind"])
+    search = turbulence._Search(
+        lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], ALONE
+    )  # type: ignore
+    found = search.descend(
+        [0], turbulence._Point((GustStates(3.0),), np.ones(7), np.array([0.1])), ["wind"]
+    )
     assert max(calls) > 1.0
     assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
@@ -286,25 +375,40 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
         return some_air(strengths[min(k, len(strengths) - 1)], air), np.array([factor])
 
     evidence = SimpleNamespace(
-        names=("aero/Cm_q",), step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)),
+        names=("aero/Cm_q",),
+        step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)),
         everything=(np.eye(1), None),
-    )  # fmt: skip
+    )
     linear = SimpleNamespace(all=lambda states: [], measured=[])
     columns = [SimpleNamespace(names=("aero/Cm_q",))]
     for name, instead in {
-        "predict": predict, "with_properties": lambda *a: (a[2], ("aero/Cm_q",)),
-        "_Linear": lambda *a: linear, "predicted": lambda *a: (a[1], a[2]), "parameter_columns": lambda *a: columns,
-        "follow": lambda *a: [], "whitened": lambda *a: [], "gather": lambda *a: evidence, "replace": lambda x, **_: x,
-        "with_jumps": lambda setup, _: setup, "as_measured": lambda setup, path, before, after: path,
+        "predict": predict,
+        "with_properties": lambda *a: (a[2], ("aero/Cm_q",)),
+        "_Linear": lambda *a: linear,
+        "predicted": lambda *a: (a[1], a[2]),
+        "parameter_columns": lambda *a: columns,
+        "follow": lambda *a: [],
+        "whitened": lambda *a: [],
+        "gather": lambda *a: evidence,
+        "replace": lambda x, **_: x,
+        "with_jumps": lambda setup, _: setup,
+        "as_measured": lambda setup, path, before, after: path,
         "_air": search,
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
         "Fit": lambda *a: None,
-    }.items():  # fmt: skip
+    }.items():
         monkeypatch.setattr(refine_gusts, name, instead)
     setup = SimpleNamespace(
-        active=(), held=(), least={}, jumping=(), late={}, noise=np.ones(1), which=[0], segments=[SimpleNamespace(flight="one")],
+        active=(),
+        held=(),
+        least={},
+        jumping=(),
+        late={},
+        noise=np.ones(1),
+        which=[0],
+        segments=[SimpleNamespace(flight="one")],
         properties=lambda point: {},
-    )  # fmt: skip
+    )
     refine_gusts.gust_refit(None, None, setup, SimpleNamespace(), ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
     return sought, taken, paths
 
@@ -351,7 +455,8 @@ def test_a_fit_ends_about_its_own_predictions(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("gain", "shares"), [(2.5, [1.0, 0.4]), (0.4, [1.0, 2.5]), (1.0, [1.0]), (20.0, [1.0, 0.125]), (0.1, [1.0, 4.0])]
+    ("gain", "shares"),
+    [(2.5, [1.0, 0.4]), (0.4, [1.0, 2.5]), (1.0, [1.0]), (20.0, [1.0, 0.125]), (0.1, [1.0, 4.0])],
 )
 def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, shares):
     """Of steps that go so many times as far as they should, the second is right, within bounds; lengths in standard errors."""
@@ -370,7 +475,9 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
 def test_steps_are_shortened_in_a_fit(monkeypatch):
     """Steps of 2.5 times what is asked: 2.5, then -3.75, of which two fifths are taken."""
     grown = [(2.5, 20.0), (-3.75, 60.0), (0.0, 0.1)]
-    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == pytest.approx([2.5, -1.5])
+    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == pytest.approx(
+        [2.5, -1.5]
+    )
 
 
 def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
@@ -382,7 +489,9 @@ def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
 
 def test_shares_of_jumps_stay_between_none_and_all():
     """A step beyond an end is held back there, and what the others do is asked without it."""
-    setup = SimpleNamespace(active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"), least={})
+    setup = SimpleNamespace(
+        active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"), least={}
+    )
     asked = []
 
     def step(held):
@@ -401,9 +510,13 @@ def test_a_rate_limit_stays_where_it_is_felt():
     """Beyond, nothing changes: it ends there, and the others are asked without it."""
     key = "effect/actuator.aileron/rate_limit"
     effect = SimpleNamespace(key=key)
-    setup = SimpleNamespace(active=(effect,), held=[], jumping=(), nuisance=(), least={key: -0.02}, carriers={key: None})
+    setup = SimpleNamespace(
+        active=(effect,), held=[], jumping=(), nuisance=(), least={key: -0.02}, carriers={key: None}
+    )
     asked = []
-    evidence = SimpleNamespace(names=(key,), step=lambda held: asked.append(held) or (np.array([-0.03]), 1.0))
+    evidence = SimpleNamespace(
+        names=(key,), step=lambda held: asked.append(held) or (np.array([-0.03]), 1.0)
+    )
     inside, at_end = (Point({}, {}, (), {key: value}) for value in (-0.01, -0.02))
     step_from(setup, inside, evidence)  # type: ignore[arg-type]
     step_from(setup, at_end, evidence)  # type: ignore[arg-type]
@@ -421,17 +534,24 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     def refit(*_, **__):
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
-    monkeypatch.setattr(refine_show, "Bench", lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)))
+    monkeypatch.setattr(
+        refine_show,
+        "Bench",
+        lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)),
+    )
     monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
     monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
     monkeypatch.setattr(refine_show, "gust_refit", refit)
     near = SimpleNamespace(in_other=lambda V, flights: ("the others'", V, flights))
     setup = SimpleNamespace(
-        segments=[SimpleNamespace(flight="t", start=None)], channels=[{"V_mps": np.array([20.0, np.nan, 22.0])}]
+        segments=[SimpleNamespace(flight="t", start=None)],
+        channels=[{"V_mps": np.array([20.0, np.nan, 22.0])}],
     )
     found = refine_show.air_of(None, setup, map, {}, near)  # type: ignore[arg-type]
     assert found == ("the others'", [21.0], ["t"])
-    monkeypatch.setattr(refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own"))
+    monkeypatch.setattr(
+        refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own")
+    )
     assert refine_show.air_of(None, setup, map, {}, near) == "their own"  # type: ignore[arg-type]
 
 
@@ -443,7 +563,9 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_setup(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        both, shares = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": late_s}, ()))
+        both, shares = refine_gusts.acting(
+            model, setup, Point({}, {"lateness/f/controls": late_s}, ())
+        )
         found = refine_gusts._between([positions(model, acts) for acts in both], shares)
         expected = positions(model, make_setup(aircraft, [flight.with_commands_later(late_s)], ()))
         rows = positions(model, setup)
@@ -464,8 +586,12 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     with ReplayFolder(aircraft) as model:
 
         def at(places):
-            both, shares = refine_gusts.acting(model, setup, Point({}, {"lateness/f/controls": places * step}, ()))
-            return np.concatenate(refine_gusts._between([positions(model, acts) for acts in both], shares))
+            both, shares = refine_gusts.acting(
+                model, setup, Point({}, {"lateness/f/controls": places * step}, ())
+            )
+            return np.concatenate(
+                refine_gusts._between([positions(model, acts) for acts in both], shares)
+            )
 
         way = np.abs(at(1.0) - at(0.0)).max()
         for places in (0.0, 0.5, 1.0, -1.0):
@@ -478,7 +604,10 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     u[6:, 0] += 4.0
     u[:, 1] = 0.3 * np.arange(N)
     # What jumps is lacking at its row, what moves steadily everywhere.
-    change = np.column_stack([-np.diff(u[:, 0], prepend=u[0, 0]), -np.gradient(u[:, 1]), 0.0 * u[:, 2:]]) / DT
+    change = (
+        np.column_stack([-np.diff(u[:, 0], prepend=u[0, 0]), -np.gradient(u[:, 1]), 0.0 * u[:, 2:]])
+        / DT
+    )
     probe = probe_of(np.random.default_rng(3))
     jumped = np.zeros((N, 4))
     steady = np.repeat(np.random.default_rng(4).standard_normal((1, 6, 4)), N, axis=0)

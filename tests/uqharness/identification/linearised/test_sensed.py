@@ -20,12 +20,16 @@ RATES = ("p_radps", "q_radps", "r_radps")
 @pytest.mark.parametrize(
     ("late", "expected"),
     [
-        ({"rates": 0.02}, (0.02, 0.02, 0.02)), ({"p_radps": 0.01}, (0.01, 0.0, 0.0)),
-        ({"rates": 0.02, "q_radps": -0.005}, (0.02, 0.015, 0.02)), ({"alpha_rad": 0.03}, (0.0, 0.0, 0.0)),
+        ({"rates": 0.02}, (0.02, 0.02, 0.02)),
+        ({"p_radps": 0.01}, (0.01, 0.0, 0.0)),
+        ({"rates": 0.02, "q_radps": -0.005}, (0.02, 0.015, 0.02)),
+        ({"alpha_rad": 0.03}, (0.0, 0.0, 0.0)),
     ],
-)  # fmt: skip
+)
 def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
-    point = Point({}, {}, (), {f"effect/sensor.{name}/delay": value for name, value in late.items()})
+    point = Point(
+        {}, {}, (), {f"effect/sensor.{name}/delay": value for name, value in late.items()}
+    )
     segment = SimpleNamespace(flight="one", dt_s=0.02)
     assert tuple(sensor_late_s(c, segment, point) for c in RATES) == pytest.approx(expected)
 
@@ -37,10 +41,16 @@ def test_one_sensor_alone_is_counted_once():
 
 def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_delays():
     outputs = ("alpha_rad", *RATES)
-    keys = {e.key for e in candidates_for(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())}
+    keys = {
+        e.key for e in candidates_for(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
+    }
     assert {f"effect/sensor.{s}/delay" for s in ("alpha_rad", "rates", *RATES)} <= keys
-    logged = candidates_for(SimpleNamespace(servos={}, outputs=outputs, late={"one": ["alpha_rad"]}), (), ())
-    assert not [e for e in logged if e.key.endswith("/delay") and (e.subsystem or "").startswith("sensor.")]
+    logged = candidates_for(
+        SimpleNamespace(servos={}, outputs=outputs, late={"one": ["alpha_rad"]}), (), ()
+    )
+    assert not [
+        e for e in logged if e.key.endswith("/delay") and (e.subsystem or "").startswith("sensor.")
+    ]
 
 
 def test_a_channel_alone_must_explain_more_than_its_sensor():
@@ -54,7 +64,10 @@ def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation(
     V, alpha, beta, q, r, x = 20.0, 0.05, 0.02, 0.4, -0.3, 0.2
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     there = np.array([u, v, w]) + np.cross([0.0, q, r], [x, 0.0, 0.0])
-    seen = np.arctan2(there[2], there[0]) - alpha, np.arcsin(there[1] / np.linalg.norm(there)) - beta
+    seen = (
+        np.arctan2(there[2], there[0]) - alpha,
+        np.arcsin(there[1] / np.linalg.norm(there)) - beta,
+    )
     y = np.array([[V, alpha, beta, q, r, 9.0]])
     change = x * at_vane(y, outputs)[0]
     assert change[[1, 2]] == pytest.approx(seen, rel=0.02)
@@ -64,7 +77,14 @@ def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation(
 
 
 def test_accelerometers_are_where_a_point_says():
-    segment = Segment("a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0))
+    segment = Segment(
+        "a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0)
+    )
     assert placed(segment, Point({}, {}, ())) is segment
-    moved = Point({}, {}, (), {"effect/sensor.accelerometer/place_x": 0.2, "effect/sensor.accelerometer/place_z": -0.05})
+    moved = Point(
+        {},
+        {},
+        (),
+        {"effect/sensor.accelerometer/place_x": 0.2, "effect/sensor.accelerometer/place_z": -0.05},
+    )
     assert placed(segment, moved).arm_m == pytest.approx((0.3, 0.0, -0.05))

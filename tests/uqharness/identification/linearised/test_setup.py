@@ -5,7 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.identification.linearised.setup import estimated_channels, known_noise, noise_left, setup_in_gusts
+from uqharness.identification.linearised.setup import (
+    estimated_channels,
+    known_noise,
+    noise_left,
+    setup_in_gusts,
+)
 
 OUTPUTS = ("alpha_rad", "p_radps")
 
@@ -27,19 +32,33 @@ def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
     assert noise_left(setup, {"alpha_rad": 0.007, "p_radps": 0.02}).tolist() == [0.007, 0.004]
     # A channel that shows less than its own noise keeps that, and so does one that was not fitted.
     assert noise_left(setup, {"alpha_rad": 0.001, "p_radps": 0.02}).tolist() == [0.002, 0.004]
-    assert noise_left(setup, {}).tolist() == noise_left(setup, {"alpha_rad": np.nan}).tolist() == [0.002, 0.004]
+    assert (
+        noise_left(setup, {}).tolist()
+        == noise_left(setup, {"alpha_rad": np.nan}).tolist()
+        == [0.002, 0.004]
+    )
     assert noise_left(setup_of(), {"alpha_rad": 0.007}).tolist() == [0.002, 0.004]
 
 
 def test_noise_is_known_by_samples_and_card():
-    aircraft = SimpleNamespace(card=SimpleNamespace(sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})))
+    aircraft = SimpleNamespace(
+        card=SimpleNamespace(
+            sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})
+        )
+    )
     data = np.array([0.001, 0.01]) * np.random.default_rng(0).standard_normal((8000, 2))
-    assert known_noise(aircraft, [data[:3000], data[3000:]], OUTPUTS) == pytest.approx([0.0017, 0.01], rel=0.05)
+    assert known_noise(aircraft, [data[:3000], data[3000:]], OUTPUTS) == pytest.approx(
+        [0.0017, 0.01], rel=0.05
+    )
 
 
 def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
-    monkeypatch.setattr("uqharness.identification.linearised.setup.replace", lambda setup, noise: noise)
-    card = SimpleNamespace(sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035}))
+    monkeypatch.setattr(
+        "uqharness.identification.linearised.setup.replace", lambda setup, noise: noise
+    )
+    card = SimpleNamespace(
+        sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})
+    )
     aircraft = SimpleNamespace(card=card)
     assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
     assert setup_in_gusts(aircraft, setup_of()).tolist() == [0.0017, 0.0035]

@@ -16,7 +16,10 @@ def flights(seed: int = 0):
     """Two pulls and a roll without disagreement: gap, allowed, states, labels."""
     rng = np.random.default_rng(seed)
     gap = [rng.standard_normal((N, 6)) for _ in range(3)]
-    states = [{"alpha_rad": rng.uniform(0.0, 0.3, N), "V_mps": rng.uniform(18.0, 24.0, N)} for _ in range(3)]
+    states = [
+        {"alpha_rad": rng.uniform(0.0, 0.3, N), "V_mps": rng.uniform(18.0, 24.0, N)}
+        for _ in range(3)
+    ]
     return gap, [np.ones((N, 6))] * 3, states, ["pull", "roll", "pull"]
 
 
@@ -33,7 +36,9 @@ def test_a_planted_disagreement_is_found_where_it_is():
     assert found["region"] == {"alpha_rad": pytest.approx([0.2, 0.3], abs=0.01)}
     assert found["share_outside_95"] > 0.95
     assert found["size"] == pytest.approx(np.sqrt(37.0), rel=0.03)
-    outside_s, total_s = map(float, re.search(r" ([\d.]+) s of ([\d.]+) s;", found["words"]).groups())
+    outside_s, total_s = map(
+        float, re.search(r" ([\d.]+) s of ([\d.]+) s;", found["words"]).groups()
+    )
     assert total_s == pytest.approx(2 * N * DT)
     assert outside_s == pytest.approx(2 * N * DT / 3, rel=0.1)
     assert found["words"].startswith("CZ, pull, alpha_rad 0.2")

@@ -38,7 +38,9 @@ def test_that_of_another_model_is_removed(folder: Path, monkeypatch: pytest.Monk
     assert not folder.exists()
 
 
-def test_a_mission_that_cannot_be_flown_removes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_that_cannot_be_flown_removes_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(mission, "find_mission", refused)
     with pytest.raises(BadInputError, match="another model"):
         mission._clear_if_other(folder, None)

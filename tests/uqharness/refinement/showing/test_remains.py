@@ -23,11 +23,19 @@ def series(burst: float = 0.0) -> list[Series]:
     inside = (TIME >= 12.0) & (TIME < 15.0)
     out = []
     for flight in "ab":
-        states = {"alpha_rad": 0.05 + 0.1 * inside + 0.01 * rng.standard_normal(1500), "V_mps": 20.0 + rng.standard_normal(1500)}
+        states = {
+            "alpha_rad": 0.05 + 0.1 * inside + 0.01 * rng.standard_normal(1500),
+            "V_mps": 20.0 + rng.standard_normal(1500),
+        }
         for channel in ("p_radps", "q_radps"):
             e = rng.standard_normal(1500)
             if (flight, channel) == ("b", "q_radps"):
-                e += burst * inside * np.sqrt(2.0) * np.sin(2.0 * np.pi * (5.0 * (TIME - 12.0) + (TIME - 12.0) ** 2 / 3.0))
+                e += (
+                    burst
+                    * inside
+                    * np.sqrt(2.0)
+                    * np.sin(2.0 * np.pi * (5.0 * (TIME - 12.0) + (TIME - 12.0) ** 2 / 3.0))
+                )
             out.append(Series("train", flight, "climb", channel, e, TIME + 100.0, states))
     return out
 
@@ -48,7 +56,12 @@ def test_a_burst_is_placed_in_its_flight_channel_time_and_band():
 
 
 def test_the_state_that_makes_a_residual_is_told():
-    made = [replace(s, white=s.white + 1.5 * (s.states["V_mps"] > 21.0)) if s.channel == "q_radps" else s for s in series()]
+    made = [
+        replace(s, white=s.white + 1.5 * (s.states["V_mps"] > 21.0))
+        if s.channel == "q_radps"
+        else s
+        for s in series()
+    ]
     place, goes = where_loudest(made)
     assert place["channel"] == "q_radps"
     assert place["state"]["state"] == "V_mps"
@@ -59,7 +72,10 @@ def test_the_state_that_makes_a_residual_is_told():
 
 def test_noise_has_no_interval_and_a_reason():
     place, goes = where_loudest(series())
-    assert all(place[k] is None for k in ("flight", "manoeuvre", "from_s", "to_s", "from_Hz", "to_Hz", "share_of_excess"))
+    assert all(
+        place[k] is None
+        for k in ("flight", "manoeuvre", "from_s", "to_s", "from_Hz", "to_Hz", "share_of_excess")
+    )
     assert "more than chance" in place["reason"]
     assert place["state"] is None
     assert place["state_reason"]
@@ -82,9 +98,20 @@ def test_rows_that_were_not_measured_move_no_time():
 def whole(**changes):
     """A place with everything in it."""
     place, _ = where_loudest(series(2.0))
-    near = {"coefficient": "Cm", "term": "alpha^2", "name": "pitching moment due to alpha squared", "t": -12.0, "leaves": 1.05}
+    near = {
+        "coefficient": "Cm",
+        "term": "alpha^2",
+        "name": "pitching moment due to alpha squared",
+        "t": -12.0,
+        "leaves": 1.05,
+    }
     goes = {"state": "alpha_rad", "low": 0.1, "high": 0.2, "share": 0.4, "of": "size", "p": 1e-4}
-    more = {"state": goes, "channel_on_train": 1.3, "candidates": [near], "would_tell": "repeat climb"}
+    more = {
+        "state": goes,
+        "channel_on_train": 1.3,
+        "candidates": [near],
+        "would_tell": "repeat climb",
+    }
     return place | more | changes
 
 
@@ -92,7 +119,9 @@ def test_a_place_is_told_in_three_lines():
     first, second, third = place_says(whole())
     assert "residual of q, train flight b, 11" in first
     assert "4.9 to 7.4 Hz: 1.99 times its noise" in first
-    assert first.endswith("its size goes with alpha, most at 5.73 to 11.5 deg (40 % of its variance)")
+    assert first.endswith(
+        "its size goes with alpha, most at 5.73 to 11.5 deg (40 % of its variance)"
+    )
     assert "pitching moment due to alpha squared 1.05 (|t| 12.0)" in second
     assert third.endswith("repeat climb")
     Place.model_validate(whole())
@@ -103,7 +132,9 @@ def test_nothing_left_says_nothing():
     Place.model_validate(no_place(NOTHING))
 
 
-@pytest.mark.parametrize("lost", [{"from_s": None}, {"flight": None}, {"would_tell": None}, {"channel_on_train": None}])
+@pytest.mark.parametrize(
+    "lost", [{"from_s": None}, {"flight": None}, {"would_tell": None}, {"channel_on_train": None}]
+)
 def test_a_place_that_lacks_a_field_without_a_reason_is_refused(lost):
     with pytest.raises(ValueError, match="needs"):
         Place.model_validate(whole(**lost))

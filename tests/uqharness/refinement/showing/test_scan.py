@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing.scan import BY_CHANCE, band_of, densest, dependence, goes_with, loudest
+from uqharness.refinement.showing.scan import (
+    BY_CHANCE,
+    band_of,
+    densest,
+    dependence,
+    goes_with,
+    loudest,
+)
 
 RATE = 50.0
 TIME = np.arange(4500) / RATE
@@ -19,7 +26,11 @@ def noise(seed: int, n: int = len(TIME)) -> np.ndarray:
 def test_a_burst_is_found_at_its_time_and_in_its_band(size, seed):
     """A sine whose frequency runs from 5 to 7 Hz between 30 and 34 s; size: its rms over the noise's."""
     t = TIME - 30.0
-    chirp = np.where((t >= 0.0) & (t < 4.0), size * np.sqrt(2.0) * np.sin(2.0 * np.pi * (5.0 * t + t**2 / 4.0)), 0.0)
+    chirp = np.where(
+        (t >= 0.0) & (t < 4.0),
+        size * np.sqrt(2.0) * np.sin(2.0 * np.pi * (5.0 * t + t**2 / 4.0)),
+        0.0,
+    )
     found = loudest(noise(seed) + chirp, RATE)
     assert found is not None
     assert found.p < 1e-6
@@ -120,7 +131,14 @@ def test_rows_not_measured_are_left_out():
 
 def test_a_residual_depends_on_what_it_was_made_of():
     rng = np.random.default_rng(0)
-    x = [{"alpha_rad": rng.uniform(0.0, 0.3, 600), "V_mps": rng.uniform(18.0, 24.0, 600), "still": np.zeros(600)} for _ in range(3)]
+    x = [
+        {
+            "alpha_rad": rng.uniform(0.0, 0.3, 600),
+            "V_mps": rng.uniform(18.0, 24.0, 600),
+            "still": np.zeros(600),
+        }
+        for _ in range(3)
+    ]
     white = [rng.standard_normal(600) for _ in x]
     made = [e + 40.0 * (s["alpha_rad"] - 0.15) for e, s in zip(white, x, strict=True)]
     (name, share), (other, rest) = dependence(made, x)

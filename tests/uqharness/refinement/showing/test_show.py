@@ -25,7 +25,12 @@ from uqharness.identification.compare import compare
 from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.run import Refinement, Request, _put, refine
-from uqharness.refinement.showing.intervals import FlightSet, IntervalJob, fit_intervals, intervals_document
+from uqharness.refinement.showing.intervals import (
+    FlightSet,
+    IntervalJob,
+    fit_intervals,
+    intervals_document,
+)
 from uqharness.refinement.showing.mission import campaign_for, fly_missions
 from uqharness.refinement.showing.pboxes import both_boxes
 from uqharness.refinement.showing.remains import Nearest
@@ -83,7 +88,14 @@ def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
     fly(TEST, seed=12, seconds=6.0, rhs=with_p2).write(folder / "test.parquet")
     out = folder / "out"
     out.mkdir()
-    request = Request(find_aircraft("espaaro"), (folder / "train.parquet",), (folder / "test.parquet",), out, workers=1, pbox=False)
+    request = Request(
+        find_aircraft("espaaro"),
+        (folder / "train.parquet",),
+        (folder / "test.parquet",),
+        out,
+        workers=1,
+        pbox=False,
+    )
     done = refine(request)
     write_results(done, out)
     write_report(out, figures=True)
@@ -134,11 +146,17 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     evidence = refine_judge.evidence_of(chosen)
     same = refine_judge.left_out(chosen, evidence, [])
     for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
-        assert (one.key, one.value, one.std) == (other.key, pytest.approx(other.value), pytest.approx(other.std))
+        assert (one.key, one.value, one.std) == (
+            other.key,
+            pytest.approx(other.value),
+            pytest.approx(other.std),
+        )
     for name, (value, std) in chosen.parameters.items():
         assert abs(same.parameters[name][0] - value) < 0.1 * std
     none = refine_judge.left_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
-    assert {n: v for n, (v, _) in none.parameters.items()} == {n: chosen.plain[n] for n in chosen.names}
+    assert {n: v for n, (v, _) in none.parameters.items()} == {
+        n: chosen.plain[n] for n in chosen.names
+    }
 
 
 @pytest.mark.slow
@@ -155,14 +173,33 @@ def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
     ):
         (tmp_path / "out" / stale).parent.mkdir(parents=True)
         (tmp_path / "out" / stale).touch()
-    code = main([
-        "refine", "espaaro", "--train", str(tmp_path / "train.parquet"), "--test", str(tmp_path / "test.parquet"),
-        "--out", str(tmp_path / "out"), "--workers", "1", "--no-figures", "--campaign", str(campaign),
-    ])  # fmt: skip
+    code = main(
+        [
+            "refine",
+            "espaaro",
+            "--train",
+            str(tmp_path / "train.parquet"),
+            "--test",
+            str(tmp_path / "test.parquet"),
+            "--out",
+            str(tmp_path / "out"),
+            "--workers",
+            "1",
+            "--no-figures",
+            "--campaign",
+            str(campaign),
+        ]
+    )
     found = document(tmp_path / "out")
     assert (code, found["effects"], found["withdrawn"], found["chosen"]) == (0, [], [], [])
-    left = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*") if p.is_file()}
-    assert not [name for name in left if "after" in name or name.startswith("before/") or "history" in name]
+    left = {
+        p.relative_to(tmp_path / "out").as_posix()
+        for p in (tmp_path / "out").rglob("*")
+        if p.is_file()
+    }
+    assert not [
+        name for name in left if "after" in name or name.startswith("before/") or "history" in name
+    ]
     gap = found["gap"]["test"]
     assert gap["intervals"]["reason"] is None
     for row in gap["intervals"]["coefficients"].values():
@@ -180,13 +217,18 @@ def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
 
 
 def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
-    assert campaign_for(find_aircraft("espaaro"), None)["campaign"]["mission"].endswith("loiter.xml")
+    assert campaign_for(find_aircraft("espaaro"), None)["campaign"]["mission"].endswith(
+        "loiter.xml"
+    )
     with pytest.raises(BadInputError, match=r"no loiter of its own.*--campaign"):
         campaign_for(find_aircraft("c172x"), None)
     given = campaign_for(find_aircraft("c172x"), campaign)
     assert Path(given["campaign"]["mission"]).is_file()
     nothing = tmp_path / "none.toml"
-    nothing.write_text(CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""), encoding="utf-8")
+    nothing.write_text(
+        CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""),
+        encoding="utf-8",
+    )
     with pytest.raises(BadInputError, match="flies no intervals"):
         campaign_for(find_aircraft("espaaro"), nothing)
 
@@ -197,15 +239,23 @@ def test_intervals_shrink_where_the_effect_was_and_still_cover(contradicted):
     assert cm["width_after"] < 0.9 * cm["width_before"]
     assert cm["coverage_after"] > 0.8
     assert cy["width_after"] == pytest.approx(cy["width_before"], rel=0.2)
-    assert json.loads((contradicted / "intervals" / "after.json").read_text())["format"] == "model-form 2"
-    assert document(contradicted)["gap"]["test"]["pbox"] == {"reason": "left out (--no-pbox)", "metrics": []}
+    assert (
+        json.loads((contradicted / "intervals" / "after.json").read_text())["format"]
+        == "model-form 2"
+    )
+    assert document(contradicted)["gap"]["test"]["pbox"] == {
+        "reason": "left out (--no-pbox)",
+        "metrics": [],
+    }
 
 
 def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     """Without sideslip there is no residual coefficient: NaN, the reason, and no error."""
     record = fly(TEST, seed=4, seconds=6.0)
     record.write(tmp_path / "whole.parquet")
-    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(tmp_path / "part.parquet")
+    type(record)({c: record[c] for c in record.columns if c != "beta_rad"}, record.metadata).write(
+        tmp_path / "part.parquet"
+    )
     aircraft = find_aircraft("espaaro")
     sets = []
     for name in ("whole", "part"):
@@ -221,7 +271,9 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
 
 def test_pbox_numbers_in_closed_form():
     """Two corners, one of them 1 to 4 and the other 3 to 6: envelopes two apart, area 2, medians [2, 4]."""
-    low, high = (Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0)))
+    low, high = (
+        Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0))
+    )
     found = both_boxes((low, high), (low,))
     assert found["width_before"] == pytest.approx(2.0)
     assert found["width_after"] == 0.0
@@ -243,7 +295,9 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     form.write_text(made.to_json(), encoding="utf-8")
 
     def flown(which):
-        result = fly_missions({"before": which}, {"before": form}, campaign, tmp_path, 1, told.append)
+        result = fly_missions(
+            {"before": which}, {"before": form}, campaign, tmp_path, 1, told.append
+        )
         assert result["reason"] is None
         return result
 
@@ -264,13 +318,19 @@ def write(folder: Path, seed: int) -> Path:
 
 def test_words_agree_with_the_verdict():
     """Where no region stands out, an effect far above chance is not called noise."""
-    remaining = {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []}
+    remaining = {
+        "unexplained": False,
+        "where": [],
+        "channels_above_noise": {},
+        "coloured_channels": [],
+    }
     nothing = {"effects": [], "withdrawn": [], "remaining": remaining}
     assert nowhere(nothing) == "nowhere beyond what noise allows"
     assert left_over(remaining) == []
     for one in (
         nothing | {"effects": [{"evidence": {"t": -64.2}}]},
-        nothing | {"remaining": remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}},
+        nothing
+        | {"remaining": remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}},
     ):
         assert "|t| up to 64" in nowhere(one)
     unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
@@ -282,7 +342,16 @@ def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign
     bad = tmp_path / "bad.toml"
     bad.write_text(CAMPAIGN.replace("flights = 2", "flights = 0"), encoding="utf-8")
     flight, other = write(tmp_path, 6), write(tmp_path, 7)
-    arguments = ["refine", "espaaro", "--train", str(flight), "--test", str(other), "--out", str(tmp_path / "out")]
+    arguments = [
+        "refine",
+        "espaaro",
+        "--train",
+        str(flight),
+        "--test",
+        str(other),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main([*arguments, "--campaign", str(bad)]) == 2
     assert "flights" in capsys.readouterr().err
     assert main([*arguments, "--campaign", str(campaign), "--no-pbox"]) == 2
@@ -291,7 +360,9 @@ def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign
 
 def test_engines_beside_the_aircraft_go_with_it(tmp_path):
     """An aircraft whose engines lie beside it finds them beside its refined copy as well."""
-    made = shutil.copytree(find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro")
+    made = shutil.copytree(
+        find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro"
+    )
     (tmp_path / "own" / "engine").mkdir()
     for name in ("own", "unused"):
         (tmp_path / "own" / "engine" / f"{name}.xml").write_text("<propeller/>", encoding="utf-8")
@@ -360,11 +431,27 @@ def test_in_calm_air_replays_are_the_table_and_nothing_else(contradicted):
 
 def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_computed():
     rng = np.random.default_rng(2)
-    card = SimpleNamespace(card=SimpleNamespace(sensors=SimpleNamespace(noise_std={"p_radps": 0.004, "alpha_rad": 0.002})))
-    flights = [SimpleNamespace(record=SimpleNamespace(metadata=SimpleNamespace(estimates=("alpha_rad",))))]
+    card = SimpleNamespace(
+        card=SimpleNamespace(
+            sensors=SimpleNamespace(noise_std={"p_radps": 0.004, "alpha_rad": 0.002})
+        )
+    )
+    flights = [
+        SimpleNamespace(record=SimpleNamespace(metadata=SimpleNamespace(estimates=("alpha_rad",))))
+    ]
     louder = np.array([0.01, 0.002]) * rng.standard_normal((4000, 2))
     # The fit found other noise in other flights.
-    setup = SimpleNamespace(measured=(louder,), outputs=("p_radps", "alpha_rad"), noise=np.array([0.013, 0.05]), flights=flights)
+    setup = SimpleNamespace(
+        measured=(louder,),
+        outputs=("p_radps", "alpha_rad"),
+        noise=np.array([0.013, 0.05]),
+        flights=flights,
+    )
     assert _told_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
-    quiet = SimpleNamespace(measured=(0.1 * louder,), outputs=setup.outputs, noise=np.array([0.001, 0.05]), flights=flights)
+    quiet = SimpleNamespace(
+        measured=(0.1 * louder,),
+        outputs=setup.outputs,
+        noise=np.array([0.001, 0.05]),
+        flights=flights,
+    )
     assert _told_noise(card, quiet)[0] == 0.004

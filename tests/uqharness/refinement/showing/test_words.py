@@ -14,10 +14,14 @@ from uqharness.refinement.showing.document import moments_of, strong_of
 from uqharness.refinement.showing.words import why
 
 
-@pytest.mark.parametrize(("gains", "told"), [((5.0, 99.0, np.nan), []), ((5.0, 400.0, 101.0), ["Cm", "Cn"])])
+@pytest.mark.parametrize(
+    ("gains", "told"), [((5.0, 99.0, np.nan), []), ((5.0, 400.0, 101.0), ["Cm", "Cn"])]
+)
 def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
     air = SimpleNamespace(moments=np.array(gains))
-    found = SimpleNamespace(gusts=air, setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps")))
+    found = SimpleNamespace(
+        gusts=air, setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps"))
+    )
     said = moments_of(found)
     assert [row["coefficient"] for row in said.values()] == told
     assert all(f"{row['twice_log_likelihood']:.0f}" in row["words"] for row in said.values())
@@ -34,7 +38,11 @@ def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_y
     assert strong_of(near, set()) == [("effect/Cl/alpha^3", 33.1), ("effect/Cl/alpha*CT", -31.2)]
 
 
-@pytest.mark.parametrize(("usual", "told"), [("", "(negative)"), ("positive", "(negative, where positive is usual)")])
+@pytest.mark.parametrize(
+    ("usual", "told"), [("", "(negative)"), ("positive", "(negative, where positive is usual)")]
+)
 def test_a_sign_that_is_usual_is_told(usual, told):
     effect = replace(coefficient_effect("Cm", "p_hat^2"), sign=usual)
-    assert f"Estimate -2 ± 0.1 {told}, |t| 20.0" in why(effect, Choice("k", -2.0, 0.1, -20.0, 400.0, 300.0, 0.5))
+    assert f"Estimate -2 ± 0.1 {told}, |t| 20.0" in why(
+        effect, Choice("k", -2.0, 0.1, -20.0, 400.0, 300.0, 0.5)
+    )

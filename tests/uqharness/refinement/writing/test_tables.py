@@ -12,9 +12,11 @@ from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 
 FOUND = {
-    "alpha": np.linspace(-0.05, 0.15, 400), "q_hat": np.linspace(-0.004, 0.006, 400), "de": np.linspace(-5.0, 4.0, 400),
+    "alpha": np.linspace(-0.05, 0.15, 400),
+    "q_hat": np.linspace(-0.004, 0.006, 400),
+    "de": np.linspace(-5.0, 4.0, 400),
     "V_rel": np.linspace(0.8, 1.3, 400),
-}  # fmt: skip
+}
 
 
 def smooth(state, times=None, size=0.02, coefficient="Cm"):
@@ -23,8 +25,12 @@ def smooth(state, times=None, size=0.02, coefficient="Cm"):
     k = term.turn.shape[1]
     at = np.linspace(*term.ends, 200)
     middle, wide = np.mean(term.ends), np.ptp(term.ends) / 6.0
-    values = np.linalg.lstsq(term.at(at), size * np.exp(-(((at - middle) / wide) ** 2)), rcond=None)[0]
-    return SmoothFit(term, values, np.zeros((k, k)), np.ones(k, dtype=bool), 5.0, 1.0, 1.0, 0.0, np.zeros(k), 1.0)
+    values = np.linalg.lstsq(
+        term.at(at), size * np.exp(-(((at - middle) / wide) ** 2)), rcond=None
+    )[0]
+    return SmoothFit(
+        term, values, np.zeros((k, k)), np.ones(k, dtype=bool), 5.0, 1.0, 1.0, 0.0, np.zeros(k), 1.0
+    )
 
 
 def written(tmp_path, fit):
@@ -37,7 +43,12 @@ def at_state(aircraft, alpha, q=0.0, elevator=0.0):
     """JSBSim at an angle of attack and pitch rate, controls moved, forces computed."""
     fdm = open_aircraft(aircraft)
     V = 72.0
-    fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/w-fps"], fdm["ic/q-rad_sec"] = 400.0, V * np.cos(alpha), V * np.sin(alpha), q
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/w-fps"], fdm["ic/q-rad_sec"] = (
+        400.0,
+        V * np.cos(alpha),
+        V * np.sin(alpha),
+        q,
+    )
     fdm["fcs/elevator-cmd-deg"] = elevator
     engine.run_ic(fdm)
     return fdm
@@ -62,7 +73,9 @@ def test_a_state_that_no_property_holds_and_a_second_that_multiplies(tmp_path):
     assert property_of_table(fit.term) == "uq/unnamed/Cm_of_V_rel_times_de"
     V, de = fdm["velocities/vt-fps"] * 0.3048 / 22.2, fdm["fcs/elevator-pos-deg"]
     assert de == pytest.approx(3.0)
-    assert fdm["uq/unnamed/Cm_of_V_rel_times_de"] == pytest.approx(de * float(fit.curve(np.array([V]))[0][0]), abs=6e-5)
+    assert fdm["uq/unnamed/Cm_of_V_rel_times_de"] == pytest.approx(
+        de * float(fit.curve(np.array([V]))[0][0]), abs=6e-5
+    )
     assert abs(fdm["uq/unnamed/Cm_of_V_rel_times_de"]) > 0.01
 
 

@@ -14,16 +14,28 @@ from uqharness.simulator import Source
 TIME = np.arange(0.0, 1.0, 0.01)
 CHANNELS = (Channel("Cm", "-", "moment coefficients", Source("Cm"), 1e-4),)
 A = {"Cm": np.sin(TIME)}
-TERM = Term("aerodynamics / axis PITCH / function Cmq / value", "-12.0", "12.0", "x.xml:9", "y.xml:11", "force coefficients", "Cm")
+TERM = Term(
+    "aerodynamics / axis PITCH / function Cmq / value",
+    "-12.0",
+    "12.0",
+    "x.xml:9",
+    "y.xml:11",
+    "force coefficients",
+    "Cm",
+)
 
 
 def page_of(flight: Matched, terms=(TERM,)) -> str:
     found = by_channel(differences(CHANNELS, [flight], terms))
-    return render(difference_page(("old", "new"), CHANNELS, [flight], found, terms, "uqharness diff old new"))
+    return render(
+        difference_page(("old", "new"), CHANNELS, [flight], found, terms, "uqharness diff old new")
+    )
 
 
 def test_a_difference_has_its_history_and_its_line():
-    html = page_of(Matched("doublets", TIME, A, {"Cm": A["Cm"] + np.where(TIME >= 0.5, 0.1, 0.0)}, A))
+    html = page_of(
+        Matched("doublets", TIME, A, {"Cm": A["Cm"] + np.where(TIME >= 0.5, 0.1, 0.0)}, A)
+    )
     assert "The models differ in 1 channels, first in Cm at 0.5 s of doublets." in html
     assert "Likeliest cause: B y.xml:11" in html
     assert 'class="chart"' in html

@@ -31,9 +31,15 @@ def refined(tmp_path):
 def test_sections(refined):
     dossier = page_of(refined)
     assert [s.title for s in dossier.page.sections] == [
-        "Contents", "1. Provenance of the model", "2. Proof of match", "3. Credibility", "4. Statements and their assumptions",
-        "5. Validity envelope", "6. What was not done", "7. Sources",
-    ]  # fmt: skip
+        "Contents",
+        "1. Provenance of the model",
+        "2. Proof of match",
+        "3. Credibility",
+        "4. Statements and their assumptions",
+        "5. Validity envelope",
+        "6. What was not done",
+        "7. Sources",
+    ]
     assert dossier.missing == ()
     text = render(dossier.page)
     assert "It claims no compliance with any regulation or standard." in text

@@ -16,7 +16,9 @@ def with_rudder(folder, gap_radps, suffixes=("_after",)):
     """Histories of a rudder doublet whose yaw rate differs by a constant."""
     rudder = 4.0 * ((T >= 1.0) & (T < 1.5)) - 4.0 * ((T >= 1.5) & (T < 2.0))
     still = np.zeros(T.size)
-    columns = {"rudder": [rudder], "elevator": [still], "r_radps": [still + gap_radps]} | {f"r_radps{s}": [still] for s in suffixes}
+    columns = {"rudder": [rudder], "elevator": [still], "r_radps": [still + gap_radps]} | {
+        f"r_radps{s}": [still] for s in suffixes
+    }
     write_pieces(folder / "histories.parquet", [("b", "yaw <doublet>", T)], columns)
     return folder
 

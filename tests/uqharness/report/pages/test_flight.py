@@ -13,10 +13,15 @@ ANGLE = 2.0 * np.pi * TIME / 40.0
 AWAY = 3.0 * np.sin(0.5 * TIME)
 ASKED = FlightAsked("toy", "loiter", "No steady wind.", "toy.parquet", "uqharness fly toy")
 COLUMNS = {
-    "time_s": TIME, "V_mps": 20.0 + np.sin(TIME), "psi_rad": np.mod(ANGLE, 2.0 * np.pi), "elevator_deg": np.sin(TIME),
-    "north_m": (120.0 + AWAY) * np.cos(ANGLE), "east_m": (120.0 + AWAY) * np.sin(ANGLE), "cross_track_m": AWAY,
+    "time_s": TIME,
+    "V_mps": 20.0 + np.sin(TIME),
+    "psi_rad": np.mod(ANGLE, 2.0 * np.pi),
+    "elevator_deg": np.sin(TIME),
+    "north_m": (120.0 + AWAY) * np.cos(ANGLE),
+    "east_m": (120.0 + AWAY) * np.sin(ANGLE),
+    "cross_track_m": AWAY,
     "manoeuvre": np.where(TIME < 20.0, "pitch doublet", "").astype(object),
-}  # fmt: skip
+}
 
 
 def page(columns=COLUMNS, status="ok", reason=""):
@@ -40,11 +45,29 @@ def test_a_flight_that_ended_early_says_so_first():
 
 
 def test_a_record_without_path_and_manoeuvres():
-    text = page({"time_s": TIME, "V_mps": COLUMNS["V_mps"], "manoeuvre": np.full(TIME.size, "loiter", dtype=object)})
+    text = page(
+        {
+            "time_s": TIME,
+            "V_mps": COLUMNS["V_mps"],
+            "manoeuvre": np.full(TIME.size, "loiter", dtype=object),
+        }
+    )
     assert problems(text) == []
     assert "Ground track" not in words_of(text)
     assert "Manoeuvres" not in words_of(text)
 
 
 def test_a_flight_of_one_row():
-    assert problems(page({"time_s": np.zeros(1), "V_mps": np.full(1, 20.0), "north_m": np.zeros(1), "east_m": np.zeros(1)})) == []
+    assert (
+        problems(
+            page(
+                {
+                    "time_s": np.zeros(1),
+                    "V_mps": np.full(1, 20.0),
+                    "north_m": np.zeros(1),
+                    "east_m": np.zeros(1),
+                }
+            )
+        )
+        == []
+    )

@@ -26,7 +26,10 @@ def test_an_identification(identified):
     # An unknown noise, a share without a value and a parameter that is not identified say so.
     assert "undefined" in words
     assert "not identified" in words
-    row = [e.text_content().strip() for e in html.document_fromstring(page).xpath("//tr[th[contains(., 'V [m/s]')]]/td")]
+    row = [
+        e.text_content().strip()
+        for e in html.document_fromstring(page).xpath("//tr[th[contains(., 'V [m/s]')]]/td")
+    ]
     assert row == ["0.5", "undefined", "undefined", "undefined", "undefined"]
     # 0.01 rad/s is 0.573 deg/s.
     assert "0.573" in words
@@ -49,14 +52,21 @@ def said(folder, **changed):
     return words_of(page_of(folder))
 
 
-def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_the_flights(identified):
+def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_the_flights(
+    identified,
+):
     fit = json.loads((identified / "fit.json").read_text())
-    doubt = "standard errors, which take the model for right, do not say how far off the estimates are"
+    doubt = (
+        "standard errors, which take the model for right, do not say how far off the estimates are"
+    )
     assert doubt in words_of(page_of(identified))
     within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
     assert doubt not in said(identified, fit=within)
     # Gusts of a sample are in filter error's innovations: their size is no reproach, their colour is.
-    large = {c: {**row, "rms": 2.0, "noise": 1.0, "whiteness_p": 0.3, "predictable_share": 0.0} for c, row in fit["fit"].items()}
+    large = {
+        c: {**row, "rms": 2.0, "noise": 1.0, "whiteness_p": 0.3, "predictable_share": 0.0}
+        for c, row in fit["fit"].items()
+    }
     found = said(identified, fit=large, method="filter error")
     assert doubt not in found
     assert "innovations are white" in found

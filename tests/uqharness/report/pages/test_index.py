@@ -56,11 +56,15 @@ def test_a_spoilt_document_is_refused_by_name(tmp_path, text):
 def test_the_checks_say_no(identified):
     page = write_report(identified).path.read_text(encoding="utf-8")
     for old, new, said in (
-        ("<figcaption>", "<figcaption><img src='http://example.org/a.png'/>", "fetches"), ('role="img" ', "", "no label"),
-        ("<caption>", "<caption/><b>", "not well formed"), ("[deg/s]", "", "without a unit"), ('scope="col"', "", "without a head"),
-        ("undefined", "nan", "'nan' in the text"), ("<h3>", "<h4>", "not well formed"),
+        ("<figcaption>", "<figcaption><img src='http://example.org/a.png'/>", "fetches"),
+        ('role="img" ', "", "no label"),
+        ("<caption>", "<caption/><b>", "not well formed"),
+        ("[deg/s]", "", "without a unit"),
+        ('scope="col"', "", "without a head"),
+        ("undefined", "nan", "'nan' in the text"),
+        ("<h3>", "<h4>", "not well formed"),
         ('<span class="sign"', "<span", "colour alone"),
         ('id="parameters"', 'id="fit-history-0-V_mps"', "twice"),
-    ):  # fmt: skip
+    ):
         assert old in page
         assert any(said in text for text in problems(page.replace(old, new))), said

@@ -12,7 +12,13 @@ from tests.helpers.page_checks import problems, words_of
 from uqharness.report.pages.instrument import Instrumentation, instrument_page, main_state
 from uqharness.report.parts import render
 
-DONE = Instrumentation("toy", (("CX", "AXIAL", "toy.xml:12"),), ("a note",), (True, "Flown beside it."), "uqharness instrument toy")
+DONE = Instrumentation(
+    "toy",
+    (("CX", "AXIAL", "toy.xml:12"),),
+    ("a note",),
+    (True, "Flown beside it."),
+    "uqharness instrument toy",
+)
 
 
 def page(form=None, constant=None, done=DONE):
@@ -29,7 +35,9 @@ def test_bounds_of_a_model_form_are_drawn_along_every_state():
     assert "Bounds of 2 coefficients over the flight state" in words
     assert "No uncertainty in CY, CZ, Cl, Cn." in words
     b = form.coefficients["Cm"]
-    low, high = b.bounds({"alpha_rad": np.array([b.hull.middle[0, 1]])}, form.confidence, form.outside)
+    low, high = b.bounds(
+        {"alpha_rad": np.array([b.hull.middle[0, 1]])}, form.confidence, form.outside
+    )
     assert f"Cm [-]{low[0]:.3g}{high[0]:.3g}" in words.replace(" ", "").replace("Cm[-]", "Cm [-]")
 
 
@@ -51,9 +59,13 @@ def test_constant_bounds():
     assert "Slices" not in words
 
 
-@pytest.mark.parametrize(("check", "sign"), [((True, "It flies."), "good"), ((False, "It does not fly."), "bad")])
+@pytest.mark.parametrize(
+    ("check", "sign"), [((True, "It flies."), "good"), ((False, "It does not fly."), "bad")]
+)
 def test_the_check_stands_in_the_verdict(check, sign):
-    assert f'<li class="{sign}">' in page(constant={"CX": (-0.01, 0.02)}, done=replace(DONE, check=check))
+    assert f'<li class="{sign}">' in page(
+        constant={"CX": (-0.01, 0.02)}, done=replace(DONE, check=check)
+    )
 
 
 def test_no_bounds_are_all_zero_and_said():

@@ -16,15 +16,31 @@ from uqharness.report.parts import render
 
 TIME = np.arange(0.0, 60.0, 0.1)
 STUCK = Finding(
-    "stuck", "V_mps", "error", "V_mps stands at 20", {"start_s": 15.0, "end_s": 25.0}, "speeds", "[signals.V_mps]\nscale = 2"
+    "stuck",
+    "V_mps",
+    "error",
+    "V_mps stands at 20",
+    {"start_s": 15.0, "end_s": 25.0},
+    "speeds",
+    "[signals.V_mps]\nscale = 2",
 )
 LATE = Finding("delay", "q_radps", "warning", "q comes late")
 COLUMNS = {
-    "time_s": TIME, "V_mps": np.full(TIME.size, 20.0), "q_radps": np.sin(TIME), "north_m": 20.0 * TIME, "east_m": 0.0 * TIME,
+    "time_s": TIME,
+    "V_mps": np.full(TIME.size, 20.0),
+    "q_radps": np.sin(TIME),
+    "north_m": 20.0 * TIME,
+    "east_m": 0.0 * TIME,
     "mode": np.where(TIME < 30.0, "MANUAL", "AUTO").astype(object),
     "manoeuvre": np.where((TIME > 40.0) & (TIME < 50.0), "pitch doublet", "").astype(object),
-}  # fmt: skip
-META = Metadata(source="a.bin", dialect="dataflash", vehicle="ArduPlane", free_flight_s=((10.0, 55.0),), findings=(LATE, STUCK))
+}
+META = Metadata(
+    source="a.bin",
+    dialect="dataflash",
+    vehicle="ArduPlane",
+    free_flight_s=((10.0, 55.0),),
+    findings=(LATE, STUCK),
+)
 
 
 def page(meta=META, columns=COLUMNS):
@@ -33,7 +49,11 @@ def page(meta=META, columns=COLUMNS):
 
 
 def bands(text, channel, kind):
-    return len(html.document_fromstring(text).xpath(f"//figure[@id='channel-{channel}']//path[@class='band {kind}']"))
+    return len(
+        html.document_fromstring(text).xpath(
+            f"//figure[@id='channel-{channel}']//path[@class='band {kind}']"
+        )
+    )
 
 
 def test_findings_stand_in_the_verdict_in_the_table_and_in_their_channel():
@@ -53,9 +73,13 @@ def test_phases_modes_and_manoeuvres_are_shaded_in_every_channel():
     text = page()
     for channel in ("V_mps", "q_radps", "north_m"):
         assert (bands(text, channel, "fillrange"), bands(text, channel, "fill1")) == (2, 1)
-        lines = html.document_fromstring(text).xpath(f"//figure[@id='channel-{channel}']//path[@class='line joint']")
+        lines = html.document_fromstring(text).xpath(
+            f"//figure[@id='channel-{channel}']//path[@class='line joint']"
+        )
         assert len(lines) == 1
-    assert "40.10 50.00" in words_of(text).replace("pitch doublet", "").replace("40.1050.00", "40.10 50.00")
+    assert "40.10 50.00" in words_of(text).replace("pitch doublet", "").replace(
+        "40.1050.00", "40.10 50.00"
+    )
 
 
 def test_a_log_without_findings_or_free_flight():

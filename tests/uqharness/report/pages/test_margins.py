@@ -69,8 +69,13 @@ def test_marks_stand_at_the_crossovers():
 def test_the_delayed_curve_of_nichols_runs_through_the_critical_point():
     svg = figure(page(loop(integrator())), "nichols-elevator")
     crosses = svg.xpath(".//g[contains(@clip-path, 'clip')]/path[contains(@d, 'l8 8')]/@d")
-    critical = [np.array(re.match(r"M([-\d.]+) ([-\d.]+)", cross).groups(), dtype=float) + 4.0 for cross in crosses]
-    near = {k: min(math.dist(c, p) for c in critical for p in at(svg, k)) for k in ("first", "third")}
+    critical = [
+        np.array(re.match(r"M([-\d.]+) ([-\d.]+)", cross).groups(), dtype=float) + 4.0
+        for cross in crosses
+    ]
+    near = {
+        k: min(math.dist(c, p) for c in critical for p in at(svg, k)) for k in ("first", "third")
+    }
     assert near["third"] < 3.0 < near["first"]
 
 
@@ -79,7 +84,10 @@ def test_a_loop_without_crossovers_and_frequencies_that_were_not_read():
     text = page(loop(0.2 / (1.0 + 1j * W), name="rudder"), loop(integrator(), scatter))
     assert problems(text) == []
     words = words_of(text)
-    assert "Rudder: gain margin up none in the measured band, down none in the measured band; phase margin none" in words
+    assert (
+        "Rudder: gain margin up none in the measured band, down none in the measured band; phase margin none"
+        in words
+    )
     assert "not read" in words
     assert "not read" not in words_of(page(loop(integrator())))
 
@@ -89,4 +97,7 @@ def test_a_conditionally_stable_loop_shows_its_margin_downwards():
     text = page(loop(20.0 * (s + 1.0) ** 2 / s**3))
     assert problems(text) == []
     assert f"down {20.0 * math.log10(40.0):.1f} dB" in words_of(text)
-    assert at(figure(text, "nichols-elevator"), "mark")[0][1] < at(figure(text, "nichols-elevator"), "mark")[1][1]
+    assert (
+        at(figure(text, "nichols-elevator"), "mark")[0][1]
+        < at(figure(text, "nichols-elevator"), "mark")[1][1]
+    )

@@ -48,7 +48,15 @@ def pieces_of(bounds):
     """One piece of flight around the middle of the data."""
     time_s = np.arange(0.0, 2.0, 0.02)
     middle = dict(zip(bounds.states, bounds.hull.middle[:, 1], strict=True))
-    return [History(0, "f", "m", time_s, {**{s: v + 0.0 * time_s for s, v in middle.items()}, "Cm": 0.01 * np.sin(time_s)})]
+    return [
+        History(
+            0,
+            "f",
+            "m",
+            time_s,
+            {**{s: v + 0.0 * time_s for s, v in middle.items()}, "Cm": 0.01 * np.sin(time_s)},
+        )
+    ]
 
 
 def test_what_bounds_json_has_stands_on_the_page(bounded):
@@ -61,7 +69,10 @@ def test_what_bounds_json_has_stands_on_the_page(bounded):
     (first, second) = tree.xpath("//table[starts-with(caption, 'Mean width')]/tbody/tr")
     assert [e.text_content().strip() for e in first][:3] == ["6", "2", "0.02"]
     assert [e.text_content().strip() for e in second][:4] == ["3", "none", "0.03", "0.03"]
-    states = [e.text_content().strip() for e in tree.xpath("//table[contains(caption, 'every state')]/tbody/tr/th")]
+    states = [
+        e.text_content().strip()
+        for e in tree.xpath("//table[contains(caption, 'every state')]/tbody/tr/th")
+    ]
     assert states[:2] == ["V [m/s]", "alpha [deg]"]
 
 
@@ -69,12 +80,17 @@ def test_other_bounds_are_drawn_beside_a_slice():
     form = made_up_form()
     pieces = pieces_of(form.coefficients["Cm"])
     one = replace(form, coefficients={"Cm": form.coefficients["Cm"]})
-    plain, beside = (slice_section(one, pieces, baseline=other) for other in (None, {"Cm": form.coefficients["CX"]}))
+    plain, beside = (
+        slice_section(one, pieces, baseline=other)
+        for other in (None, {"Cm": form.coefficients["CX"]})
+    )
     for section, kinds in ((plain, 0), (beside, 2)):
         (figures,) = section.parts[0].blocks
         assert figures.file == "slices-Cm"
         assert figures.items[0].svg.count('class="line third"') == kinds
-        assert any(words == "bounds of the usual states" for _, words in figures.legend) == bool(kinds)
+        assert any(words == "bounds of the usual states" for _, words in figures.legend) == bool(
+            kinds
+        )
 
 
 def test_the_rate_of_variation_is_drawn_with_the_rates_over_other_steps():
@@ -90,31 +106,54 @@ def test_the_rate_of_variation_is_drawn_with_the_rates_over_other_steps():
 
 def test_a_validation_tells_its_manoeuvres(tmp_path):
     row = {"0.95": 0.97, "0.68": 0.7}
-    document = {"coverage": {"CX": row}, "manoeuvres": {"roll": {"CX": {"0.95": 0.5, "0.68": None}}}, "outside_data": {"CX": 0.25}}
+    document = {
+        "coverage": {"CX": row},
+        "manoeuvres": {"roll": {"CX": {"0.95": 0.5, "0.68": None}}},
+        "outside_data": {"CX": 0.25},
+    }
     words = words_of(render(coverage_page_of(document)))
     assert "50 / undefined" in words
     assert "97.0 ± undefined" in words
     assert "25.0" in words
     assert "Hale" not in words
-    assert "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state." in words
+    assert (
+        "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state."
+        in words
+    )
     for said, sentence in (
         ("fails", "The 95 % bounds do not hold: they contain only CX 97.0 % of the samples."),
-        ("inconclusive", "Inconclusive: the flight is too short to tell whether the bounds of CX hold."),
+        (
+            "inconclusive",
+            "Inconclusive: the flight is too short to tell whether the bounds of CX hold.",
+        ),
     ):
         assert sentence in words_of(render(coverage_page_of(document | {"verdicts": {"CX": said}})))
 
 
 def test_a_validation_tells_speeds_incidences_and_manoeuvres():
-    thirds = [{"state": "V_mps", "from": 18.0, "to": 21.0, "samples": 80, "share": {"CX": 0.9}},
-              {"state": "alpha_rad", "from": 0.0, "to": np.pi / 180, "samples": 70, "share": {"CX": None}}]  # fmt: skip
+    thirds = [
+        {"state": "V_mps", "from": 18.0, "to": 21.0, "samples": 80, "share": {"CX": 0.9}},
+        {
+            "state": "alpha_rad",
+            "from": 0.0,
+            "to": np.pi / 180,
+            "samples": 70,
+            "share": {"CX": None},
+        },
+    ]
     document = {
-        "coverage": {"CX": {"0.95": 0.97, "0.68": 0.7}}, "by_speed": thirds[:1], "by_incidence": thirds[1:],
-        "conformal": {"CX": {"factor": 1.25, "level": 0.9, "manoeuvres": 9}}, "flight_variance": {"CX": None},
-    }  # fmt: skip
+        "coverage": {"CX": {"0.95": 0.97, "0.68": 0.7}},
+        "by_speed": thirds[:1],
+        "by_incidence": thirds[1:],
+        "conformal": {"CX": {"factor": 1.25, "level": 0.9, "manoeuvres": 9}},
+        "flight_variance": {"CX": None},
+    }
     words = words_of(render(coverage_page_of(document)))
     for said in ("18 to 21 m/s", "0 to 1 deg", "1.25", "not estimable for CX: one flight"):
         assert said in words
-    assert "not estimable" not in words_of(render(coverage_page_of(document | {"flight_variance": {"CX": 0.001}})))
+    assert "not estimable" not in words_of(
+        render(coverage_page_of(document | {"flight_variance": {"CX": 0.001}}))
+    )
 
 
 def test_bounds_say_where_there_is_model_error_and_where_none_was_found(bounded):

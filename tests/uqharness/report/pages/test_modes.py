@@ -24,15 +24,32 @@ def pair(name, real, imag):
 
 
 def point(V, short=(-4.0, 3.0), roll=-8.0, spiral=-0.01, level=1):
-    modes = [pair("phugoid", -0.1, 0.4), pair("dutch_roll", -0.7, 3.0), pair("roll", roll, 0.0), pair("spiral", spiral, 0.0)]
-    both = [pair("short_period", *short)] if short[1] else [pair("short_period", short[0], 0.0), pair("short_period", -1.0, 0.0)]
+    modes = [
+        pair("phugoid", -0.1, 0.4),
+        pair("dutch_roll", -0.7, 3.0),
+        pair("roll", roll, 0.0),
+        pair("spiral", spiral, 0.0),
+    ]
+    both = (
+        [pair("short_period", *short)]
+        if short[1]
+        else [pair("short_period", short[0], 0.0), pair("short_period", -1.0, 0.0)]
+    )
     levels = (
         Assessment("short_period", "damping", 0.8, "1", 1, "3.2.2.1.2"),
         Assessment("short_period", "CAP", 4.7, "1/(g s^2)", 2, "3.2.2.1.1"),
-        Assessment("phugoid", "damping", 0.24, "1", 1, "3.2.1.2"), Assessment("dutch_roll", "damping", 0.23, "1", 1, "3.3.1.1"),
+        Assessment("phugoid", "damping", 0.24, "1", 1, "3.2.1.2"),
+        Assessment("dutch_roll", "damping", 0.23, "1", 1, "3.3.1.1"),
         Assessment("roll", "time constant", -1.0 / roll, "s", 1, "3.3.1.2"),
-        Assessment("spiral", "time to double", math.inf if spiral < 0 else math.log(2) / spiral, "s", level, "3.3.1.3"),
-    )  # fmt: skip
+        Assessment(
+            "spiral",
+            "time to double",
+            math.inf if spiral < 0 else math.log(2) / spiral,
+            "s",
+            level,
+            "3.3.1.3",
+        ),
+    )
     return LocusPoint(V, (*both, *modes), levels, 0.02 * V * V)
 
 
@@ -75,6 +92,11 @@ def test_the_marker_lies_in_the_area_of_its_level(roll, inside):
     """Roll at Level 1: a root below -1/1.4 1/s, category B; the area's lower edge is the frame's."""
     points = [replace(point(V, roll=roll), V_mps=V) for V in (16.0, 20.0, 24.0)]
     svg = html.document_fromstring(page(points=points)).xpath("//figure[@id='locus-roll']/svg")[0]
-    band = [float(v) for v in re.findall(r"[ML][-\d.]+ ([-\d.]+)", svg.xpath(".//path[contains(@class, 'fillgood')]/@d")[0])]
+    band = [
+        float(v)
+        for v in re.findall(
+            r"[ML][-\d.]+ ([-\d.]+)", svg.xpath(".//path[contains(@class, 'fillgood')]/@d")[0]
+        )
+    ]
     disc = float(svg.xpath(".//g[contains(@clip-path, 'clip')]//circle/@cy")[0])
     assert (min(band) <= disc <= max(band)) is inside

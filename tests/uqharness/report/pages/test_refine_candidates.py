@@ -4,29 +4,52 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refine_candidates import MOST_OTHERS, Named, candidate_figure, named_candidates
+from uqharness.report.pages.refine_candidates import (
+    MOST_OTHERS,
+    Named,
+    candidate_figure,
+    named_candidates,
+)
 
 
 def effect(coefficient: str, term: str, t: float, alternatives=()) -> dict:
-    return {"coefficient": coefficient, "term": term, "evidence": {"t": t}, "alternatives": list(alternatives)}
+    return {
+        "coefficient": coefficient,
+        "term": term,
+        "evidence": {"t": t},
+        "alternatives": list(alternatives),
+    }
 
 
 @pytest.fixture
 def done():
     other = {"subsystem": "mass", "term": "Ixz", "evidence": {"twice_log_likelihood": 900.0}}
-    scores = [{"effect": "Cm p_hat^2", "t": -50.0}, *({"effect": f"CX alpha^{k}", "t": 5.0 - 0.1 * k} for k in range(20))]
+    scores = [
+        {"effect": "Cm p_hat^2", "t": -50.0},
+        *({"effect": f"CX alpha^{k}", "t": 5.0 - 0.1 * k} for k in range(20)),
+    ]
     return {
-        "effects": [effect("Cm", "p_hat^2", -48.0, [other])], "withdrawn": [effect("CY", "da", 4.5)],
-        "remaining": {"where": [effect("Cl", "de", 0.0) | {"t": 12.0}, {"coefficient": "CZ", "rms_over_noise": 1.3}]},
-        "best_refused": {"effect": "Cn/beta^2", "t": 3.9}, "candidates": {"limit": 4.0, "scores": scores},
-    }  # fmt: skip
+        "effects": [effect("Cm", "p_hat^2", -48.0, [other])],
+        "withdrawn": [effect("CY", "da", 4.5)],
+        "remaining": {
+            "where": [
+                effect("Cl", "de", 0.0) | {"t": 12.0},
+                {"coefficient": "CZ", "rms_over_noise": 1.3},
+            ]
+        },
+        "best_refused": {"effect": "Cn/beta^2", "t": 3.9},
+        "candidates": {"limit": 4.0, "scores": scores},
+    }
 
 
 def test_every_candidate_that_is_named_has_its_part(done):
     assert named_candidates(done) == {
-        "Cm p_hat^2": Named("chosen", 48.0), "CY da": Named("withdrawn", 4.5), "mass Ixz": Named("alternative", 30.0),
-        "Cl de": Named("left", 12.0), "Cn beta^2": Named("left", 3.9),
-    }  # fmt: skip
+        "Cm p_hat^2": Named("chosen", 48.0),
+        "CY da": Named("withdrawn", 4.5),
+        "mass Ixz": Named("alternative", 30.0),
+        "Cl de": Named("left", 12.0),
+        "Cn beta^2": Named("left", 3.9),
+    }
 
 
 def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):
@@ -40,5 +63,11 @@ def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):
 
 
 def test_where_nothing_is_named_or_scored_there_is_none(done):
-    bare = done | {"effects": [], "withdrawn": [], "remaining": {"where": []}, "best_refused": None, "candidates": {}}
+    bare = done | {
+        "effects": [],
+        "withdrawn": [],
+        "remaining": {"where": []},
+        "best_refused": None,
+        "candidates": {},
+    }
     assert candidate_figure(bare) is None

@@ -34,7 +34,9 @@ def test_places_apart_are_joined_by_dots():
 
 def test_an_effect_has_its_error_bar_and_its_change():
     part = effect_section(refinement(), DIFF).parts[0]
-    assert any(isinstance(b, Code) and "aero/Cm_p2" in b.text and " six" in b.text for b in part.blocks)
+    assert any(
+        isinstance(b, Code) and "aero/Cm_p2" in b.text and " six" in b.text for b in part.blocks
+    )
     (bar,) = [b for b in part.blocks if isinstance(b, Figures)]
     assert "2.961 to 3.032" in bar.items[0].svg
     assert "without the effect" in bar.items[0].svg

@@ -28,7 +28,9 @@ def test_widths_and_coverage_are_drawn():
     coverage = etree.fromstring(str(figures.items[1].svg))
     # Two marks for the coefficient whose coverage is known, with limits where the standard error is.
     assert len(coverage.findall(".//circle")) == 2
-    lines = [e.get("d") for e in coverage.iter("path") if e.get("class") in ("line second", "line first")]
+    lines = [
+        e.get("d") for e in coverage.iter("path") if e.get("class") in ("line second", "line first")
+    ]
     ends = [[float(v) for v in re.findall(r"[ML]([\d.]+)", d)] for d in lines]
     lengths = [last - first for first, last in ends]
     assert lengths[0] > 10.0
@@ -45,7 +47,11 @@ def test_nothing_known_draws_nothing():
 
 
 def test_why_it_is_not_shown_is_said(tmp_path):
-    for section in (interval_section({}), interval_section({"intervals": {"reason": "no noise"}}), mission_section(tmp_path, {})):
+    for section in (
+        interval_section({}),
+        interval_section({"intervals": {"reason": "no noise"}}),
+        mission_section(tmp_path, {}),
+    ):
         (words,) = section.blocks
         assert isinstance(words, Words)
         assert words.text.startswith("Not shown: ")
@@ -53,7 +59,13 @@ def test_why_it_is_not_shown_is_said(tmp_path):
 
 def test_the_mission_is_drawn_into_one_file_and_its_table_is_key(tmp_path):
     root = folders.campaigns(tmp_path)
-    pbox = {"mission": "loiter", "corners": 64, "flights_per_corner": 2, "duration_s": 30.0, "folders": ["before", "after"]}
+    pbox = {
+        "mission": "loiter",
+        "corners": 64,
+        "flights_per_corner": 2,
+        "duration_s": 30.0,
+        "folders": ["before", "after"],
+    }
     pbox |= {"before": {"failed": 0}, "after": {"failed": 1}}
     section = mission_section(root, {"pbox": pbox})
     assert "Failed flights: 0 before, 1 after." in section.blocks[0].text

@@ -17,17 +17,34 @@ def done(**changes):
     gap = {"channels": {"q_radps": row}, "coefficients": {"Cm": row}}
     value = 0.01 * np.tanh((AT - 0.03) / 0.01)
     smooth = {
-        "coefficient": "Cm", "state": "alpha", "times": None, "name": "smooth term of angle of attack in pitching moment",
-        "property": "uq/unnamed/Cm_of_alpha", "unit": "rad", "model": "unnamed/aircraft/a/a.xml", "in_place_of": [],
-        "effective_degrees_of_freedom": 7.3, "channel": "q_radps", "channel_on_train": 1.7, "leaves": 1.02,
+        "coefficient": "Cm",
+        "state": "alpha",
+        "times": None,
+        "name": "smooth term of angle of attack in pitching moment",
+        "property": "uq/unnamed/Cm_of_alpha",
+        "unit": "rad",
+        "model": "unnamed/aircraft/a/a.xml",
+        "in_place_of": [],
+        "effective_degrees_of_freedom": 7.3,
+        "channel": "q_radps",
+        "channel_on_train": 1.7,
+        "leaves": 1.02,
         "shapes": [{"form": "step at 0.03", "correlation": 0.98, "leaves": 1.03}],
         "curve": {
-            "at": AT.tolist(), "value": value.tolist(), "low": (value - 1e-3).tolist(), "high": (value + 1e-3).tolist(),
+            "at": AT.tolist(),
+            "value": value.tolist(),
+            "low": (value - 1e-3).tolist(),
+            "high": (value + 1e-3).tolist(),
             "samples": [10] * 41,
         },
-        "test": {"gap": "shrank", "change_of_twice_log_likelihood": 300.0, "std": 40.0, "rms_over_that_of_train": 1.0},
+        "test": {
+            "gap": "shrank",
+            "change_of_twice_log_likelihood": 300.0,
+            "std": 40.0,
+            "rms_over_that_of_train": 1.0,
+        },
         "gap": {"train": gap, "test": gap},
-    }  # fmt: skip
+    }
     return {"remaining": {"smooth": smooth | changes}}
 
 
@@ -50,7 +67,12 @@ def test_the_section_has_the_curve_its_gap_and_the_forms():
     assert "which physics would make this shape?" in figures.items[0].caption
     assert "alpha [rad]" in figures.items[0].svg
     assert isinstance(gap, Table)
-    assert [r[0] for r in gap.rows] == ["Train: q [deg/s]", "Train: Cm [-]", "Test: q [deg/s]", "Test: Cm [-]"]
+    assert [r[0] for r in gap.rows] == [
+        "Train: q [deg/s]",
+        "Train: Cm [-]",
+        "Test: q [deg/s]",
+        "Test: Cm [-]",
+    ]
     assert isinstance(shapes, Table)
     assert shapes.rows == (("Step at 0.03", "0.980", "1.030"),)
 

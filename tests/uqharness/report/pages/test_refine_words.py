@@ -10,27 +10,52 @@ from uqharness.report.pages.refine_words import test_says as says
 @pytest.mark.parametrize(
     ("change", "std", "text"),
     [
-        (64560.0, 479.9, "+64560 ± 480"), (12.345, 1.2345, "+12.35 ± 1.23"), (-30.0, 5.0, "-30.00 ± 5.00"),
-        (123456.0, 98765.0, "+123500 ± 98800"), (0.01234, 0.00099, "+0.012340 ± 0.000990"), (4.0, 0.0, "+4 ± 0"),
+        (64560.0, 479.9, "+64560 ± 480"),
+        (12.345, 1.2345, "+12.35 ± 1.23"),
+        (-30.0, 5.0, "-30.00 ± 5.00"),
+        (123456.0, 98765.0, "+123500 ± 98800"),
+        (0.01234, 0.00099, "+0.012340 ± 0.000990"),
+        (4.0, 0.0, "+4 ± 0"),
     ],
-)  # fmt: skip
+)
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
     said = says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
     assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
 
 
 def test_the_share_of_an_estimate_is_told_where_it_says_something():
-    test = {"gap": "cannot tell", "change_of_twice_log_likelihood": -31.0, "std": 59.0, "share_of_estimate": 0.39}
+    test = {
+        "gap": "cannot tell",
+        "change_of_twice_log_likelihood": -31.0,
+        "std": 59.0,
+        "share_of_estimate": 0.39,
+    }
     said = says({"withdrawn": True, "test": {**test, "share_std": 0.21}})
-    assert said.endswith("with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains")
-    for vague in ({"share_std": 0.7}, {"share_std": None}, {"share_of_estimate": None, "share_std": None}):
+    assert said.endswith(
+        "with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains"
+    )
+    for vague in (
+        {"share_std": 0.7},
+        {"share_std": None},
+        {"share_of_estimate": None, "share_std": None},
+    ):
         assert "fits them best" not in says({"test": {**test, **vague}})
 
 
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
-    test = {"gap": "shrank", "change_of_twice_log_likelihood": 4.6e24, "std": 2e13, "share_of_estimate": 1.0, "share_std": 1e-12}
+    test = {
+        "gap": "shrank",
+        "change_of_twice_log_likelihood": 4.6e24,
+        "std": 2e13,
+        "share_of_estimate": 1.0,
+        "share_std": 1e-12,
+    }
     more = "over a billion more with it, for without it the model leaves the flights altogether, 1.00 ± 0.00 of the estimate"
     assert more in says({"test": test})
     less = "over a billion less with it, for with it the model leaves the flights altogether"
-    assert less in says({"test": {**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24}})
-    assert "+999000000 ± 20000000 with it" in says({"test": {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}})
+    assert less in says(
+        {"test": {**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24}}
+    )
+    assert "+999000000 ± 20000000 with it" in says(
+        {"test": {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}}
+    )

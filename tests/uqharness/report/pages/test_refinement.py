@@ -18,14 +18,19 @@ def refined(tmp_path):
 def test_a_refinement(refined):
     page = page_of(refined)
     words = words_of(page)
-    assert "Pitching moment due to roll rate squared: 2.9963 ± 0.018 (aero/Cm_p2), |t| 164.7." in words
+    assert (
+        "Pitching moment due to roll rate squared: 2.9963 ± 0.018 (aero/Cm_p2), |t| 164.7." in words
+    )
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
     assert "Would separate them: a roll at rest." in words
     assert "goes from 0.407 to 0.195 deg/s (rms), beside noise of 0.201 deg/s" in words
     assert "+ <property>aero/Cm_p2</property>" in words
     assert "p 28.6 to 115 deg/s" in words
     assert "aero/Cm_p2 = 0 restores the model without it" in words
-    assert "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the test flights the gap grew" in words
+    assert (
+        "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the test flights the gap grew"
+        in words
+    )
     assert "97.0 ± 1.0" in words
     assert "96.0 ± undefined" in words
     assert "Not shown: no loiter here." in words
@@ -37,10 +42,21 @@ def test_a_refinement(refined):
         ("no-missing-effect", "good", "Nothing is missing"),
         ("unexplained", "bad", "Something is missing that no effect of the catalogue explains"),
     ],
-)  # fmt: skip
+)
 def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
-    left = {"unexplained": verdict == "unexplained", "where": [], "channels_above_noise": {}, "coloured_channels": []}
-    changes = {"verdict": verdict, "effects": [], "withdrawn": [], "disagreement": [], "remaining": left}
+    left = {
+        "unexplained": verdict == "unexplained",
+        "where": [],
+        "channels_above_noise": {},
+        "coloured_channels": [],
+    }
+    changes = {
+        "verdict": verdict,
+        "effects": [],
+        "withdrawn": [],
+        "disagreement": [],
+        "remaining": left,
+    }
     page = page_of(written(tmp_path / "refined", "refinement.json", refinement(**changes)))
     first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
     assert first.get("class") == level
@@ -50,15 +66,38 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
 @pytest.mark.parametrize(
     ("gaps", "levels", "text"),
     [
-        (("shrank",), ("good", "good"), "Effects were found, and the gap on the hold-out flights shrank"),
-        (("shrank", "cannot tell"), ("good", "good", "warn"), "Effects were found, and the gap on the hold-out flights shrank"),
-        (("cannot tell",), ("warn", "warn"), "Effects were found; the hold-out flights do not tell whether the gap shrank"),
+        (
+            ("shrank",),
+            ("good", "good"),
+            "Effects were found, and the gap on the hold-out flights shrank",
+        ),
+        (
+            ("shrank", "cannot tell"),
+            ("good", "good", "warn"),
+            "Effects were found, and the gap on the hold-out flights shrank",
+        ),
+        (
+            ("cannot tell",),
+            ("warn", "warn"),
+            "Effects were found; the hold-out flights do not tell whether the gap shrank",
+        ),
     ],
 )
-def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effects(tmp_path, gaps, levels, text):
+def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effects(
+    tmp_path, gaps, levels, text
+):
     row = {"change_of_twice_log_likelihood": 12.0, "std": 9.0, "rms_over_that_of_train": 1.0}
-    effects = [refinement()["effects"][0] | {"withdrawn": False, "test": row | {"gap": gap}} for gap in gaps]
-    page = page_of(written(tmp_path / "refined", "refinement.json", refinement(verdict="effects-found", effects=effects)))
+    effects = [
+        refinement()["effects"][0] | {"withdrawn": False, "test": row | {"gap": gap}}
+        for gap in gaps
+    ]
+    page = page_of(
+        written(
+            tmp_path / "refined",
+            "refinement.json",
+            refinement(verdict="effects-found", effects=effects),
+        )
+    )
     said = html.document_fromstring(page).findall(".//section[@class='verdict']//li")
     assert text in said[0].text_content()
     assert tuple(line.get("class") for line in said[: len(levels)]) == levels
@@ -67,11 +106,19 @@ def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effect
 def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
     """Without effects the sentence above stands."""
     effect = refinement()["effects"][0]
-    inertia = {"term": "Ixz", "name": "product of inertia Ixz off", "separable": False, "would_separate": "none in the air"}
+    inertia = {
+        "term": "Ixz",
+        "name": "product of inertia Ixz off",
+        "separable": False,
+        "would_separate": "none in the air",
+    }
     other = effect | {"name": "axial force due to pitch rate", "alternatives": [inertia]}
     done = refinement(verdict="unexplained", effects=[effect, other])
     words = words_of(page_of(written(tmp_path / "refined", "refinement.json", done)))
-    assert "Effects were found, and something beside them is left that no effect of the catalogue explains (unexplained)." in words
+    assert (
+        "Effects were found, and something beside them is left that no effect of the catalogue explains (unexplained)."
+        in words
+    )
     assert "Something is missing" not in words
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
     assert "Axial force due to pitch rate is confounded with: product of inertia Ixz." in words
@@ -79,8 +126,12 @@ def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
 
 def test_errors_of_predictions_stand_under_their_own_name(tmp_path):
     done = refinement()
-    assert "one sample ahead" not in words_of(page_of(written(tmp_path / "calm", "refinement.json", done)))
-    done["gap"]["test"]["predictions"] = {"q_radps": {"rms_before": 0.0041, "rms_after": 0.0037, "noise_rms": 0.0036}}
+    assert "one sample ahead" not in words_of(
+        page_of(written(tmp_path / "calm", "refinement.json", done))
+    )
+    done["gap"]["test"]["predictions"] = {
+        "q_radps": {"rms_before": 0.0041, "rms_after": 0.0037, "noise_rms": 0.0036}
+    }
     words = words_of(page_of(written(tmp_path / "turbulent", "refinement.json", done)))
     assert "The flights were turbulent." in words
     assert "Errors of predictions one sample ahead on the test flights, rms." in words

@@ -41,7 +41,11 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     folder = written(tmp_path / "study", "study.json", study(stages, before_after=both))
     page = page_of(folder)
     words = words_of(page)
-    assert words.index("It holds.") < words.index("Is it good enough?") < words.index("Two p-boxes over each other")
+    assert (
+        words.index("It holds.")
+        < words.index("Is it good enough?")
+        < words.index("Two p-boxes over each other")
+    )
     tree = html.document_fromstring(page)
     overlays = [e for e in tree.iter("figure") if e.get("id").startswith("before-after-")]
     assert len(overlays) == 6
@@ -50,7 +54,11 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     assert "Not the same flights otherwise: flights differ" in words
     assert "ran, the answer is no" in words
     # That a stage ran proves nothing.
-    (stages,) = [t for t in tree.iter("table") if t.findtext("caption") == "Stages in the order in which they run."]
+    (stages,) = [
+        t
+        for t in tree.iter("table")
+        if t.findtext("caption") == "Stages in the order in which they run."
+    ]
     assert not stages.xpath(".//td[@class='good']")
     assert "Pitching moment due to roll rate squared" in words
     # A stage whose folder cannot be read is named, not left out in silence.
@@ -62,11 +70,15 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
 @pytest.mark.parametrize(
     ("kind", "folder", "page"),
     [
-        ("identify", folders.identified, identify_page), ("bounds", folders.bounded, bounds_page),
-        ("validate-bounds", folders.covered, coverage_page), ("refine", folders.refined, refine_page),
+        ("identify", folders.identified, identify_page),
+        ("bounds", folders.bounded, bounds_page),
+        ("validate-bounds", folders.covered, coverage_page),
+        ("refine", folders.refined, refine_page),
     ],
-)  # fmt: skip
-def test_what_is_shown_of_a_stage_is_of_its_own_page_and_the_rest_is_not_made(tmp_path, kind, folder, page):
+)
+def test_what_is_shown_of_a_stage_is_of_its_own_page_and_the_rest_is_not_made(
+    tmp_path, kind, folder, page
+):
     made = folder(tmp_path / "stage")
     whole, part = page(made, "s0-").sections, _PAGES[kind](made, "s0-").sections
     shown, expected = ([s for s in some if s.title in _KEPT[kind]] for some in (part, whole))
@@ -80,7 +92,11 @@ def test_what_is_shown_of_a_stage_is_of_its_own_page_and_the_rest_is_not_made(tm
     [("running", "running", "is not finished: 0 of 1"), ("failed", "failed", "fly failed")],
 )
 def test_a_study_that_is_not_done_says_so_first(tmp_path, state, stage_state, said):
-    folder = written(tmp_path, "study.json", study([stage("fly", "fly", "fly", state=stage_state, error="no wind")], state=state))
+    folder = written(
+        tmp_path,
+        "study.json",
+        study([stage("fly", "fly", "fly", state=stage_state, error="no wind")], state=state),
+    )
     first = html.document_fromstring(page_of(folder)).find(".//section[@class='verdict']//li")
     assert said in first.text_content()
     assert first.get("class") in ("warn", "bad")

@@ -19,7 +19,13 @@ from uqharness.report.pages.study_answer import cells_section
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
-ANSWER = {"level": "warn", "answer": "Yes in calm air.", "why": "Why: 0.1/h.", "lacked": "", "next": "Next: nothing."}
+ANSWER = {
+    "level": "warn",
+    "answer": "Yes in calm air.",
+    "why": "Why: 0.1/h.",
+    "lacked": "",
+    "next": "Next: nothing.",
+}
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +53,18 @@ def made(tmp_path, campaigns, effect_test=None, **changes):
     folders.refined(folder / "refined")
     (folder / "refined" / "refinement.json").write_text(json.dumps(done))
     folders.tracks(folder)
-    stages = [stage(name, "campaign", name) for name in ("before", "after")] + [stage("refine", "refine", "refined")]
-    document = study(stages, before_after={"before": "before", "after": "after"}, answer=ANSWER, tracks=folders.TRACKS) | changes
+    stages = [stage(name, "campaign", name) for name in ("before", "after")] + [
+        stage("refine", "refine", "refined")
+    ]
+    document = (
+        study(
+            stages,
+            before_after={"before": "before", "after": "after"},
+            answer=ANSWER,
+            tracks=folders.TRACKS,
+        )
+        | changes
+    )
     return html.document_fromstring(page_of(written(folder, "study.json", document)))
 
 
@@ -62,8 +78,15 @@ def test_the_question_the_answer_and_three_figures_stand_first(tmp_path, campaig
     said = [e.text_content().strip() for e in tree.findall(".//section[@class='verdict']//li")]
     assert said == ["! Yes in calm air.", "Why: 0.1/h.", "Next: nothing."]
     main = [e for e in tree.find(".//main") if isinstance(e.tag, str)]
-    assert [e.get("id") for e in main[2].iter("figure")] == ["ground-track", "track-distance", "answer-pbox"]
-    assert [e.text for e in tree.findall(".//main/h2")] == ["The effect found", "Cells of wind and turbulence"]
+    assert [e.get("id") for e in main[2].iter("figure")] == [
+        "ground-track",
+        "track-distance",
+        "answer-pbox",
+    ]
+    assert [e.text for e in tree.findall(".//main/h2")] == [
+        "The effect found",
+        "Cells of wind and turbulence",
+    ]
 
 
 def test_all_else_is_folded_and_in_the_contents(tmp_path, campaigns):
@@ -76,10 +99,18 @@ def test_all_else_is_folded_and_in_the_contents(tmp_path, campaigns):
     assert {e.get("id") for e in tree.findall(".//main/details")} <= named
 
 
-@pytest.mark.parametrize(("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "unclear"}, 0)])
-def test_an_effect_has_a_tick_only_where_the_held_out_flight_tested_it(tmp_path, campaigns, test, ticks):
+@pytest.mark.parametrize(
+    ("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "unclear"}, 0)]
+)
+def test_an_effect_has_a_tick_only_where_the_held_out_flight_tested_it(
+    tmp_path, campaigns, test, ticks
+):
     tree = page(tmp_path, campaigns, test)
-    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Effects that refinement added to the model."]
+    (table,) = [
+        t
+        for t in tree.iter("table")
+        if t.findtext("caption") == "Effects that refinement added to the model."
+    ]
     assert len(table.findall(".//td[@class='good']")) == ticks
     assert ("✓" in table.text_content()) == bool(ticks)
 
@@ -87,26 +118,44 @@ def test_an_effect_has_a_tick_only_where_the_held_out_flight_tested_it(tmp_path,
 def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
     """Two flights of 150 s settle nothing."""
     tree = page(tmp_path, campaigns)
-    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Answer by wind, turbulence and radius."]
+    (table,) = [
+        t
+        for t in tree.iter("table")
+        if t.findtext("caption") == "Answer by wind, turbulence and radius."
+    ]
     text = table.text_content()
     assert "inconclusive" in text
     assert "✓" not in text
-    assert [e.text_content() for e in table.findall("thead//th")][2:4] == ["Answer before", "Answer after"]
+    assert [e.text_content() for e in table.findall("thead//th")][2:4] == [
+        "Answer before",
+        "Answer after",
+    ]
 
 
 def test_the_p_box_has_no_steps_and_the_reader_no_band_that_excludes_nothing(tmp_path, campaigns):
     tree = page(tmp_path, campaigns)
     (svg,) = tree.xpath("//figure[@id='answer-pbox']/svg")
-    drawn = [path.get("d") for path in svg.xpath("./g[@clip-path]/path") if (path.get("class") or "").startswith("line")]
+    drawn = [
+        path.get("d")
+        for path in svg.xpath("./g[@clip-path]/path")
+        if (path.get("class") or "").startswith("line")
+    ]
     assert len(drawn) == 4
     assert not any("V" in way for way in drawn)
     (figure,) = tree.xpath("//figure[@id='answer-pbox']")
-    assert all(box["smooth"] and not box["corners"] for box in json.loads(figure.findtext("script"))["boxes"])
+    assert all(
+        box["smooth"] and not box["corners"]
+        for box in json.loads(figure.findtext("script"))["boxes"]
+    )
     assert "Half of the flights stay below" in figure.findtext("figcaption")
 
 
 def cells_of(tree):
-    (table,) = [t for t in tree.iter("table") if t.findtext("caption") == "Answer by wind, turbulence and radius."]
+    (table,) = [
+        t
+        for t in tree.iter("table")
+        if t.findtext("caption") == "Answer by wind, turbulence and radius."
+    ]
     return [e.text_content() for e in table.findall("thead//th")], [
         [e.text_content() for e in row] for row in table.findall("tbody/tr")
     ]
@@ -123,9 +172,17 @@ def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaign
     sides = {when: read_found(campaigns / when) for when in ("before", "after")}
     item = sides["after"].signed[0]
     lost = {"loss_of_control": 3, "ground_contact": 0, "diverged": 1, "other": 0}
-    after = replace(sides["after"], signed=(replace(item, aborted=lost, loss_upper_per_h=4.5), *sides["after"].signed[1:]))
+    after = replace(
+        sides["after"],
+        signed=(replace(item, aborted=lost, loss_upper_per_h=4.5), *sides["after"].signed[1:]),
+    )
     table = cells_section(sides | {"after": after}).blocks[-1]
-    assert table.head[5:] == ("Loss of control", "Ground contact", "Diverged", "Aborted flights, 95 % upper limit [1/h]")
+    assert table.head[5:] == (
+        "Loss of control",
+        "Ground contact",
+        "Diverged",
+        "Aborted flights, 95 % upper limit [1/h]",
+    )
     assert table.rows[0][5:8] == ("0 / 3", "0 / 0", "0 / 1")
     assert table.rows[0][8].endswith(" / 4.5")
     alone = cells_section({"": after}).blocks[-1]
@@ -146,8 +203,16 @@ def test_lines_of_the_first_figures_have_a_legend(tmp_path, campaigns):
     tree = page(tmp_path, campaigns)
     for figure in ("ground-track", "track-distance", "answer-pbox", "effect-residuals"):
         (svg,) = tree.xpath(f"//figure[@id='{figure}']/svg")
-        keyed = {path.get("class") for key in svg.xpath(".//g[@class='key']") for path in key.iter("path")}
-        drawn = {path.get("class") for path in svg.xpath("./g[@clip-path]/path") if (path.get("class") or "").startswith("line")}
+        keyed = {
+            path.get("class")
+            for key in svg.xpath(".//g[@class='key']")
+            for path in key.iter("path")
+        }
+        drawn = {
+            path.get("class")
+            for path in svg.xpath("./g[@clip-path]/path")
+            if (path.get("class") or "").startswith("line")
+        }
         assert drawn - {"line link"} <= keyed, figure
 
 

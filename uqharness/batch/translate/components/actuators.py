@@ -15,7 +15,10 @@ from uqharness.batch.translate.scope import is_number, property_of
 def actuator(c: Component) -> None:
     """The input after failures, lag, rate limits, dead band, hysteresis, bias, delay and clipping, in that order."""
     b, name = c.builder, property_of(c.scope, c.node, own_name(c.node.attributes.get("name", "")))
-    zero, hardover, stuck = (c.frame.get(f"{name}/malfunction/fail_{how}").ne(0.0) for how in ("zero", "hardover", "stuck"))
+    zero, hardover, stuck = (
+        c.frame.get(f"{name}/malfunction/fail_{how}").ne(0.0)
+        for how in ("zero", "hardover", "stuck")
+    )
     limits = c.limits() or (b.constant(0.0), b.constant(0.0))
     x = zero.choose(0.0, c.input())
     x = hardover.choose(x.lt(0.0).choose(*limits), x)
@@ -33,7 +36,9 @@ def actuator(c: Component) -> None:
         value = value.lt(-half).choose(value + half, value.gt(half).choose(value - half, 0.0))
     width = c.number("hysteresis_width", 0.0)
     if width != 0.0:
-        value = c.started().choose(_with_hysteresis(value, c.memory("hysteresis-out"), 0.5 * width), value)
+        value = c.started().choose(
+            _with_hysteresis(value, c.memory("hysteresis-out"), 0.5 * width), value
+        )
         c.remember("hysteresis-out", value, stuck)
     bias = c.number("bias", 0.0)
     if bias != 0.0:
@@ -88,12 +93,21 @@ def linear_actuator(c: Component) -> None:
     Steps follow whole turns: a jump of more than ``<rate>`` times the module is a turn in the other direction.
     """
     b, x = c.builder, c.input()
-    module, hysteresis, gain = _at_least(c, "module", 1.0, 1.0), _at_least(c, "hysteresis", 0.1, 0.0), c.number("gain", 1.0)
+    module, hysteresis, gain = (
+        _at_least(c, "module", 1.0, 1.0),
+        _at_least(c, "hysteresis", 0.1, 0.0),
+        c.number("gain", 1.0),
+    )
     rate, lag = c.number("rate", 0.3), _at_least(c, "lag", 0.0, 0.0)
     if rate <= 0.0 or rate > 1.0:
         rate = 0.5
     on, cleared = c.parameter("set", 1.0).ge(0.5), c.parameter("reset", 0.0).ge(0.5)
-    last, held, turns, way = c.memory("last"), c.memory("held"), c.memory("turns"), c.memory("direction")
+    last, held, turns, way = (
+        c.memory("last"),
+        c.memory("held"),
+        c.memory("turns"),
+        c.memory("direction"),
+    )
     now = x - last
     step = now - held
     size = b.op("abs", step)
@@ -107,7 +121,12 @@ def linear_actuator(c: Component) -> None:
     jumped = b.op("and", taken, size.ge(module * rate))
     count = jumped.choose(step.lt(0.0).choose(turns + 1.0, turns - 1.0), turns)
     place = taken.choose(now, held)
-    for name, value in (("last", dropped.choose(last + step, last)), ("held", place), ("turns", count), ("direction", direction)):
+    for name, value in (
+        ("last", dropped.choose(last + step, last)),
+        ("held", place),
+        ("turns", count),
+        ("direction", direction),
+    ):
         c.remember(name, cleared.choose(0.0, value))
     value = cleared.choose(0.0, gain * (c.parameter("bias", 0.0) + place + module * count))
     if lag > 0.0:

@@ -54,23 +54,34 @@ class Component:
         """What makes the values."""
         return self.scope.builder
 
-    def check(self, once: Collection[str], many: Collection[str], attributes: Collection[str]) -> None:
+    def check(
+        self, once: Collection[str], many: Collection[str], attributes: Collection[str]
+    ) -> None:
         """Refuse attributes and elements that are not understood, and those that are there twice and JSBSim reads once."""
         self.scope.only(self.node, ("name", *attributes))
         seen: set[str] = set()
         for child in self.node.children:
             if child.tag not in SHARED and child.tag not in once and child.tag not in many:
-                self.scope.refuse(child, f"<{child.tag}> in <{self.node.tag}> is not understood by the batch engine")
+                self.scope.refuse(
+                    child,
+                    f"<{child.tag}> in <{self.node.tag}> is not understood by the batch engine",
+                )
             if child.tag in seen and (child.tag in once or child.tag in ("clipto", "delay")):
-                self.scope.refuse(child, f"a <{self.node.tag}> has one <{child.tag}>: JSBSim takes the first")
+                self.scope.refuse(
+                    child, f"a <{self.node.tag}> has one <{child.tag}>: JSBSim takes the first"
+                )
             seen.add(child.tag)
 
     def inputs(self, least: int, most: int | None) -> list[Value]:
         """Values of the inputs. Refused if there are fewer or more."""
         nodes = self.node.all("input")
         if len(nodes) < least or (most is not None and len(nodes) > most):
-            wanted = least if most == least else f"{least} to {'any number' if most is None else most}"
-            self.scope.refuse(self.node, f"a <{self.node.tag}> has {wanted} <input>; received {len(nodes)}")
+            wanted = (
+                least if most == least else f"{least} to {'any number' if most is None else most}"
+            )
+            self.scope.refuse(
+                self.node, f"a <{self.node.tag}> has {wanted} <input>; received {len(nodes)}"
+            )
         for node in nodes:
             self.scope.only(node)
         return [self.scope.property_value(node) for node in nodes]
@@ -94,7 +105,9 @@ class Component:
             self.scope.refuse(self.node, f"a <{self.node.tag}> has <{tag}>; it has none")
         return node
 
-    def parameter(self, tag: str, default: float | None = None, attributes: Collection[str] = ()) -> Value:
+    def parameter(
+        self, tag: str, default: float | None = None, attributes: Collection[str] = ()
+    ) -> Value:
         """The number in an element or the value of the property named there; without ``default`` it must be there."""
         node = self.node.find(tag) if default is not None else self.needed(tag)
         if node is None:
@@ -139,10 +152,14 @@ class Component:
             self.scope.refuse(node, f"type='{kind}' of <delay>: allowed are time and frames")
         value = self.scope.number(node)
         if kind == "time" and self.frame.any_step:
-            self.scope.refuse(node, "a <delay> in seconds has no fixed number of frames where the step may differ")
+            self.scope.refuse(
+                node, "a <delay> in seconds has no fixed number of frames where the step may differ"
+            )
         frames = value if kind == "frames" else value / self.dt_s if self.dt_s > 0.0 else math.inf
         if not 0.0 <= frames <= _LONGEST_DELAY:
-            self.scope.refuse(node, f"a <delay> is 0 to {_LONGEST_DELAY} frames long; received {frames:g}")
+            self.scope.refuse(
+                node, f"a <delay> is 0 to {_LONGEST_DELAY} frames long; received {frames:g}"
+            )
         return int(frames)
 
     def limits(self) -> tuple[Value, Value] | None:
@@ -172,13 +189,18 @@ class Component:
             turned = turned.lt(least).choose(turned + span, turned)
             held = span.ne(0.0).choose(turned, held)
         elif kind:
-            self.scope.refuse(node, f"type='{kind}' of <clipto> is not understood; allowed is cyclic")
+            self.scope.refuse(
+                node, f"type='{kind}' of <clipto> is not understood; allowed is cyclic"
+            )
         return span.lt(0.0).choose(value, held)
 
     def write(self, node: Node, name: str, value: Value) -> None:
         """Put a value into a property; refused if JSBSim would not take it."""
         if read_only(name):
-            self.scope.refuse(node, f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value for it")
+            self.scope.refuse(
+                node,
+                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value for it",
+            )
         self.frame.write(name, value)
 
     def put(self, value: Value) -> None:
@@ -210,7 +232,9 @@ def own_name(name: str) -> str:
     """A component's property: its name as it stands if it has a '/', else below ``fcs/`` in small letters, white space as '-'."""
     if "/" in name:
         return canonical(name)
-    return canonical("fcs/" + "".join("-" if c.isspace() else c.lower() if c.isascii() else c for c in name))
+    return canonical(
+        "fcs/" + "".join("-" if c.isspace() else c.lower() if c.isascii() else c for c in name)
+    )
 
 
 def constrained(least: Value, value: Value, greatest: Value) -> Value:

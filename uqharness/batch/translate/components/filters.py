@@ -12,7 +12,9 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.components.component import Component
 
 
-def _filter(value: Callable[[Component, Value], Value], second: bool = False) -> Callable[[Component], None]:
+def _filter(
+    value: Callable[[Component, Value], Value], second: bool = False
+) -> Callable[[Component], None]:
     def trace(c: Component) -> None:
         started, x = c.started(), c.input()
         y = started.choose(value(c, x), 0.0)
@@ -29,14 +31,20 @@ def _filter(value: Callable[[Component, Value], Value], second: bool = False) ->
 def _lag(c: Component, x: Value) -> Value:
     rate = c.parameter("c1")
     below = 2.0 + c.step * rate
-    return (x + c.memory("in")) * (c.step * rate / below) + c.memory("out") * ((2.0 - c.step * rate) / below)
+    return (x + c.memory("in")) * (c.step * rate / below) + c.memory("out") * (
+        (2.0 - c.step * rate) / below
+    )
 
 
 def _lead_lag(c: Component, x: Value) -> Value:
     dt = c.step
     c1, c2, c3, c4 = (c.parameter(f"c{k}") for k in range(1, 5))
     below = 2.0 * c3 + dt * c4
-    now, before, out = (2.0 * c1 + dt * c2) / below, (dt * c2 - 2.0 * c1) / below, (2.0 * c3 - dt * c4) / below
+    now, before, out = (
+        (2.0 * c1 + dt * c2) / below,
+        (dt * c2 - 2.0 * c1) / below,
+        (2.0 * c3 - dt * c4) / below,
+    )
     return x * now + c.memory("in") * before + c.memory("out") * out
 
 
@@ -49,7 +57,13 @@ def _second_order(c: Component, x: Value) -> Value:
     in_2 = (4.0 * c1 - 2.0 * c2 * dt + c3 * dt * dt) / below
     out_1 = (2.0 * c6 * dt * dt - 8.0 * c4) / below
     out_2 = (4.0 * c4 - 2.0 * c5 * dt + c6 * dt * dt) / below
-    return x * now + c.memory("in") * in_1 + c.memory("in-2") * in_2 - c.memory("out") * out_1 - c.memory("out-2") * out_2
+    return (
+        x * now
+        + c.memory("in") * in_1
+        + c.memory("in-2") * in_2
+        - c.memory("out") * out_1
+        - c.memory("out-2") * out_2
+    )
 
 
 def _washout(c: Component, x: Value) -> Value:

@@ -66,7 +66,12 @@ def angle(c: Component) -> None:
     """The angle from source to target, -pi to pi, positive to the right."""
     source, target = _angle(c, "source_angle"), _angle(c, "target_angle")
     b = c.builder
-    x1, y1, x2, y2 = b.op("cos", source), b.op("sin", source), b.op("cos", target), b.op("sin", target)
+    x1, y1, x2, y2 = (
+        b.op("cos", source),
+        b.op("sin", source),
+        b.op("cos", target),
+        b.op("sin", target),
+    )
     cosine = x1 * x2 + y1 * y2
     held = cosine.lt(-1.0).choose(-1.0, cosine.gt(1.0).choose(1.0, cosine))
     unit = c.node.attributes.get("unit", "RAD")
@@ -83,12 +88,15 @@ def _angle(c: Component, tag: str) -> Value:
     unit = node.attributes.get("unit", "RAD")
     if unit not in ("DEG", "RAD") or node.text.strip().startswith("-"):
         c.scope.refuse(
-            node, f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received {node.text.strip()} {unit}"
+            node,
+            f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received {node.text.strip()} {unit}",
         )
     return c.scope.property_value(node) * (SHORT_DEG_RAD if unit == "DEG" else 1.0)
 
 
-def _ends(c: Component, node: Node | None, default: tuple[float, float] | None) -> tuple[float, float]:
+def _ends(
+    c: Component, node: Node | None, default: tuple[float, float] | None
+) -> tuple[float, float]:
     """``<min>`` and ``<max>`` of an element, or ``default`` without one of them."""
     if node is None:
         assert default is not None

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from uqharness.batch.translate.components import actuators, filters, gains, kinematic, pid, sensors, switches
+from uqharness.batch.translate.components import (
+    actuators,
+    filters,
+    gains,
+    kinematic,
+    pid,
+    sensors,
+    switches,
+)
 from uqharness.batch.translate.components.component import Component
 
 _COEFFICIENTS = tuple(f"c{k}" for k in range(1, 7))
@@ -26,7 +34,9 @@ class Kind:
 KINDS: Mapping[str, Kind] = {
     "pure_gain": Kind(gains.pure_gain, ("gain",)),
     "scheduled_gain": Kind(gains.scheduled_gain, ("gain", "table")),
-    "aerosurface_scale": Kind(gains.aerosurface_scale, ("gain", "domain", "range", "zero_centered")),
+    "aerosurface_scale": Kind(
+        gains.aerosurface_scale, ("gain", "domain", "range", "zero_centered")
+    ),
     "summer": Kind(gains.summer, ("bias",)),
     "deadband": Kind(gains.deadband, ("width", "gain")),
     "fcs_function": Kind(gains.fcs_function, ("function",)),
@@ -40,9 +50,12 @@ KINDS: Mapping[str, Kind] = {
     "kinematic": Kind(kinematic.kinematic, ("traverse", "noscale")),
     "switch": Kind(switches.switch, ("default",), ("test",)),
     "distributor": Kind(switches.distributor, (), ("case",), ("type",)),
-    "actuator": Kind(actuators.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)),
+    "actuator": Kind(
+        actuators.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)
+    ),
     "linear_actuator": Kind(
-        actuators.linear_actuator, ("set", "reset", "versus", "bias", "module", "hysteresis", "lag", "rate", "gain")
+        actuators.linear_actuator,
+        ("set", "reset", "versus", "bias", "module", "hysteresis", "lag", "rate", "gain"),
     ),
     "sensor": Kind(sensors.sensor, _MEASURED),
     "gyro": Kind(sensors.gyro, (*_MEASURED, "axis", "orientation")),

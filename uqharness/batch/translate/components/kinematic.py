@@ -6,7 +6,12 @@ import itertools
 import math
 
 from uqharness.batch.form.ir import Value
-from uqharness.batch.translate.components.component import Component, constrained, inner, output_names
+from uqharness.batch.translate.components.component import (
+    Component,
+    constrained,
+    inner,
+    output_names,
+)
 
 _ROUND = 2.0 * 2.0**-52
 
@@ -32,7 +37,9 @@ def kinematic(c: Component) -> None:
     c.put(c.clipped(y))
 
 
-def _travelled(positions: list[float], times: list[float], x: Value, y: Value, left: Value) -> tuple[Value, Value]:
+def _travelled(
+    positions: list[float], times: list[float], x: Value, y: Value, left: Value
+) -> tuple[Value, Value]:
     """Position and time left at the end of the interval, or at the end of the time."""
     b = x.builder
     down = x.lt(y)
@@ -50,7 +57,11 @@ def _travelled(positions: list[float], times: list[float], x: Value, y: Value, l
         made.append((moved, left - short.choose(left, needed)))
     position, rest = made[-1]
     for k in range(len(positions) - 2, 0, -1):
-        here = b.op("or", b.op("and", down, y.le(positions[k])), b.op("and", b.op("not", down), y.lt(positions[k])))
+        here = b.op(
+            "or",
+            b.op("and", down, y.le(positions[k])),
+            b.op("and", b.op("not", down), y.lt(positions[k])),
+        )
         position, rest = here.choose(made[k - 1][0], position), here.choose(made[k - 1][1], rest)
     beyond = b.op("or", y.ne(y), b.op("and", down, y.gt(positions[-1])))
     return beyond.choose(math.nan, position), rest
@@ -62,13 +73,19 @@ def _settings(c: Component) -> tuple[list[float], list[float]]:
     positions: list[float] = []
     times: list[float] = []
     for setting in inner(traverse):
-        if setting.tag != "setting" or sorted(child.tag for child in inner(setting)) != ["position", "time"]:
+        if setting.tag != "setting" or sorted(child.tag for child in inner(setting)) != [
+            "position",
+            "time",
+        ]:
             c.scope.refuse(setting, "a <traverse> has <setting>s with <position> and <time>")
         for child in inner(setting):
             c.scope.only(child)
             (positions if child.tag == "position" else times).append(c.scope.number(child))
     if len(positions) < 2 or any(b < a for a, b in itertools.pairwise(positions)):
-        c.scope.refuse(traverse, f"positions of a <traverse> do not decrease, two or more; received {positions}")
+        c.scope.refuse(
+            traverse,
+            f"positions of a <traverse> do not decrease, two or more; received {positions}",
+        )
     return positions, times
 
 

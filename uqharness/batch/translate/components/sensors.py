@@ -40,14 +40,22 @@ def accelerometer(c: Component) -> None:
     place = _triplet(c, c.needed("location"), ("x", "y", "z"), {"": 1.0, "IN": 1.0, "FT": 12.0})
     centre = [_engine(c, f"inertia/cg-{axis}-in") for axis in "xyz"]
     inch = 1.0 / 12.0
-    arm = [inch * (centre[0] - place[0]), inch * (place[1] - centre[1]), inch * (centre[2] - place[2])]
+    arm = [
+        inch * (centre[0] - place[0]),
+        inch * (place[1] - centre[1]),
+        inch * (centre[2] - place[2]),
+    ]
     turning, inward = _cross(spin, arm), _cross(rates, _cross(rates, arm))
-    _processed(c, _along(c, [(a + b) + d for a, b, d in zip(specific, turning, inward, strict=True)]))
+    _processed(
+        c, _along(c, [(a + b) + d for a, b, d in zip(specific, turning, inward, strict=True)])
+    )
 
 
 def _processed(c: Component, x: Value) -> None:
     b, name = c.builder, property_of(c.scope, c.node, own_name(c.node.attributes.get("name", "")))
-    low, high, stuck = (c.frame.get(f"{name}/malfunction/fail_{how}").gt(0.0) for how in ("low", "high", "stuck"))
+    low, high, stuck = (
+        c.frame.get(f"{name}/malfunction/fail_{how}").gt(0.0) for how in ("low", "high", "stuck")
+    )
     value = x
     lag = c.number("lag", 0.0)
     if lag != 0.0:
@@ -84,7 +92,10 @@ def _noisy(c: Component, value: Value, stuck: Value) -> Value:
     free = stuck.constant is False or c.frame.written is None
     drawn = c.frame.normal() if free and distribution == "GAUSSIAN" else None
     if drawn is None:
-        c.scope.refuse(node, f"{distribution.lower()} <noise> draws from JSBSim's generator, and no stream stands for it here")
+        c.scope.refuse(
+            node,
+            f"{distribution.lower()} <noise> draws from JSBSim's generator, and no stream stands for it here",
+        )
     return value * (1.0 + size * drawn) if variation == "PERCENT" else value + size * drawn
 
 
@@ -97,7 +108,10 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
     numbers = {"bits": 0.0, "min": 0.0, "max": 0.0}
     for child in inner(node):
         if child.tag not in numbers:
-            c.scope.refuse(child, f"<{child.tag}> in <quantization> is not understood; allowed are bits, min and max")
+            c.scope.refuse(
+                child,
+                f"<{child.tag}> in <quantization> is not understood; allowed are bits, min and max",
+            )
         c.scope.only(child)
         numbers[child.tag] = c.scope.number(child)
     bits, least, greatest = math.trunc(numbers["bits"]), numbers["min"], numbers["max"]
@@ -105,7 +119,8 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
         return value
     if not (0 < bits <= _MOST_BITS and least < greatest):
         c.scope.refuse(
-            node, f"<quantization> has 1 to {_MOST_BITS} bits and min below max; received {bits}, {least:g}, {greatest:g}"
+            node,
+            f"<quantization> has 1 to {_MOST_BITS} bits and min below max; received {bits}, {least:g}, {greatest:g}",
         )
     value = value.lt(least).choose(least, value)
     value = value.gt(greatest).choose(greatest, value)
@@ -135,7 +150,9 @@ def _along(c: Component, vector: list[Value]) -> Value:
     units = {"": 1.0, "RAD": 1.0, "DEG": 1.0 / (180.0 / math.pi)}
     angles = [0.0, 0.0, 0.0] if node is None else _triplet(c, node, ("roll", "pitch", "yaw"), units)
     # Sines by the engine's own functions: those of the C library differ between machines.
-    sr, cr, sp, cp, sy, cy = (b.op(f, b.constant(angle)) for angle in angles for f in ("sin", "cos"))
+    sr, cr, sp, cp, sy, cy = (
+        b.op(f, b.constant(angle)) for angle in angles for f in ("sin", "cos")
+    )
     rows = {
         "x": (cp * cy, cp * sy, -sp),
         "y": (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
@@ -150,18 +167,26 @@ def _along(c: Component, vector: list[Value]) -> Value:
     return (first + second) + third
 
 
-def _triplet(c: Component, node: Node, tags: tuple[str, str, str], units: dict[str, float]) -> list[float]:
+def _triplet(
+    c: Component, node: Node, tags: tuple[str, str, str], units: dict[str, float]
+) -> list[float]:
     """Three numbers of an element, 0 where one is missing, times the unit."""
     c.scope.only(node, ("unit",))
     unit = node.attributes.get("unit", "")
     if unit not in units:
-        c.scope.refuse(node, f"unit='{unit}' of <{node.tag}> is not understood; allowed are {', '.join(u for u in units if u)}")
+        c.scope.refuse(
+            node,
+            f"unit='{unit}' of <{node.tag}> is not understood; allowed are {', '.join(u for u in units if u)}",
+        )
     numbers = dict.fromkeys(tags, 0.0)
     others = dict(zip(("x", "y", "z"), tags, strict=True))
     for child in inner(node):
         tag = others.get(child.tag, child.tag)
         if tag not in numbers:
-            c.scope.refuse(child, f"<{child.tag}> in <{node.tag}> is not understood; allowed are {', '.join(tags)}")
+            c.scope.refuse(
+                child,
+                f"<{child.tag}> in <{node.tag}> is not understood; allowed are {', '.join(tags)}",
+            )
         c.scope.only(child)
         numbers[tag] = c.scope.number(child) * (units[unit] if unit else 1.0)
     return list(numbers.values())

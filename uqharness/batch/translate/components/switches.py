@@ -25,13 +25,18 @@ def distributor(c: Component) -> None:
     """Each case whose test holds (``exclusive``: the first of them), and each without a test, sets its properties, in order."""
     kind = c.node.attributes.get("type", "")
     if kind not in ("inclusive", "exclusive"):
-        c.scope.refuse(c.node, f"type='{kind}' of <distributor>: allowed are inclusive and exclusive")
+        c.scope.refuse(
+            c.node, f"type='{kind}' of <distributor>: allowed are inclusive and exclusive"
+        )
     done = c.builder.truth(False)
     for case in c.node.all("case"):
         c.scope.only(case)
         for child in case.children:
             if child.tag not in ("test", "property", "description"):
-                c.scope.refuse(child, f"<{child.tag}> in <case> is not understood; allowed are test and property")
+                c.scope.refuse(
+                    child,
+                    f"<{child.tag}> in <case> is not understood; allowed are test and property",
+                )
         tests = case.all("test")
         if len(tests) > 1:
             c.scope.refuse(tests[1], "a <case> has one <test>: JSBSim takes the first")

@@ -35,7 +35,9 @@ class Electric:
         frame.store(f"{self.name}power-hp", hp)
         power = hp * _HP_FTLBPS
         b = frame.builder
-        at_rest = thruster.engine_rpm(frame).le(0.1) if isinstance(thruster, Propeller) else b.truth(True)
+        at_rest = (
+            thruster.engine_rpm(frame).le(0.1) if isinstance(thruster, Propeller) else b.truth(True)
+        )
         return b.op("and", at_rest, power.lt(0.0)).choose(0.0, power)
 
 
@@ -53,7 +55,11 @@ class Brushless:
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
         """What the thruster gets [ft lbf/s]."""
         b, kv, idle = frame.builder, self.rpm_per_volt, self.no_load_amperes
-        rpm = frame.get(f"{self.name}propeller-rpm") if isinstance(thruster, Propeller) else b.constant(0.0)
+        rpm = (
+            frame.get(f"{self.name}propeller-rpm")
+            if isinstance(thruster, Propeller)
+            else b.constant(0.0)
+        )
         volts = self.volts * frame.get(f"fcs/throttle-pos-norm{self.index}")
         current = (volts - rpm / kv) / self.ohms
         held = current.gt(idle).choose(idle, current.lt(-idle).choose(-idle, current))
@@ -71,7 +77,9 @@ def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric |
     if node.tag == "electric_engine":
         known(scope, node, ("power", *_ALWAYS))
         return Electric(name, index, number(scope, node, "power", _HP_WATTS, "WATTS"))
-    known(scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS))
+    known(
+        scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS)
+    )
     return Brushless(
         name,
         index,

@@ -25,7 +25,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "VOLTS": {"VOLTS": 1.0},
     "OHMS": {"OHMS": 1.0},
     "AMPERES": {"AMPERES": 1.0},
-}  # fmt: skip
+}
 """Unit that is wanted to units that may be given and the factor by which JSBSim converts them."""
 
 MANIFOLD_PA_INHG, MANIFOLD_PA_PSF = 3386.38, 47.88

@@ -21,7 +21,14 @@ from uqharness.batch.translate.propulsion.mass import dry_aircraft, trace_mass
 from uqharness.batch.translate.propulsion.piston import Piston, read_piston
 from uqharness.batch.translate.propulsion.propeller import Propeller, read_propeller
 from uqharness.batch.translate.propulsion.read import Part, base, known, numbered
-from uqharness.batch.translate.propulsion.tanks import Tank, feeding, read_tank, set_contents, set_whole, trace_tanks
+from uqharness.batch.translate.propulsion.tanks import (
+    Tank,
+    feeding,
+    read_tank,
+    set_contents,
+    set_whole,
+    trace_tanks,
+)
 from uqharness.batch.translate.propulsion.thruster import Jet, read_jet, read_mount
 from uqharness.batch.translate.propulsion.turbine import FUNCTIONS, Turbine, read_turbine
 from uqharness.batch.translate.scope import Scope, canonical
@@ -77,7 +84,9 @@ class Propulsion:
             frame.hooks[f"{tank.name}contents-lbs"] = set_contents(tank)
             frame.hooks[f"{tank.name}priority"] = set_whole(f"{tank.name}priority")
         for engine in self.engines:
-            frame.hooks[f"{engine.name}constant-speed-mode"] = set_whole(f"{engine.name}constant-speed-mode")
+            frame.hooks[f"{engine.name}constant-speed-mode"] = set_whole(
+                f"{engine.name}constant-speed-mode"
+            )
             refuse_inner_names(frame, *engine.part)
             for function in engine.part[1].all("function") if first else ():
                 compute_where_read(frame, engine.part[0], function)
@@ -118,7 +127,11 @@ class Propulsion:
         rate = burns.choose(engine.motor.fuel_rate(frame), frame.get(f"{name}fuel-flow-rate-pps"))
         spent = burns.choose(rate * frame.step, 0.0)
         frame.store(f"{name}fuel-flow-rate-pps", rate)
-        density = frame.get(f"{self.tanks[-1].name}density-lbs_per_gal") if self.tanks else b.constant(6.0)
+        density = (
+            frame.get(f"{self.tanks[-1].name}density-lbs_per_gal")
+            if self.tanks
+            else b.constant(6.0)
+        )
         frame.store(f"{name}fuel-flow-rate-gph", rate * 3600.0 / density)
         frame.store(f"{name}fuel-used-lbs", frame.get(f"{name}fuel-used-lbs") + spent)
         for k, gives in zip(engine.feeds, now, strict=True):
@@ -126,7 +139,11 @@ class Propulsion:
 
     def trace_steady(self, frame: Frame, engine: Engine) -> None:
         """One turn of JSBSim's way to an engine's steady state; the slot ``going`` tells whether there is another."""
-        thrust, count, turns = "steady/thrust", f"steady{engine.index}/count", f"steady{engine.index}/turns"
+        thrust, count, turns = (
+            "steady/thrust",
+            f"steady{engine.index}/count",
+            f"steady{engine.index}/turns",
+        )
         with frame.section("steady state", When(mask=going(engine))):
             engine.trace(frame)
             b = frame.builder
@@ -164,14 +181,17 @@ def read_propulsion(sources: Sources, values: Values, started: bool = False) -> 
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
     magnetos = _BOTH_MAGNETOS if started else _magnetos(sources.script)
     engines = tuple(
-        _read_engine((document, engine), k, sources.included, len(tanks), magnetos) for k, engine in enumerate(node.all("engine"))
+        _read_engine((document, engine), k, sources.included, len(tanks), magnetos)
+        for k, engine in enumerate(node.all("engine"))
     )
     if tanks:
         values.update(dry_aircraft(tanks, lambda name: _initialised(values, name)))
     return Propulsion(sources.propulsion, engines, tanks)
 
 
-def _read_engine(part: Part, k: int, included: Mapping[Node, Part], tanks: int, magnetos: float) -> Engine:
+def _read_engine(
+    part: Part, k: int, included: Mapping[Node, Part], tanks: int, magnetos: float
+) -> Engine:
     document, node = part
     scope, name, index = _plain(document), base(k), f"[{k}]" if k else ""
     kinds = ("electric_engine", "brushless_dc_motor", "piston_engine", "turbine_engine")
@@ -187,10 +207,14 @@ def _read_engine(part: Part, k: int, included: Mapping[Node, Part], tanks: int, 
     if thruster is None:
         scope.refuse(node, "an engine has a <thruster>")
     mount = read_mount(scope, (document, thruster), k)
-    thruster_part = _content(scope, (document, thruster), included, ("propeller", "direct", "nozzle"))
+    thruster_part = _content(
+        scope, (document, thruster), included, ("propeller", "direct", "nozzle")
+    )
     read = _plain(thruster_part[0])
     acting = (
-        read_propeller(read, thruster_part, mount) if thruster_part[1].tag == "propeller" else read_jet(read, thruster_part, mount)
+        read_propeller(read, thruster_part, mount)
+        if thruster_part[1].tag == "propeller"
+        else read_jet(read, thruster_part, mount)
     )
     motor: Electric | Brushless | Piston | Turbine
     if root.tag == "piston_engine":
@@ -205,7 +229,10 @@ def _read_engine(part: Part, k: int, included: Mapping[Node, Part], tanks: int, 
         scope.refuse(thruster, "a turbine has a <direct> thruster")
     feeds = tuple(int(scope.number(feed)) for feed in node.all("feed"))
     if any(not 0 <= feed < tanks for feed in feeds):
-        scope.refuse(node, f"an engine feeds from tanks 0 to {tanks - 1}; received {', '.join(map(str, feeds))}")
+        scope.refuse(
+            node,
+            f"an engine feeds from tanks 0 to {tanks - 1}; received {', '.join(map(str, feeds))}",
+        )
     return Engine(root_part, name, index, motor, acting, feeds)
 
 
@@ -217,7 +244,9 @@ def _content(scope: Scope, part: Part, included: Mapping[Node, Part], kinds: Seq
         found = included[node]
         if inside or found[1].tag not in kinds:
             kind = inside[0].tag if inside else found[1].tag
-            _plain(found[0]).refuse(found[1], f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are")
+            _plain(found[0]).refuse(
+                found[1], f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are"
+            )
         return found
     if len(inside) != 1:
         scope.refuse(node, f"<{node.tag}> names a file or has one of {', '.join(kinds)}")
@@ -241,7 +270,9 @@ def _check_start(values: Values) -> None:
     """Refuse what must not go on at the start: it is no value that could be handed over."""
     for name in ("refuel", "fuel_dump", "starter_cmd"):
         if values.get(f"propulsion/{name}", 0.0) not in (0.0, -1.0):
-            raise BadInputError(f"propulsion/{name} is on at the start, which the batch engine does not understand")
+            raise BadInputError(
+                f"propulsion/{name} is on at the start, which the batch engine does not understand"
+            )
 
 
 def _initialised(values: Values, name: str) -> float:

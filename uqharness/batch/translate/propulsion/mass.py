@@ -20,9 +20,11 @@ from uqharness.batch.translate.propulsion.tanks import Tank
 _AXES = ("x", "y", "z")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 MASS = (
-    "inertia/mass-slugs", "inertia/weight-lbs", *(f"inertia/cg-{axis}-in" for axis in _AXES),
+    "inertia/mass-slugs",
+    "inertia/weight-lbs",
+    *(f"inertia/cg-{axis}-in" for axis in _AXES),
     *(f"inertia/{name}-slugs_ft2" for name in _INERTIA),
-)  # fmt: skip
+)
 """What is written in each frame."""
 DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for name in _INERTIA))
 """Slots of the aircraft without fuel: weight [lbs], place [in], inertia about that place [slug ft2]."""
@@ -30,7 +32,10 @@ DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for 
 
 def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[str, float]:
     """DRY from the properties of an aircraft that JSBSim has initialised."""
-    weight, centre = value("inertia/weight-lbs"), np.array([value(f"inertia/cg-{axis}-in") for axis in _AXES])
+    weight, centre = (
+        value("inertia/weight-lbs"),
+        np.array([value(f"inertia/cg-{axis}-in") for axis in _AXES]),
+    )
     inertia = np.array([value(f"inertia/{name}-slugs_ft2") for name in _INERTIA])
     dry, moment = weight, weight * centre
     for tank in tanks:
@@ -53,7 +58,11 @@ def _steiner(mass: Value | float, apart_in: Vector) -> list[Value | float]:
 
     Its place in the structural frame is the centre minus ``apart_in``.
     """
-    x, y, z = apart_in[0] * (1.0 / 12.0), -1.0 * apart_in[1] * (1.0 / 12.0), apart_in[2] * (1.0 / 12.0)
+    x, y, z = (
+        apart_in[0] * (1.0 / 12.0),
+        -1.0 * apart_in[1] * (1.0 / 12.0),
+        apart_in[2] * (1.0 / 12.0),
+    )
     xx, yy, zz = mass * x * x, mass * y * y, mass * z * z
     return [yy + zz, xx + zz, xx + yy, mass * x * y, -1.0 * (mass * x * z), mass * y * z]
 
@@ -63,7 +72,11 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
     b = frame.builder
     before: Vector = (0.0, 0.0, 0.0)
     if not first:
-        before = (frame.get("inertia/cg-x-in"), frame.get("inertia/cg-y-in"), frame.get("inertia/cg-z-in"))
+        before = (
+            frame.get("inertia/cg-x-in"),
+            frame.get("inertia/cg-y-in"),
+            frame.get("inertia/cg-z-in"),
+        )
     weight = frame.memory(DRY[0][1:], frame.values[DRY[0]])
     at = [frame.memory(name[1:], frame.values[name]) for name in DRY[1:4]]
     inertia: list[Value | float] = [frame.memory(name[1:], frame.values[name]) for name in DRY[4:]]
@@ -78,7 +91,10 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
         own = mass * tank.inertia_ft2
         apart: Vector = (before[0] - place[0], before[1] - place[1], before[2] - place[2])
         added = _steiner(mass, apart)
-        inertia = [i + a + own if k < 3 else i + a for k, (i, a) in enumerate(zip(inertia, added, strict=True))]
+        inertia = [
+            i + a + own if k < 3 else i + a
+            for k, (i, a) in enumerate(zip(inertia, added, strict=True))
+        ]
     centre = [m / total for m in moment]
     moved = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))
     inertia = [i + m for i, m in zip(inertia, moved, strict=True)]

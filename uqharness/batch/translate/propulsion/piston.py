@@ -24,12 +24,41 @@ _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
 _LEAST_INDICATED_HP = 0.125
 _MANIFOLD_GAMMA = 1.3
 _TAGS = (
-    "minmp", "maxmp", "displacement", "maxhp", "cycles", "idlerpm", "maxrpm", "maxthrottle", "minthrottle", "sparkfaildrop",
-    "bore", "stroke", "compression-ratio", "cylinders", "bsfc", "volumetric-efficiency", "starter-torque", "starter-rpm",
-    "function", "ram-air-factor", "man-press-lag", "static-friction", "cylinder-head-mass", "air-intake-impedance-factor",
-    "cooling-factor", "dynamic-fmep", "static-fmep", "peak-piston-speed", "oil-pressure-relief-valve-psi", "design-oil-temp-degK",
-    "oil-pressure-rpm-max", "oil-viscosity-index", "table", "injected",
-)  # fmt: skip
+    "minmp",
+    "maxmp",
+    "displacement",
+    "maxhp",
+    "cycles",
+    "idlerpm",
+    "maxrpm",
+    "maxthrottle",
+    "minthrottle",
+    "sparkfaildrop",
+    "bore",
+    "stroke",
+    "compression-ratio",
+    "cylinders",
+    "bsfc",
+    "volumetric-efficiency",
+    "starter-torque",
+    "starter-rpm",
+    "function",
+    "ram-air-factor",
+    "man-press-lag",
+    "static-friction",
+    "cylinder-head-mass",
+    "air-intake-impedance-factor",
+    "cooling-factor",
+    "dynamic-fmep",
+    "static-fmep",
+    "peak-piston-speed",
+    "oil-pressure-relief-valve-psi",
+    "design-oil-temp-degK",
+    "oil-pressure-rpm-max",
+    "oil-viscosity-index",
+    "table",
+    "injected",
+)
 """JSBSim's piston engines do not know of injected, and nothing is done with bore."""
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
@@ -37,15 +66,45 @@ _COMBUSTION = Grid(
     tuple((x,) for x in (0.98, 0.98, 0.97, 0.95, 0.9, 0.85, 0.79, 0.7, 0.63, 0.57, 0.525, 0.345)),
 )
 _MIXTURE = Grid(
-    (0.05, 0.05137, 0.05179, 0.0543, 0.05842, 0.06312, 0.06942, 0.07786, 0.08845, 0.0927, 0.1012, 0.11455, 0.12158, 0.12435, 0.125),
+    (
+        0.05,
+        0.05137,
+        0.05179,
+        0.0543,
+        0.05842,
+        0.06312,
+        0.06942,
+        0.07786,
+        0.08845,
+        0.0927,
+        0.1012,
+        0.11455,
+        0.12158,
+        0.12435,
+        0.125,
+    ),
     (),
     tuple(
         (x,)
         for x in (
-            0.0, 0.00862, 0.21552, 0.48276, 0.7069, 0.83621, 0.93103, 1.0, 1.0, 0.98276, 0.93103, 0.72414, 0.4569, 0.23276, 0.0,
+            0.0,
+            0.00862,
+            0.21552,
+            0.48276,
+            0.7069,
+            0.83621,
+            0.93103,
+            1.0,
+            1.0,
+            0.98276,
+            0.93103,
+            0.72414,
+            0.4569,
+            0.23276,
+            0.0,
         )
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -91,7 +150,9 @@ class Piston:
         b, n, name = frame.builder, self.numbers, self.name
         rpm = thruster.engine_rpm(frame) if isinstance(thruster, Propeller) else b.constant(0.0)
         outside = frame.get("atmosphere/P-psf") * MANIFOLD_PA_PSF
-        ram = (frame.get("propulsion/pt-lbs_sqft") * MANIFOLD_PA_PSF - outside) * frame.get(f"{name}ram-air-factor") + outside
+        ram = (frame.get("propulsion/pt-lbs_sqft") * MANIFOLD_PA_PSF - outside) * frame.get(
+            f"{name}ram-air-factor"
+        ) + outside
         ambient_k = frame.get("atmosphere/T-R") / 1.8
         piston_fps = rpm * n.stroke_in / 360.0
         running = self._ignition(frame, rpm)
@@ -124,7 +185,11 @@ class Piston:
     def _ignition(self, frame: Frame, rpm: Value) -> Value:
         """Whether it runs: it needs a spark, fuel and speed, and starts again when the air turns the propeller."""
         b = frame.builder
-        burns = b.op("and", frame.get(f"{self.name}fuel-flow-rate-pps").gt(0.0), b.truth(self.magnetos != 0.0))
+        burns = b.op(
+            "and",
+            frame.get(f"{self.name}fuel-flow-rate-pps").gt(0.0),
+            b.truth(self.magnetos != 0.0),
+        )
         least = self.numbers.idle_rpm * 0.8
         stays = b.op("and", burns, b.op("not", rpm.lt(least)))
         starts = b.op("and", burns, rpm.gt(least))
@@ -140,7 +205,11 @@ class Piston:
         share = engine / (engine + frame.get(f"{self.name}air-intake-impedance-factor") + throttle)
         before, step = frame.get(f"{self.name}map-pa"), frame.step
         apart = before - ram * share
-        apart = frame.builder.constant(n.lag_s).gt(step).choose(apart * (step / n.lag_s if n.lag_s else step), apart)
+        apart = (
+            frame.builder.constant(n.lag_s)
+            .gt(step)
+            .choose(apart * (step / n.lag_s if n.lag_s else step), apart)
+        )
         manifold = before - apart
         frame.store(f"{self.name}map-pa", manifold)
         frame.store(f"{self.name}map-inhg", manifold / MANIFOLD_PA_INHG)
@@ -155,7 +224,9 @@ class Piston:
         swept = self.numbers.displacement_in3 * _IN3_M3 * (rpm / 60.0) / 2.0
         return swept * loss * (manifold / (_R_AIR * ambient_k))
 
-    def _temperatures(self, frame: Frame, burning: tuple[Value, ...], state: tuple[Value, ...]) -> None:
+    def _temperatures(
+        self, frame: Frame, burning: tuple[Value, ...], state: tuple[Value, ...]
+    ) -> None:
         """Exhaust, cylinder head and oil; nothing but their properties depends on them."""
         b, n, name, step = frame.builder, self.numbers, self.name, frame.step
         running, air, fuel, rich = burning
@@ -164,21 +235,37 @@ class Piston:
         share = hot.choose(looked_up(self.combustion, rich), 0.0)
         exhaust = _kelvin(frame.get(f"{name}egt-degF"))
         burnt = ambient_k + fuel * _CALORIFIC * share * 0.30 / (_CP_AIR * air + _CP_FUEL * fuel)
-        frame.store(f"{name}egt-degF", _fahrenheit(hot.choose(burnt, exhaust + (ambient_k - exhaust) / 100.0 * step)))
+        frame.store(
+            f"{name}egt-degF",
+            _fahrenheit(hot.choose(burnt, exhaust + (ambient_k - exhaust) / 100.0 * step)),
+        )
         head = _kelvin(frame.get(f"{name}cht-degF"))
         above, area = head - ambient_k, n.displacement_in3 / 360.0
-        wind = area * (frame.get("velocities/vc-kts") * frame.get(f"{name}cooling-factor")) * (outside / (_R_AIR * ambient_k))
-        heat = fuel * _CALORIFIC * share * 0.33 + (-3.95 * wind * above - 140.0 * rpm * above / n.max_rpm) - 95.0 * above * area
+        wind = (
+            area
+            * (frame.get("velocities/vc-kts") * frame.get(f"{name}cooling-factor"))
+            * (outside / (_R_AIR * ambient_k))
+        )
+        heat = (
+            fuel * _CALORIFIC * share * 0.33
+            + (-3.95 * wind * above - 140.0 * rpm * above / n.max_rpm)
+            - 95.0 * above * area
+        )
         head = head + heat / (800.0 * (n.head_mass_kg * n.cylinders)) * step
         frame.store(f"{name}cht-degF", _fahrenheit(head))
         relief, design_k, viscosity, full_rpm = n.oil
-        pressure, oil = frame.get(f"{name}oil-pressure-psi"), _kelvin(frame.get(f"{name}oil-temperature-degF"))
+        pressure, oil = (
+            frame.get(f"{name}oil-pressure-psi"),
+            _kelvin(frame.get(f"{name}oil-temperature-degF")),
+        )
         slowly = pressure.gt(5.0).choose(5000.0 / pressure, 1000.0)
         oil = oil + (head + 0.667 * (ambient_k - head) - oil) / slowly * step
         frame.store(f"{name}oil-temperature-degF", _fahrenheit(oil))
         by_speed = relief / full_rpm * rpm
         by_speed = by_speed.ge(relief).choose(relief, by_speed)
-        frame.store(f"{name}oil-pressure-psi", by_speed + (design_k - oil) * viscosity * by_speed / relief)
+        frame.store(
+            f"{name}oil-pressure-psi", by_speed + (design_k - oil) * viscosity * by_speed / relief
+        )
 
     def fuel_rate(self, frame: Frame) -> Value:
         """What it takes from its tanks [lbs/s]."""
@@ -201,13 +288,18 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
     node = part[1]
     boost = node.find("numboostspeeds")
     if boost is not None and scope.number(boost) != 0.0:
-        scope.refuse(boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine")
+        scope.refuse(
+            boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine"
+        )
     known(scope, node, _TAGS)
     tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
     for table in node.all("table"):
         title = table.attributes.get("name", "")
         if title not in tables:
-            scope.refuse(table, f"a table '{title}' of a piston engine is not understood; COMBUSTION and MIXTURE are")
+            scope.refuse(
+                table,
+                f"a table '{title}' of a piston engine is not understood; COMBUSTION and MIXTURE are",
+            )
         tables[title] = grid(scope, table)
         if tables[title].columns:
             scope.refuse(table, f"table {title} has one dimension")
@@ -232,8 +324,21 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
     )
     drop = get("sparkfaildrop", 0.0)
     numbers = Numbers(
-        get("displacement", 360.0, "IN3"), idle, most, get("maxhp", 200.0, "HP"), get("cycles", 4.0), stroke,
-        get("cylinders", 4.0), get("compression-ratio", 8.5), min(max(1.0 - drop, 0.0), 1.0), get("man-press-lag", 1.0), peak,
-        get("dynamic-fmep", 18400.0, "PA"), get("static-fmep", 46500.0, "PA"), get("cylinder-head-mass", 2.0, "KG"), throttle, oil,
-    )  # fmt: skip
+        get("displacement", 360.0, "IN3"),
+        idle,
+        most,
+        get("maxhp", 200.0, "HP"),
+        get("cycles", 4.0),
+        stroke,
+        get("cylinders", 4.0),
+        get("compression-ratio", 8.5),
+        min(max(1.0 - drop, 0.0), 1.0),
+        get("man-press-lag", 1.0),
+        peak,
+        get("dynamic-fmep", 18400.0, "PA"),
+        get("static-fmep", 46500.0, "PA"),
+        get("cylinder-head-mass", 2.0, "KG"),
+        throttle,
+        oil,
+    )
     return Piston(name, index, numbers, tables["COMBUSTION"], tables["MIXTURE"], magnetos)

@@ -22,9 +22,22 @@ from uqharness.batch.translate.tables import Grid
 
 _TABLES = ("C_THRUST", "C_POWER", "CT_MACH", "CP_MACH", "CT_RPM_FACTOR", "CP_RPM_FACTOR")
 _TAGS = (
-    "ixx", "diameter", "numblades", "gearratio", "minpitch", "maxpitch", "minrpm", "maxrpm", "constspeed", "ct_factor",
-    "cp_factor", "table", "p_factor", "sense", "reversepitch",
-)  # fmt: skip
+    "ixx",
+    "diameter",
+    "numblades",
+    "gearratio",
+    "minpitch",
+    "maxpitch",
+    "minrpm",
+    "maxrpm",
+    "constspeed",
+    "ct_factor",
+    "cp_factor",
+    "table",
+    "p_factor",
+    "sense",
+    "reversepitch",
+)
 """JSBSim reads p_factor and sense from <thruster>; what stands here of them it ignores, and reversepitch without a turboprop."""
 _LEAST_RPS = 0.01
 _PITCH_FROM_RPM = 200.0
@@ -86,12 +99,21 @@ class Propeller:
         faster = (rps + excess / self.ixx / (2.0 * math.pi) * frame.step) * 60.0
         zero = b.constant(0.0)
         rates: Vector = tuple(frame.memory(slot) for slot in slots("rates"))  # type: ignore[assignment]
-        own = plus(cross(rates, applied(to_body, (spin, zero, zero))), applied(to_body, (torque, zero, zero)))
+        own = plus(
+            cross(rates, applied(to_body, (spin, zero, zero))),
+            applied(to_body, (torque, zero, zero)),
+        )
         frame.store(f"{name}propeller-rpm", faster.lt(0.0).choose(0.0, faster))
         frame.store(f"{name}engine-rpm", frame.get(f"{name}propeller-rpm") * self.gear)
-        for key, value in (("advance-ratio", ratio), ("thrust-coefficient", ct), ("helical-tip-Mach", mach), ("thrust-lbs", thrust),
-                           ("prop-induced-velocity_fps", induced), ("propeller-power-ftlbps", needed_power),
-                           ("propeller-torque-ftlb", torque)):  # fmt: skip
+        for key, value in (
+            ("advance-ratio", ratio),
+            ("thrust-coefficient", ct),
+            ("helical-tip-Mach", mach),
+            ("thrust-lbs", thrust),
+            ("prop-induced-velocity_fps", induced),
+            ("propeller-power-ftlbps", needed_power),
+            ("propeller-torque-ftlb", torque),
+        ):
             frame.store(f"{name}{key}", value)
         return self.mount.act(frame, to_body, thrust, own)
 
@@ -111,7 +133,9 @@ class Propeller:
             return before
         low, high = self.pitch
         index = name.removeprefix("propulsion/engine").removesuffix("/")
-        wanted = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(f"fcs/advance-pos-norm{index}")
+        wanted = self.rpm[0] + (self.rpm[1] - self.rpm[0]) * frame.get(
+            f"fcs/advance-pos-norm{index}"
+        )
         turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (wanted - rpm) * frame.step, before)
         governed = turned.lt(low).choose(low, turned.gt(high).choose(high, turned))
         feathering = before + (high - before) / 300.0
@@ -140,7 +164,9 @@ class Propeller:
         root = b.op("sqrt", b.op("abs", square))
         return 0.5 * square.gt(0.0).choose(-speed + root, -speed - root)
 
-    def _shift(self, frame: Frame, local: tuple[Value, Value, Value], induced: Value, sense: Value) -> None:
+    def _shift(
+        self, frame: Frame, local: tuple[Value, Value, Value], induced: Value, sense: Value
+    ) -> None:
         """The P-factor: thrust acts beside the axis when air comes from the side."""
         if not self.mount.p_factor > _LEAST_P_FACTOR:
             return
@@ -150,7 +176,10 @@ class Propeller:
         factor = sense * self.mount.p_factor * b.op("atan2", across, local[0] + induced) / across
         for axis, flow in (("y", local[2]), ("z", local[1])):
             moved = frame.get(f"{name}{axis}-reference-position") + factor * flow
-            frame.store(f"{name}{axis}-position", sideways.choose(moved, frame.get(f"{name}{axis}-position")))
+            frame.store(
+                f"{name}{axis}-position",
+                sideways.choose(moved, frame.get(f"{name}{axis}-position")),
+            )
 
 
 def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
@@ -161,14 +190,20 @@ def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
     for table in node.all("table"):
         name = table.attributes.get("name", "")
         if name not in _TABLES:
-            scope.refuse(table, f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are")
+            scope.refuse(
+                table,
+                f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are",
+            )
         tables[name] = grid(scope, table)
     pitch = (number(scope, node, "minpitch", 0.0), number(scope, node, "maxpitch", 0.0))
     for name in ("C_THRUST", "C_POWER"):
         if name not in tables:
             scope.refuse(node, f"a propeller has a table {name}")
         if bool(tables[name].columns) != (pitch[0] != pitch[1]):
-            scope.refuse(node, f"table {name} has one dimension where minpitch is maxpitch, two where it is not")
+            scope.refuse(
+                node,
+                f"table {name} has one dimension where minpitch is maxpitch, two where it is not",
+            )
     if any(tables[name].columns for name in tables if name not in ("C_THRUST", "C_POWER")):
         scope.refuse(node, "a table of factors has one dimension")
     if mount.p_factor < 0.0:

@@ -17,12 +17,16 @@ TEXT = ("description", "documentation", "limitation", "note", "reference")
 """Elements that say nothing to JSBSim."""
 
 
-def known(scope: Scope, node: Node, tags: Collection[str], attributes: Collection[str] = ("name",)) -> None:
+def known(
+    scope: Scope, node: Node, tags: Collection[str], attributes: Collection[str] = ("name",)
+) -> None:
     """Refuse children and attributes that are not understood."""
     scope.only(node, attributes)
     for child in node.children:
         if child.tag not in tags and child.tag not in TEXT:
-            scope.refuse(child, f"<{child.tag}> of <{node.tag}> is not understood by the batch engine")
+            scope.refuse(
+                child, f"<{child.tag}> of <{node.tag}> is not understood by the batch engine"
+            )
 
 
 def number(scope: Scope, node: Node, tag: str, default: float, unit: str = "") -> float:
@@ -41,11 +45,16 @@ def needed(scope: Scope, node: Node, tag: str, unit: str = "") -> float:
     return number(scope, node, tag, 0.0, unit)
 
 
-def triplet(scope: Scope, node: Node, names: tuple[str, str, str], unit: str) -> tuple[float, float, float]:
+def triplet(
+    scope: Scope, node: Node, names: tuple[str, str, str], unit: str
+) -> tuple[float, float, float]:
     """Three children as numbers; one that lacks is 0."""
     known(scope, node, names, ("unit", "name"))
     factor = _factor(scope, node, unit)
-    parts = [0.0 if (child := node.find(name)) is None else scope.number(child) * factor for name in names]
+    parts = [
+        0.0 if (child := node.find(name)) is None else scope.number(child) * factor
+        for name in names
+    ]
     for child in node.children:
         scope.only(child)
     return (parts[0], parts[1], parts[2])
@@ -65,7 +74,11 @@ def grid(scope: Scope, table: Node) -> Grid:
     """The numbers of a ``<table type="internal">``: its columns tell whether it has one dimension or two."""
     scope.only(table, ("name", "type"))
     data = table.all("tableData")
-    if table.attributes.get("type", "").strip() != "internal" or len(data) != 1 or len(table.children) != 1:
+    if (
+        table.attributes.get("type", "").strip() != "internal"
+        or len(data) != 1
+        or len(table.children) != 1
+    ):
         scope.refuse(table, 'a table of an engine has type="internal" and one <tableData>')
     scope.only(data[0])
     lines = [line.split() for line in data[0].text.splitlines() if line.strip()]
@@ -84,8 +97,16 @@ def numbered(part: Part, number_of_engine: int) -> Part:
     document, node = part
 
     def copied(old: Node, parent: Node | None) -> Node:
-        attributes = {key: text.replace("#", str(number_of_engine)) for key, text in old.attributes.items()}
-        new = replace(old, attributes=attributes, text=old.text.replace("#", str(number_of_engine)), parent=parent, children=[])
+        attributes = {
+            key: text.replace("#", str(number_of_engine)) for key, text in old.attributes.items()
+        }
+        new = replace(
+            old,
+            attributes=attributes,
+            text=old.text.replace("#", str(number_of_engine)),
+            parent=parent,
+            children=[],
+        )
         new.children.extend(copied(child, new) for child in old.children)
         return new
 

@@ -17,9 +17,19 @@ from uqharness.batch.translate.scope import Scope
 
 _LEAST_CAPACITY = 1e-5
 _TAGS = (
-    "location", "drain_location", "radius", "inertia_factor", "capacity", "contents", "unusable-volume", "temperature",
-    "standpipe", "priority", "density", "type",
-)  # fmt: skip
+    "location",
+    "drain_location",
+    "radius",
+    "inertia_factor",
+    "capacity",
+    "contents",
+    "unusable-volume",
+    "temperature",
+    "standpipe",
+    "priority",
+    "density",
+    "type",
+)
 
 
 @dataclass(frozen=True)
@@ -43,11 +53,18 @@ class Tank:
 
     def place(self, frame: Frame) -> tuple[Value, Value, Value]:
         """Where its contents lie [in], structural frame."""
-        full = (frame.get(f"{self.name}x-position"), frame.get(f"{self.name}y-position"), frame.get(f"{self.name}z-position"))
+        full = (
+            frame.get(f"{self.name}x-position"),
+            frame.get(f"{self.name}y-position"),
+            frame.get(f"{self.name}z-position"),
+        )
         if self.drain_in is None:
             return full
         filled = self.contents(frame) / self.capacity_lbs
-        x, y, z = (empty + filled * (there - empty) for empty, there in zip(self.drain_in, full, strict=True))
+        x, y, z = (
+            empty + filled * (there - empty)
+            for empty, there in zip(self.drain_in, full, strict=True)
+        )
         return (x, y, z)
 
     def gives(self, frame: Frame) -> Value:
@@ -57,7 +74,9 @@ class Tank:
 
     def unusable(self, frame: Frame) -> Value:
         """What no engine gets [lbs]."""
-        return frame.get(f"{self.name}unusable-volume-gal") * frame.get(f"{self.name}density-lbs_per_gal")
+        return frame.get(f"{self.name}unusable-volume-gal") * frame.get(
+            f"{self.name}density-lbs_per_gal"
+        )
 
     def drain(self, frame: Frame, used: Value, where: Value) -> None:
         """Take out so many lbs ``where`` that is true."""
@@ -76,7 +95,10 @@ def read_tank(scope: Scope, part: Part, index: int) -> Tank:
     node = part[1]
     known(scope, node, _TAGS, ("type", "name", "number"))
     if node.attributes.get("type", "") != "FUEL":
-        scope.refuse(node, f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch engine; FUEL is")
+        scope.refuse(
+            node,
+            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch engine; FUEL is",
+        )
     drain = node.find("drain_location")
     radius = number(scope, node, "radius", 0.0, "IN")
     capacity = number(scope, node, "capacity", _LEAST_CAPACITY, "LBS")
@@ -109,7 +131,9 @@ def set_whole(name: str) -> Callable[[Frame, Value], None]:
     return write
 
 
-def feeding(frame: Frame, tanks: Sequence[Tank], feeds: Sequence[int]) -> tuple[list[Value], Value, Value]:
+def feeding(
+    frame: Frame, tanks: Sequence[Tank], feeds: Sequence[int]
+) -> tuple[list[Value], Value, Value]:
     """For each tank of an engine whether it feeds now, how many do, and whether none does."""
     b = frame.builder
     most = float(len(tanks))
@@ -118,7 +142,10 @@ def feeding(frame: Frame, tanks: Sequence[Tank], feeds: Sequence[int]) -> tuple[
     first: Value = b.constant(most + 1.0)
     for gives, priority in zip(given, priorities, strict=True):
         first = b.op("and", gives, priority.lt(first)).choose(priority, first)
-    now = [b.op("and", gives, priority.eq(first)) for gives, priority in zip(given, priorities, strict=True)]
+    now = [
+        b.op("and", gives, priority.eq(first))
+        for gives, priority in zip(given, priorities, strict=True)
+    ]
     count: Value = b.constant(0.0)
     for feeds_now in now:
         count = count + feeds_now.choose(1.0, 0.0)

@@ -48,7 +48,9 @@ class Mount:
             (-1.0 * sp, sr * cp, cr * cp),
         )
 
-    def act(self, frame: Frame, to_body: Matrix, thrust: Value, own: Vector) -> tuple[Vector, Vector]:
+    def act(
+        self, frame: Frame, to_body: Matrix, thrust: Value, own: Vector
+    ) -> tuple[Vector, Vector]:
         """Force [lbf] and moment about the CG [lbf ft] in body axes; ``own`` is what the thruster turns the aircraft with."""
         force = applied(to_body, (thrust, 0.0, 0.0))
         at = tuple(frame.get(f"{self.name}{axis}-position") for axis in "xyz")
@@ -70,7 +72,9 @@ def read_mount(scope: Scope, node: Part, index: int) -> Mount:
     roll: float | None = None
     if pointing is None:
         roll = 0.0 if orient is None else triplet(scope, orient, ("roll", "pitch", "yaw"), "RAD")[0]
-    direction = (1.0, 0.0, 0.0) if pointing is None else triplet(scope, pointing, ("x", "y", "z"), "")
+    direction = (
+        (1.0, 0.0, 0.0) if pointing is None else triplet(scope, pointing, ("x", "y", "z"), "")
+    )
     sense = 1.0 if number(scope, thruster, "sense", 1.0) >= 0.0 else -1.0
     return Mount(base(index), roll, direction, sense, number(scope, thruster, "p_factor", 0.0))
 

@@ -18,13 +18,45 @@ from uqharness.batch.translate.propulsion.thruster import Jet
 from uqharness.batch.translate.scope import Scope, is_number
 from uqharness.xml import Node
 
-FUNCTIONS = ("IdleThrust", "MilThrust", "AugThrust", "Injection", "N1SpoolUp", "N1SpoolDown", "N2SpoolUp", "N2SpoolDown")
+FUNCTIONS = (
+    "IdleThrust",
+    "MilThrust",
+    "AugThrust",
+    "Injection",
+    "N1SpoolUp",
+    "N1SpoolDown",
+    "N2SpoolUp",
+    "N2SpoolDown",
+)
 """Names of functions to which JSBSim gives those of the engine's properties."""
 _TAGS = (
-    "milthrust", "maxthrust", "bypassratio", "tsfc", "atsfc", "bleed", "idlen1", "idlen2", "maxn1", "maxn2", "augmented",
-    "augmethod", "injected", "injection-time", "injection-N1-inc", "injection-N2-inc", "function", "ignitionn1", "ignitionn2",
-    "n1spinup", "n2spinup", "n1startrate", "n2startrate", "n1spindown", "n2spindown", "disable-windmill",
-)  # fmt: skip
+    "milthrust",
+    "maxthrust",
+    "bypassratio",
+    "tsfc",
+    "atsfc",
+    "bleed",
+    "idlen1",
+    "idlen2",
+    "maxn1",
+    "maxn2",
+    "augmented",
+    "augmethod",
+    "injected",
+    "injection-time",
+    "injection-N1-inc",
+    "injection-N2-inc",
+    "function",
+    "ignitionn1",
+    "ignitionn2",
+    "n1spinup",
+    "n2spinup",
+    "n1startrate",
+    "n2startrate",
+    "n1spindown",
+    "n2spindown",
+    "disable-windmill",
+)
 _OFF, _RUN, _TRIM, _START = 0.0, 1.0, 2.0, 3.0
 _LEAST_QBAR_PSF = 30.0
 _LEAST_N2 = 15.0
@@ -77,7 +109,9 @@ class Turbine:
         throttle = lever.gt(1.0).choose(lever - after, lever)
         starved = frame.memory(f"{self.key}/starved").ne(0.0)
         if frame.initialising:
-            frame.remember(f"{self.key}/phase", starved.choose(_OFF, _TRIM), self._first_phase(frame))
+            frame.remember(
+                f"{self.key}/phase", starved.choose(_OFF, _TRIM), self._first_phase(frame)
+            )
             running = frame.get(f"{self.name}set-running")
             frame.store(f"{self.name}set-running", starved.choose(0.0, running))
             return starved.choose(0.0, self._trimmed(frame, throttle, after))
@@ -87,7 +121,9 @@ class Turbine:
         return _RUN if frame.values.get(f"{self.name}set-running") else _OFF
 
     def _cutoff(self, frame: Frame) -> Value:
-        return frame.memory(f"{self.key}/cutoff", 0.0 if frame.values.get(f"{self.name}set-running") else 1.0)
+        return frame.memory(
+            f"{self.key}/cutoff", 0.0 if frame.values.get(f"{self.name}set-running") else 1.0
+        )
 
     def _thrusts(self, frame: Frame) -> tuple[Value, Value]:
         """Idle thrust, and what full speed adds."""
@@ -108,13 +144,17 @@ class Turbine:
             if n.augmented:
                 thrust = burning.choose(n.most * self._augmented(frame), thrust)
         if n.method == 2:
-            thrust = after.gt(0.0).choose(thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust)
+            thrust = after.gt(0.0).choose(
+                thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust
+            )
         return thrust
 
     def _augmented(self, frame: Frame) -> Value:
         return frame.get(f"{self.name}AugThrust")
 
-    def _moving(self, frame: Frame, throttle: Value, after: Value, starved: Value, qbar: Value) -> Value:
+    def _moving(
+        self, frame: Frame, throttle: Value, after: Value, starved: Value, qbar: Value
+    ) -> Value:
         """Thrust in a frame in which time goes on: of an engine that is off, runs, or starts again in the wind."""
         b, n, name, key = frame.builder, self.numbers, self.name, self.key
         phase = frame.memory(f"{key}/phase", self._first_phase(frame))
@@ -133,7 +173,9 @@ class Turbine:
         off = self._off(frame, n1, n2, qbar)
         run, thrust = self._run(frame, (n1, n2), throttle, after)
         start, ready, aborted = self._started(frame, n1, n2, qbar)
-        chosen = [runs.choose(r, starts.choose(s, o)) for r, s, o in zip(run, start, off, strict=True)]
+        chosen = [
+            runs.choose(r, starts.choose(s, o)) for r, s, o in zip(run, start, off, strict=True)
+        ]
         frame.store(f"{name}n1", chosen[0])
         frame.store(f"{name}n2", chosen[1])
         frame.remember(f"{key}/pph", chosen[2], self._first_pph(frame))
@@ -150,13 +192,20 @@ class Turbine:
     def _memory(self, frame: Frame) -> tuple[Value, Value, Value]:
         """Fuel flow, N2 of its range, afterburner: of the frame before."""
         key = self.key
-        pph, norm = frame.memory(f"{key}/pph", self._first_pph(frame)), frame.memory(f"{key}/norm", self._first_norm(frame))
+        pph, norm = (
+            frame.memory(f"{key}/pph", self._first_pph(frame)),
+            frame.memory(f"{key}/norm", self._first_norm(frame)),
+        )
         return pph, norm, frame.memory(f"{key}/augmented")
 
     def _first_norm(self, frame: Frame) -> float:
         n2 = frame.values.get(f"{self.name}n2") or 0.0
         n = self.numbers
-        return (n2 - n.idle[1]) / (n.full[1] - n.idle[1]) if frame.values.get(f"{self.name}set-running") else 0.0
+        return (
+            (n2 - n.idle[1]) / (n.full[1] - n.idle[1])
+            if frame.values.get(f"{self.name}set-running")
+            else 0.0
+        )
 
     def _first_pph(self, frame: Frame) -> float:
         """Fuel flow [lbs/h] of an engine that a script has set running: JSBSim tells it behind its initialising frames."""
@@ -175,19 +224,31 @@ class Turbine:
             slow2 = _sought(n2, still, n2 / 2.0, n2 / down2, step)
         return [slow1, slow2, _sought(pph, still, 1000.0, 10000.0, step), norm, still]
 
-    def _started(self, frame: Frame, n1: Value, n2: Value, qbar: Value) -> tuple[list[Value], Value, Value]:
+    def _started(
+        self, frame: Frame, n1: Value, n2: Value, qbar: Value
+    ) -> tuple[list[Value], Value, Value]:
         """The same of an engine that starts, whether it runs now, and whether it gives up."""
         b, n, step = frame.builder, self.numbers, frame.step
         pph, norm, augmented = self._memory(frame)
         turns = n2.gt(_LEAST_N2)
         spins = b.op("and", turns, n2.lt(n.idle[1]))
-        new2 = spins.choose(_sought(n2, b.constant(n.idle[1]), n.start_rates[1], n2 / 2.0, step), n2)
-        new1 = spins.choose(_sought(n1, b.constant(n.idle[0]), n.start_rates[0], n1 / 2.0, step), n1)
+        new2 = spins.choose(
+            _sought(n2, b.constant(n.idle[1]), n.start_rates[1], n2 / 2.0, step), n2
+        )
+        new1 = spins.choose(
+            _sought(n1, b.constant(n.idle[0]), n.start_rates[0], n1 / 2.0, step), n1
+        )
         new_pph = spins.choose(self.numbers.idle_pph * new2 / n.idle[1], pph)
         aborted = b.op("or", b.op("not", turns), b.op("and", spins, qbar.lt(_LEAST_QBAR_PSF)))
-        return [new1, new2, new_pph, norm, augmented], b.op("and", turns, b.op("not", spins)), aborted
+        return (
+            [new1, new2, new_pph, norm, augmented],
+            b.op("and", turns, b.op("not", spins)),
+            aborted,
+        )
 
-    def _run(self, frame: Frame, spools: tuple[Value, Value], throttle: Value, after: Value) -> tuple[list[Value], Value]:
+    def _run(
+        self, frame: Frame, spools: tuple[Value, Value], throttle: Value, after: Value
+    ) -> tuple[list[Value], Value]:
         """The same of an engine that runs, and its thrust."""
         b, n, step = frame.builder, self.numbers, frame.step
         idle, more = self._thrusts(frame)
@@ -201,7 +262,9 @@ class Turbine:
         norm = (moved[1] - n.idle[1]) / (n.full[1] - n.idle[1])
         thrust = idle + more * norm * norm
         dry = before.eq(0.0)
-        wanted = _sought(pph, thrust * self._consumption(frame, "tsfc", norm), 1000.0, 10000.0, step)
+        wanted = _sought(
+            pph, thrust * self._consumption(frame, "tsfc", norm), 1000.0, 10000.0, step
+        )
         least = n.idle_pph
         pph = dry.choose(wanted.lt(least).choose(least, wanted), pph)
         thrust = dry.choose(thrust * (1.0 - frame.get(f"{self.name}bleed-factor")), thrust)
@@ -211,12 +274,24 @@ class Turbine:
             burning = lit.choose(1.0, 0.0)
             if n.augmented:
                 thrust = lit.choose(self._augmented(frame) * n.most, thrust)
-                pph = lit.choose(_sought(pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step), pph)
+                pph = lit.choose(
+                    _sought(
+                        pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step
+                    ),
+                    pph,
+                )
         if n.method == 2:
             lit = after.gt(0.0)
             burning = lit.choose(1.0, 0.0)
-            thrust = lit.choose(thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust)
-            pph = lit.choose(_sought(pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step), pph)
+            thrust = lit.choose(
+                thrust + (n.most * self._augmented(frame) - thrust) * _capped(after), thrust
+            )
+            pph = lit.choose(
+                _sought(
+                    pph, thrust * self._consumption(frame, "atsfc", norm), 5000.0, 10000.0, step
+                ),
+                pph,
+            )
         return [moved[0], moved[1], pph, norm, burning], thrust
 
     def _spool(self, frame: Frame, name: str, norm: Value, factor: float) -> Value:
@@ -225,8 +300,15 @@ class Turbine:
             return frame.get(f"{self.name}{name}")
         short = norm + 0.1
         lacking = 1.0 - short.lt(1.0).choose(short, 1.0)
-        thin = 1.0 - frame.get("atmosphere/rho-slugs_ft3") / frame.get("atmosphere/rho-sl-slugs_ft3")
-        return factor * 90.0 / (self.numbers.bypass + 3.0) / (1.0 + 3.0 * lacking * lacking * lacking + thin)
+        thin = 1.0 - frame.get("atmosphere/rho-slugs_ft3") / frame.get(
+            "atmosphere/rho-sl-slugs_ft3"
+        )
+        return (
+            factor
+            * 90.0
+            / (self.numbers.bypass + 3.0)
+            / (1.0 + 3.0 * lacking * lacking * lacking + thin)
+        )
 
     def _consumption(self, frame: Frame, tag: str, norm: Value) -> Value:
         """Fuel [lbs/h] per lbf of thrust."""
@@ -234,10 +316,18 @@ class Turbine:
         document, node = self.scope_part
         element = node.find(tag)
         if element is None or is_number(element.text):
-            given = {"tsfc": 0.8, "atsfc": 1.7}[tag] if element is None else frame.scope(document).number(element)
+            given = (
+                {"tsfc": 0.8, "atsfc": 1.7}[tag]
+                if element is None
+                else frame.scope(document).number(element)
+            )
             if tag == "atsfc":
                 return b.constant(given)
-            return given * b.op("sqrt", frame.get("atmosphere/T-R") / 389.7) * (0.84 + (1.0 - norm) * (1.0 - norm))
+            return (
+                given
+                * b.op("sqrt", frame.get("atmosphere/T-R") / 389.7)
+                * (0.84 + (1.0 - norm) * (1.0 - norm))
+            )
         return function_value(frame.scope(document), element)
 
     def fuel_rate(self, frame: Frame) -> Value:
@@ -249,7 +339,9 @@ def _capped(after: Value) -> Value:
     return after.lt(1.0).choose(after, 1.0)
 
 
-def _sought(value: Value, goal: Value, up: Value | float, down: Value | float, step: Value) -> Value:
+def _sought(
+    value: Value, goal: Value, up: Value | float, down: Value | float, step: Value
+) -> Value:
     """On the way to a goal at these rates, not beyond it."""
     less, more = value - step * down, value + step * up
     falling = less.lt(goal).choose(goal, less)
@@ -267,7 +359,11 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
 
     names = frozenset(_own(child).rpartition("/")[2] for child in node.all("function"))
     augmented, method = int(get("augmented", 0.0)) == 1, int(get("augmethod", 0.0))
-    for wanted in ("IdleThrust", "MilThrust", *(("AugThrust",) if method == 2 or (augmented and method == 1) else ())):
+    for wanted in (
+        "IdleThrust",
+        "MilThrust",
+        *(("AugThrust",) if method == 2 or (augmented and method == 1) else ()),
+    ):
         if wanted not in names:
             scope.refuse(node, f"a turbine has a function {wanted}")
     if method not in (0, 1, 2):

@@ -20,16 +20,21 @@ CASES = {
     "rate limit": ("", STEP + "<rate_limit>@1.5</rate_limit>"),
     "rate limits of both senses": (
         "",
-        STEP + '<rate_limit sense="incr">@1.5</rate_limit><rate_limit sense="decr">i/c</rate_limit>',
+        STEP
+        + '<rate_limit sense="incr">@1.5</rate_limit><rate_limit sense="decr">i/c</rate_limit>',
     ),
     "one sense alone": ("", STEP + '<rate_limit sense="decrement">@1.5</rate_limit>'),
     "dead band": ("", A + "<deadband_width>@.7</deadband_width>"),
     "hysteresis": ("", STEP + "<lag>3</lag><hysteresis_width>@.7</hysteresis_width>"),
     "saturated": ("", A + "<clipto><min>0</min><max>@1.1</max></clipto>"),
-    "saturated by properties": ("", A + "<bias>@.3</bias><clipto><min>-i/b</min><max>i/b</max></clipto>"),
+    "saturated by properties": (
+        "",
+        A + "<bias>@.3</bias><clipto><min>-i/b</min><max>i/b</max></clipto>",
+    ),
     "switched": (
         'execute="i/on"',
-        A + "<lag>@20</lag><rate_limit>30</rate_limit><hysteresis_width>.2</hysteresis_width><delay>.03</delay>",
+        A
+        + "<lag>@20</lag><rate_limit>30</rate_limit><hysteresis_width>.2</hysteresis_width><delay>.03</delay>",
     ),
     "switched, every third frame": (
         'execute="i/on" execrate="3"',
@@ -41,20 +46,28 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
     attributes, body = CASES[name]
-    apart, control = judged(f'<channel {attributes}><actuator name="a">{body}</actuator></channel>', random_inputs())
+    apart, control = judged(
+        f'<channel {attributes}><actuator name="a">{body}</actuator></channel>', random_inputs()
+    )
     assert apart == {}
     assert control != {}
 
 
 @pytest.mark.parametrize("name", ["all of it", "switched", "saturated"])
-@pytest.mark.parametrize("failures", [("zero",), ("hardover",), ("stuck",), ("zero", "hardover", "stuck")])
+@pytest.mark.parametrize(
+    "failures", [("zero",), ("hardover",), ("stuck",), ("zero", "hardover", "stuck")]
+)
 def test_failures_come_and_go(name: str, failures: tuple[str, ...]) -> None:
     inputs = random_inputs(1500)
     rng = np.random.default_rng(3)
     for how in failures:
-        inputs[f"fcs/a/malfunction/fail_{how}"] = np.repeat((rng.random(300) > 0.7).astype(float), 5)
+        inputs[f"fcs/a/malfunction/fail_{how}"] = np.repeat(
+            (rng.random(300) > 0.7).astype(float), 5
+        )
     attributes, body = CASES[name]
-    apart, control = judged(f'<channel {attributes}><actuator name="a">{body}</actuator></channel>', inputs)
+    apart, control = judged(
+        f'<channel {attributes}><actuator name="a">{body}</actuator></channel>', inputs
+    )
     assert apart == {}
     assert control != {}
 
@@ -73,7 +86,9 @@ LINEAR = {
 def test_linear_actuators_have_jsbsims_bits(name: str) -> None:
     inputs = random_inputs()
     inputs["i/ramp"] = np.mod(np.cumsum(np.random.default_rng(2).normal(0.01, 0.03, 3000)), 1.0)
-    apart, control = judged(f'<channel><linear_actuator name="l">{LINEAR[name]}</linear_actuator></channel>', inputs)
+    apart, control = judged(
+        f'<channel><linear_actuator name="l">{LINEAR[name]}</linear_actuator></channel>', inputs
+    )
     assert apart == {}
     assert control != {}
 
@@ -81,11 +96,23 @@ def test_linear_actuators_have_jsbsims_bits(name: str) -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ('<actuator name="a"><input>i/a</input><rate_limit sense="up">1</rate_limit></actuator>', "allowed are incr and decr"),
-        ('<actuator name="a"><input>i/a</input><lag>1</lag><lag>2</lag></actuator>', "has one <lag>"),
+        (
+            '<actuator name="a"><input>i/a</input><rate_limit sense="up">1</rate_limit></actuator>',
+            "allowed are incr and decr",
+        ),
+        (
+            '<actuator name="a"><input>i/a</input><lag>1</lag><lag>2</lag></actuator>',
+            "has one <lag>",
+        ),
         ('<actuator name="a"><input>i/a</input><gain>1</gain></actuator>', "<gain> in <actuator>"),
-        ('<pure_gain name="fcs/a/saturated"><input>i/a</input><gain>1</gain></pure_gain>', "cannot be written by <pure_gain>"),
-        ('<pure_gain name="fcs/a/malfunction/fail_zero"><input>i/a</input><gain>1</gain></pure_gain>', "cannot be written"),
+        (
+            '<pure_gain name="fcs/a/saturated"><input>i/a</input><gain>1</gain></pure_gain>',
+            "cannot be written by <pure_gain>",
+        ),
+        (
+            '<pure_gain name="fcs/a/malfunction/fail_zero"><input>i/a</input><gain>1</gain></pure_gain>',
+            "cannot be written",
+        ),
     ],
 )
 def test_refusals(body: str, message: str) -> None:

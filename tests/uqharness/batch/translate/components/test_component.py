@@ -29,10 +29,15 @@ def test_a_component_without_a_name_has_its_outputs() -> None:
     body = "<summer><input>i/a</input><bias>@2</bias><output>o/one</output><output>o/two</output><description/></summer>"
     ends = "<range><documentation>x</documentation><min>-2</min><max>@3</max></range>"
     scale = f"<aerosurface_scale><description>x</description><input>i/b</input>{ends}"
-    apart, control = judged(f"<channel>{body}{scale}<output>o/three</output></aerosurface_scale></channel>", random_inputs(200))
+    apart, control = judged(
+        f"<channel>{body}{scale}<output>o/three</output></aerosurface_scale></channel>",
+        random_inputs(200),
+    )
     assert apart == {}
     assert set(control) == {"o/one", "o/two", "o/three"}
-    assert "a <summer> has a name or <output>" in refusal("<channel><summer><input>i/a</input></summer></channel>")
+    assert "a <summer> has a name or <output>" in refusal(
+        "<channel><summer><input>i/a</input></summer></channel>"
+    )
     assert "must be the name of a property; received 'fcs/'" in refusal(
         "<channel><actuator><input>i/a</input><output>o/x</output></actuator></channel>"
     )

@@ -52,7 +52,9 @@ def test_an_angle_agrees_to_rounding() -> None:
         apart = np.abs(pair.theirs[name] - pair.ours[name]) / scale
         assert np.max(apart * np.abs(np.sin(pair.theirs[name] / scale))) < 1e-15
         assert len(np.unique(np.sign(pair.theirs[name]))) > 1
-    changed = compared(f"<channel>{body}</channel>", inputs, f"<channel>{body.replace('DEG', 'RAD')}</channel>")
+    changed = compared(
+        f"<channel>{body}</channel>", inputs, f"<channel>{body.replace('DEG', 'RAD')}</channel>"
+    )
     assert np.max(np.abs(changed.theirs["fcs/y"] - changed.ours["fcs/y"])) > 1.0
 
 
@@ -63,20 +65,44 @@ def test_an_angle_agrees_to_rounding() -> None:
         ('<pure_gain name="g"><gain>1</gain></pure_gain>', "has 1 <input>; received 0"),
         (f'<pure_gain name="g">{A}{A}<gain>1</gain></pure_gain>', "has 1 <input>; received 2"),
         (f'<pure_gain name="g">{A}<gain>1</gain><gain>2</gain></pure_gain>', "has one <gain>"),
-        (f'<pure_gain name="g">{A}<gain>1</gain><bias>2</bias></pure_gain>', "<bias> in <pure_gain> is not understood"),
+        (
+            f'<pure_gain name="g">{A}<gain>1</gain><bias>2</bias></pure_gain>',
+            "<bias> in <pure_gain> is not understood",
+        ),
         (f'<pure_gain name="g" type="x">{A}<gain>1</gain></pure_gain>', "attribute 'type'"),
-        (f'<pure_gain name="g">{A}<gain>1</gain><clipto><min>1</min></clipto></pure_gain>', "one <min> and one <max>"),
+        (
+            f'<pure_gain name="g">{A}<gain>1</gain><clipto><min>1</min></clipto></pure_gain>',
+            "one <min> and one <max>",
+        ),
         (
             f'<pure_gain name="g">{A}<gain>1</gain><clipto type="x"><min>1</min><max>2</max></clipto></pure_gain>',
             "allowed is cyclic",
         ),
-        (f'<pure_gain name="g">{A}<gain unit="x">1</gain></pure_gain>', "attribute 'unit' of <gain>"),
-        (f'<pure_gain name="g">{A}<gain>nothing</gain></pure_gain>', "property nothing is not computed"),
-        (f'<pure_gain name="g">{A}<gain>1</gain><output>fcs/mag-rudder-pos-rad</output></pure_gain>', "cannot be written"),
-        (f'<pure_gain name="a+b">{A}<gain>1</gain></pure_gain>', "must be the name of a property; received 'fcs/a+b'"),
+        (
+            f'<pure_gain name="g">{A}<gain unit="x">1</gain></pure_gain>',
+            "attribute 'unit' of <gain>",
+        ),
+        (
+            f'<pure_gain name="g">{A}<gain>nothing</gain></pure_gain>',
+            "property nothing is not computed",
+        ),
+        (
+            f'<pure_gain name="g">{A}<gain>1</gain><output>fcs/mag-rudder-pos-rad</output></pure_gain>',
+            "cannot be written",
+        ),
+        (
+            f'<pure_gain name="a+b">{A}<gain>1</gain></pure_gain>',
+            "must be the name of a property; received 'fcs/a+b'",
+        ),
         (f'<aerosurface_scale name="g">{A}</aerosurface_scale>', "has <range>"),
-        ('<fcs_function name="f"><function name="n"><v>1</v></function></fcs_function>', "attribute 'name' of <function>"),
-        ('<angle name="f" unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>', "unit='X'"),
+        (
+            '<fcs_function name="f"><function name="n"><v>1</v></function></fcs_function>',
+            "attribute 'name' of <function>",
+        ),
+        (
+            '<angle name="f" unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>',
+            "unit='X'",
+        ),
     ],
 )
 def test_refusals_have_file_and_line(body: str, message: str) -> None:

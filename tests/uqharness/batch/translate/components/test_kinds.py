@@ -8,10 +8,31 @@ from tests.helpers.batch_systems import refusal
 from uqharness.batch.translate.components.kinds import KINDS, REFUSED
 
 JSBSIMS = {
-    "lag_filter", "lead_lag_filter", "washout_filter", "second_order_filter", "pure_gain", "scheduled_gain", "aerosurface_scale",
-    "summer", "deadband", "switch", "kinematic", "fcs_function", "pid", "integrator", "actuator", "sensor", "accelerometer",
-    "magnetometer", "gyro", "waypoint_heading", "waypoint_distance", "angle", "distributor", "linear_actuator",
-}  # fmt: skip
+    "lag_filter",
+    "lead_lag_filter",
+    "washout_filter",
+    "second_order_filter",
+    "pure_gain",
+    "scheduled_gain",
+    "aerosurface_scale",
+    "summer",
+    "deadband",
+    "switch",
+    "kinematic",
+    "fcs_function",
+    "pid",
+    "integrator",
+    "actuator",
+    "sensor",
+    "accelerometer",
+    "magnetometer",
+    "gyro",
+    "waypoint_heading",
+    "waypoint_distance",
+    "angle",
+    "distributor",
+    "linear_actuator",
+}
 
 
 def test_all_of_them_are_listed() -> None:

@@ -19,8 +19,14 @@ CASES = {
         "",
         f"<input>i/a</input>{_settings(('-2', '0'), ('-.1', '@.05'), ('1', '.01'), ('1.3', '.0005'), ('4', '.004'))}<noscale/>",
     ),
-    "a jump among them": ("", f"<input>-i/a</input>{_settings(('-2', '0'), ('-.1', '0'), ('1', '@.1'), ('3', '0'))}<noscale/>"),
-    "steps": ('execrate="3"', f"<input>i/step</input>{_settings(('-3', '0'), ('0', '@1'), ('3', '2'))}<noscale/>"),
+    "a jump among them": (
+        "",
+        f"<input>-i/a</input>{_settings(('-2', '0'), ('-.1', '0'), ('1', '@.1'), ('3', '0'))}<noscale/>",
+    ),
+    "steps": (
+        'execrate="3"',
+        f"<input>i/step</input>{_settings(('-3', '0'), ('0', '@1'), ('3', '2'))}<noscale/>",
+    ),
     "switched, clipped": (
         'execute="i/on"',
         f"<input>i/step</input>{_settings(('0', '0'), ('1', '@.5'))}<clipto><min>.2</min><max>.7</max></clipto>",
@@ -33,7 +39,10 @@ CASES = {
         "",
         f"<input>-i/step</input>{_settings(('0', '0'), ('0', '1'), ('5', '@2'), ('5', '1'), ('6', '.3'))}<noscale/>",
     ),
-    "from above": ("", f"<input>i/step</input>{_settings(('0', '0'), ('1', '@5'))}<output>gear/gear-pos-norm</output>"),
+    "from above": (
+        "",
+        f"<input>i/step</input>{_settings(('0', '0'), ('1', '@5'))}<output>gear/gear-pos-norm</output>",
+    ),
     "from below": ("", f"<input>i/step</input>{_settings(('1', '0'), ('2', '@.3'))}<noscale/>"),
 }
 
@@ -41,7 +50,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
     attributes, body = CASES[name]
-    apart, control = judged(f'<channel {attributes}><kinematic name="k">{body}</kinematic></channel>', random_inputs())
+    apart, control = judged(
+        f'<channel {attributes}><kinematic name="k">{body}</kinematic></channel>', random_inputs()
+    )
     assert apart == {}
     assert control != {}
 
@@ -63,4 +74,6 @@ def test_a_position_above_the_last_setting_is_nan_on_the_way_down() -> None:
     ],
 )
 def test_refusals(body: str, message: str) -> None:
-    assert message in refusal(f'<channel><kinematic name="k"><input>i/a</input>{body}</kinematic></channel>')
+    assert message in refusal(
+        f'<channel><kinematic name="k"><input>i/a</input>{body}</kinematic></channel>'
+    )

@@ -29,7 +29,9 @@ CASES |= {
 
 @pytest.mark.parametrize("name", CASES)
 def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
-    attributes = {"no integral": 'execrate="3"', "integrator": 'execute="i/on" execrate="2"'}.get(name, "")
+    attributes = {"no integral": 'execrate="3"', "integrator": 'execute="i/on" execrate="2"'}.get(
+        name, ""
+    )
     apart, control = judged(f"<channel {attributes}>{CASES[name]}</channel>", random_inputs())
     assert apart == {}
     assert control != {}
@@ -41,7 +43,10 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
         (f'<pid name="l" type="x">{A}<kp>1</kp></pid>', "allowed are ideal, parallel and standard"),
         (f'<pid name="l">{A}<ki type="x">1</ki></pid>', "allowed are rect, trap, ab2, ab3"),
         (f'<integrator name="l">{A}</integrator>', "a <integrator> has <c1>"),
-        (f'<pid name="l">{A}<kp>1</kp><output>fcs/l/initial-integrator-value</output></pid>', "cannot be written by <pid>"),
+        (
+            f'<pid name="l">{A}<kp>1</kp><output>fcs/l/initial-integrator-value</output></pid>',
+            "cannot be written by <pid>",
+        ),
     ],
 )
 def test_refusals(body: str, message: str) -> None:

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle as oracle
-from tests.helpers.batch_systems import by_jsbsim, compared, document_of, judged, random_inputs, refusal, run, traced, values_of
+from tests.helpers.batch_systems import (
+    by_jsbsim,
+    compared,
+    document_of,
+    judged,
+    random_inputs,
+    refusal,
+    run,
+    traced,
+    values_of,
+)
 from uqharness.batch.translate.channels import System
 
 A = "<input>i/a</input>"
@@ -19,14 +29,19 @@ CASES = {
     ),
     "quantized and clipped": ("", f"{A}{QUANTIZED}<clipto><min>-1</min><max>1.1</max></clipto>"),
     "drift": ('execrate="3"', A + "<drift_rate>@.1</drift_rate>"),
-    "switched": ('execute="i/on"', A + "<lag>@9</lag><drift_rate>.1</drift_rate><delay>.04</delay>"),
+    "switched": (
+        'execute="i/on"',
+        A + "<lag>@9</lag><drift_rate>.1</drift_rate><delay>.04</delay>",
+    ),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
     attributes, body = CASES[name]
-    apart, control = judged(f'<channel {attributes}><sensor name="s">{body}</sensor></channel>', random_inputs())
+    apart, control = judged(
+        f'<channel {attributes}><sensor name="s">{body}</sensor></channel>', random_inputs()
+    )
     assert apart == {}
     assert control != {}
 
@@ -36,8 +51,12 @@ def test_failures_come_and_go(failures: tuple[str, ...]) -> None:
     inputs = random_inputs(1500)
     rng = np.random.default_rng(3)
     for how in failures:
-        inputs[f"fcs/s/malfunction/fail_{how}"] = np.repeat((rng.random(300) > 0.7).astype(float), 5)
-    apart, control = judged(f'<channel><sensor name="s">{CASES["all but noise"][1]}</sensor></channel>', inputs)
+        inputs[f"fcs/s/malfunction/fail_{how}"] = np.repeat(
+            (rng.random(300) > 0.7).astype(float), 5
+        )
+    apart, control = judged(
+        f'<channel><sensor name="s">{CASES["all but noise"][1]}</sensor></channel>', inputs
+    )
     assert apart == {}
     assert control != {}
 
@@ -45,7 +64,9 @@ def test_failures_come_and_go(failures: tuple[str, ...]) -> None:
 def _noisy(inputs: tuple[str, str], noise: tuple[str, str], drawn: str) -> str:
     first, second = (
         f'<sensor name="{name}"><input>{x}</input><noise variation="{kind}" distribution="GAUSSIAN">{size}</noise></sensor>'
-        for name, x, kind, size in zip("pq", inputs, noise, ("1", "1") if drawn else ("0.3", "2"), strict=True)
+        for name, x, kind, size in zip(
+            "pq", inputs, noise, ("1", "1") if drawn else ("0.3", "2"), strict=True
+        )
     )
     return f'<function name="o/r"><random/></function><channel>{first}</channel><channel execrate="2">{second}</channel>'
 
@@ -62,7 +83,10 @@ def test_noise_is_jsbsims_for_jsbsims_draws() -> None:
     body = _noisy(("i/a", "-i/b"), ("PERCENT", "ABSOLUTE"), "")
     pair = compared(body, inputs, draws=np.array(draws))
     assert pair.apart() == {}
-    assert compared(body, inputs, body.replace("0.3<", "0.3000000000003<"), np.array(draws)).apart() != {}
+    assert (
+        compared(body, inputs, body.replace("0.3<", "0.3000000000003<"), np.array(draws)).apart()
+        != {}
+    )
 
 
 FORCE = """<ground_reactions/>
@@ -75,7 +99,9 @@ SENSED = """<channel><gyro name="g"><axis>{axis}</axis>
 <orientation unit="RAD"><x>.1</x><z>.7</z></orientation></accelerometer>
 <accelerometer name="b"><axis>{axis}</axis><location unit="FT"><x>1</x><z>{bias}</z></location></accelerometer></channel>"""
 NOW = [f"velocities/{axis}i-rad_sec" for axis in "pqr"]
-BEFORE = [f"forces/fb{axis}-total-lbs" for axis in "xyz"] + [f"accelerations/{axis}idot-rad_sec2" for axis in "pqr"]
+BEFORE = [f"forces/fb{axis}-total-lbs" for axis in "xyz"] + [
+    f"accelerations/{axis}idot-rad_sec2" for axis in "pqr"
+]
 HELD = ["inertia/mass-slugs", *(f"inertia/cg-{axis}-in" for axis in "xyz")]
 MADE = ["fcs/g", "fcs/h", "fcs/a", "fcs/b"]
 
@@ -85,7 +111,10 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
     body = SENSED.replace("{axis}", axis)
     text = oracle.model(body.replace("{bias}", "0.25")).replace("<ground_reactions/>", FORCE)
     fdm = oracle.loaded(
-        text.replace("<x>0</x><y>0</y><z>0</z></location></mass", "<x>2</x><y>1</y><z>0</z></location></mass"), 0.01
+        text.replace(
+            "<x>0</x><y>0</y><z>0</z></location></mass", "<x>2</x><y>1</y><z>0</z></location></mass"
+        ),
+        0.01,
     )
     for name, value in zip("pqr", (0.3, -0.7, 1.1), strict=True):
         fdm[f"ic/{name}-rad_sec"] = value
@@ -103,7 +132,9 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
     for bias in ("0.25", "0.250000000001"):
         document = document_of(body.replace("{bias}", bias))
         ours = run(traced([System(document, document.root)], values, list(seen)), seen, MADE)
-        worst[bias] = max(np.max(np.abs(ours[n] - series[n])[2:]) / np.max(np.abs(series[n])) for n in MADE)
+        worst[bias] = max(
+            np.max(np.abs(ours[n] - series[n])[2:]) / np.max(np.abs(series[n])) for n in MADE
+        )
     assert np.min([np.ptp(series[name]) for name in MADE]) > 0.01
     assert worst["0.25"] < 4e-16
     assert worst["0.250000000001"] > 1e-14
@@ -112,8 +143,14 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ('<noise variation="PERCENT" distribution="UNIFORM">1</noise>', "uniform <noise> draws from JSBSim's generator"),
-        ('<noise variation="percent" distribution="GAUSSIAN">1</noise>', "variation PERCENT or ABSOLUTE"),
+        (
+            '<noise variation="PERCENT" distribution="UNIFORM">1</noise>',
+            "uniform <noise> draws from JSBSim's generator",
+        ),
+        (
+            '<noise variation="percent" distribution="GAUSSIAN">1</noise>',
+            "variation PERCENT or ABSOLUTE",
+        ),
         ("<quantization><bits>40</bits><min>0</min><max>1</max></quantization>", "1 to 30 bits"),
         ("<quantization><bits>4</bits><min>1</min><max>1</max></quantization>", "min below max"),
         ("<quantization><steps>4</steps></quantization>", "<steps> in <quantization>"),
@@ -126,7 +163,9 @@ def test_refusals(body: str, message: str) -> None:
 
 @pytest.mark.parametrize("attributes", ['execute="i/a"', 'execute="i/a" execrate="2"'])
 def test_noise_that_lanes_draw_at_different_times_is_refused(attributes: str) -> None:
-    body = f'<sensor name="s">{A}<noise variation="PERCENT" distribution="GAUSSIAN">1</noise></sensor>'
+    body = (
+        f'<sensor name="s">{A}<noise variation="PERCENT" distribution="GAUSSIAN">1</noise></sensor>'
+    )
     assert "no stream stands for it here" in refusal(f"<channel {attributes}>{body}</channel>")
 
 

@@ -15,7 +15,9 @@ CASES = {
     "every word and sign": '<switch name="s"><default value="@0.1"/>'
     + "".join(
         f'<test value="{k}.5">i/on {word} {k % 2}\n i/a {other} i/b\n i/c ge {2 - 0.2 * k}</test>'
-        for k, (word, other) in enumerate((("EQ", "GT"), ("==", "ge"), ("NE", "LT"), ("!=", "&lt;="), ("eq", ">="), ("ne", "LE")))
+        for k, (word, other) in enumerate(
+            (("EQ", "GT"), ("==", "ge"), ("NE", "LT"), ("!=", "&lt;="), ("eq", ">="), ("ne", "LE"))
+        )
     )
     + "</switch>",
     "delay and clip": '<switch name="s"><default value="@1.5"/><test value="i/c">i/a gt 0.1</test><delay type="frames">6</delay>'
@@ -39,9 +41,13 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
     assert control != {}
 
 
-@pytest.mark.parametrize("attributes", ['execute="i/on"', 'execrate="3" execute="i/on"', 'execrate="2"'])
+@pytest.mark.parametrize(
+    "attributes", ['execute="i/on"', 'execrate="3" execute="i/on"', 'execrate="2"']
+)
 def test_a_delay_line_moves_when_its_channel_runs(attributes: str) -> None:
-    apart, control = judged(f"<channel {attributes}>{CASES['delay and clip']}</channel>", random_inputs())
+    apart, control = judged(
+        f"<channel {attributes}>{CASES['delay and clip']}</channel>", random_inputs()
+    )
     assert apart == {}
     assert control != {}
 
@@ -51,13 +57,28 @@ def test_a_delay_line_moves_when_its_channel_runs(attributes: str) -> None:
     [
         ('<switch name="s"><default/></switch>', "<default> has attribute value"),
         ('<switch name="s"><default value="1"/><default value="2"/></switch>', "has one <default>"),
-        ('<switch name="s"><test value="1" login="OR">i/a gt 1</test></switch>', "attribute 'login'"),
+        (
+            '<switch name="s"><test value="1" login="OR">i/a gt 1</test></switch>',
+            "attribute 'login'",
+        ),
         ('<distributor name="d"><case/></distributor>', "allowed are inclusive and exclusive"),
-        ('<distributor type="exclusive"><case><test>i/a gt 1</test><test>i/a gt 1</test></case></distributor>', "has one <test>"),
-        ('<distributor type="exclusive"><case><property value="1">o/none</property></case></distributor>', "o/none does not exist"),
+        (
+            '<distributor type="exclusive"><case><test>i/a gt 1</test><test>i/a gt 1</test></case></distributor>',
+            "has one <test>",
+        ),
+        (
+            '<distributor type="exclusive"><case><property value="1">o/none</property></case></distributor>',
+            "o/none does not exist",
+        ),
         ('<distributor type="exclusive"><case><foo/></case></distributor>', "<foo> in <case>"),
-        ('<switch name="s"><default value="1"/><delay type="x">1</delay></switch>', "allowed are time and frames"),
-        ('<switch name="s"><default value="1"/><delay>i/a</delay></switch>', "finite decimal number"),
+        (
+            '<switch name="s"><default value="1"/><delay type="x">1</delay></switch>',
+            "allowed are time and frames",
+        ),
+        (
+            '<switch name="s"><default value="1"/><delay>i/a</delay></switch>',
+            "finite decimal number",
+        ),
         ('<switch name="s"><default value="1"/><delay>99</delay></switch>', "0 to 1000 frames"),
     ],
 )

@@ -11,22 +11,31 @@ from tests.helpers import batch_flights as flights
 from uqharness.batch.translate.propulsion.engine_units import UNITS
 
 SHOWN = {
-    "IN": ("propulsion/engine/x-reference-position", '<thruster><location unit="{unit}"><x>1</x></location><direct/></thruster>'),
-    "RAD": ("propulsion/engine/pitch-angle-rad", '<thruster><orient unit="{unit}"><pitch>1</pitch></orient><direct/></thruster>'),
-    "LBS": ("propulsion/tank/contents-lbs", '<capacity>99</capacity><contents unit="{unit}">1</contents>'),
+    "IN": (
+        "propulsion/engine/x-reference-position",
+        '<thruster><location unit="{unit}"><x>1</x></location><direct/></thruster>',
+    ),
+    "RAD": (
+        "propulsion/engine/pitch-angle-rad",
+        '<thruster><orient unit="{unit}"><pitch>1</pitch></orient><direct/></thruster>',
+    ),
+    "LBS": (
+        "propulsion/tank/contents-lbs",
+        '<capacity>99</capacity><contents unit="{unit}">1</contents>',
+    ),
 }
 
 
-@pytest.mark.parametrize(("wanted", "unit"), [(wanted, unit) for wanted in SHOWN for unit in UNITS[wanted]])
+@pytest.mark.parametrize(
+    ("wanted", "unit"), [(wanted, unit) for wanted in SHOWN for unit in UNITS[wanted]]
+)
 def test_as_jsbsim_converts(wanted: str, unit: str) -> None:
     name, text = SHOWN[wanted]
     inside = text.format(unit=unit)
     if "thruster" in inside:
         propulsion = f"<engine><electric_engine/>{inside}</engine>"
     else:
-        propulsion = (
-            f'<tank type="FUEL"><location/>{inside}</tank><engine><electric_engine/><thruster><direct/></thruster></engine>'
-        )
+        propulsion = f'<tank type="FUEL"><location/>{inside}</tank><engine><electric_engine/><thruster><direct/></thruster></engine>'
     with flights.craft(engines.aircraft(propulsion)) as made:
         assert made.open()[name] == pytest.approx(UNITS[wanted][unit], rel=1e-15)
 

@@ -31,13 +31,22 @@ def test_functions_of_an_engine_bear_its_number() -> None:
 @pytest.mark.parametrize(
     ("propulsion", "said"),
     [
-        ("<refuel-rate>3</refuel-rate>", "point.xml:7: <refuel-rate> of <propulsion> is not understood"),
+        (
+            "<refuel-rate>3</refuel-rate>",
+            "point.xml:7: <refuel-rate> of <propulsion> is not understood",
+        ),
         (
             '<engine file="fixed"><thruster file="direct"/></engine>',
             "<propeller> is not understood by the batch engine; electric_engine",
         ),
-        ('<engine file="brushless"><thruster file="direct"/></engine>', "a brushless motor turns a propeller"),
-        ('<engine file="nothing"><thruster file="direct"/></engine>', "file 'nothing.xml' was not found"),
+        (
+            '<engine file="brushless"><thruster file="direct"/></engine>',
+            "a brushless motor turns a propeller",
+        ),
+        (
+            '<engine file="nothing"><thruster file="direct"/></engine>',
+            "file 'nothing.xml' was not found",
+        ),
         ("<engine/>", "<engine> names a file or has one of electric_engine"),
     ],
 )
@@ -45,10 +54,15 @@ def test_what_is_not_understood_is_refused(propulsion: str, said: str) -> None:
     assert said in engines.refusal(engines.aircraft(propulsion), engines.FILES)
 
 
-@pytest.mark.parametrize("name", ["propulsion/engine/set-running", "propulsion/fuel_freeze", "propulsion/engine/propeller-rpm"])
+@pytest.mark.parametrize(
+    "name",
+    ["propulsion/engine/set-running", "propulsion/fuel_freeze", "propulsion/engine/propeller-rpm"],
+)
 def test_what_acts_otherwise_than_as_a_value_is_not_set(name: str) -> None:
     systems = f"""<system name="s"><channel name="c"><fcs_function name="s/a"><function><v>1</v></function>
     <output>{name}</output></fcs_function></channel></system>"""
-    said = flights.refused(engines.aircraft(engines.mounted("motor", "fixed"), systems=systems), files=engines.FILES)
+    said = flights.refused(
+        engines.aircraft(engines.mounted("motor", "fixed"), systems=systems), files=engines.FILES
+    )
     assert name in said
     assert "point.xml:" in said

@@ -11,9 +11,20 @@ from tests.helpers.few import few
 
 FRAMES = 900
 NAMES = [
-    "set-running", "fuel-flow-rate-pps", "map-pa", "map-inhg", "cht-degF", "egt-degF", "oil-temperature-degF", "oil-pressure-psi",
-    "AFR", "power-hp", "engine-rpm", "propeller-rpm", "thrust-lbs",
-]  # fmt: skip
+    "set-running",
+    "fuel-flow-rate-pps",
+    "map-pa",
+    "map-inhg",
+    "cht-degF",
+    "egt-degF",
+    "oil-temperature-degF",
+    "oil-pressure-psi",
+    "AFR",
+    "power-hp",
+    "engine-rpm",
+    "propeller-rpm",
+    "thrust-lbs",
+]
 OWN = """<piston_engine name="own"><minmp unit="INHG">9</minmp><maxmp unit="INHG">28</maxmp>
 <displacement unit="IN3">300</displacement>
 <maxhp>150</maxhp><cycles>4</cycles><idlerpm>500</idlerpm><maxrpm>2600</maxrpm><stroke unit="IN">4.1</stroke><bsfc>0.4</bsfc>
@@ -34,12 +45,19 @@ OWN = """<piston_engine name="own"><minmp unit="INHG">9</minmp><maxmp unit="INHG
 2.0 0.3</tableData></table></piston_engine>"""
 
 
-def case(motor: str = "eng_io320", events: str = engines.RUNNING, frames: int = FRAMES) -> engines.Case:
+def case(
+    motor: str = "eng_io320", events: str = engines.RUNNING, frames: int = FRAMES
+) -> engines.Case:
     rng = np.random.default_rng(3)
     inputs = engines.levers(frames)
-    inputs["fcs/mixture-cmd-norm"] = np.repeat(rng.uniform(0.3, 1.1, frames // 50 + 2), 50)[: frames + 1]
+    inputs["fcs/mixture-cmd-norm"] = np.repeat(rng.uniform(0.3, 1.1, frames // 50 + 2), 50)[
+        : frames + 1
+    ]
     return engines.Case(
-        engines.aircraft(engines.mounted(motor, "prop_75in2f", feed="<feed>0</feed>") + engines.tank(6.0), engines.HEAVY),
+        engines.aircraft(
+            engines.mounted(motor, "prop_75in2f", feed="<feed>0</feed>") + engines.tank(6.0),
+            engines.HEAVY,
+        ),
         [*engines.of(0, NAMES), *engines.TOTALS, *engines.MOTION],
         inputs,
         {**engines.stock("eng_io320", "prop_75in2f"), "Engines/own.xml": OWN},
@@ -74,7 +92,10 @@ TAGS = """minmp maxmp displacement maxrpm idlerpm stroke bsfc cylinders compress
 ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-head-mass oil-viscosity-index"""
 
 
-@pytest.mark.parametrize("tag", [tag if tag in QUICK else pytest.param(tag, marks=pytest.mark.slow) for tag in TAGS.split()])
+@pytest.mark.parametrize(
+    "tag",
+    [tag if tag in QUICK else pytest.param(tag, marks=pytest.mark.slow) for tag in TAGS.split()],
+)
 def test_each_number_matters(tag: str) -> None:
     made = case("own", frames=300)
     head, _, tail = OWN.partition(f"</{tag}>")
@@ -84,11 +105,16 @@ def test_each_number_matters(tag: str) -> None:
 
 
 def test_both_magnetos_are_better_than_one() -> None:
-    made = case("own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>', 100)
+    made = case(
+        "own", engines.RUNNING + '<property value="1">propulsion/magneto_cmd</property>', 100
+    )
     assert flights.worst(flights.apart(made.theirs(), made.ours(events=engines.RUNNING))) > 1e-6
 
 
 def test_a_supercharger_is_refused() -> None:
-    files = {"Engines/eng.xml": OWN.replace("<maxhp>", "<numboostspeeds>1</numboostspeeds><maxhp>"), **engines.FILES}
+    files = {
+        "Engines/eng.xml": OWN.replace("<maxhp>", "<numboostspeeds>1</numboostspeeds><maxhp>"),
+        **engines.FILES,
+    }
     message = engines.refusal(engines.aircraft(engines.mounted("eng", "fixed")), files)
     assert "eng.xml:3: a supercharged engine (numboostspeeds) is not understood" in message

@@ -11,7 +11,9 @@ from tests.helpers.few import few
 FRAMES = 400
 NAMES = [*engines.of(0, engines.PROPELLER), *engines.of(1, [*engines.PROPELLER, "current-amperes"])]
 CASE = engines.Case(
-    engines.aircraft(engines.mounted("motor", "fixed", 0) + engines.mounted("brushless", "variable", 1)),
+    engines.aircraft(
+        engines.mounted("motor", "fixed", 0) + engines.mounted("brushless", "variable", 1)
+    ),
     [*NAMES, *engines.TOTALS, *engines.MOTION],
     engines.levers(FRAMES, 2),
     engines.FILES,
@@ -60,9 +62,21 @@ def test_each_number_matters(theirs: dict, file: str, before: str, after: str) -
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("<numblades>2</numblades>", "<numblades>2</numblades><blades>2</blades>", "fixed.xml:2: <blades> of <propeller>"),
-        ('name="C_POWER"', 'name="C_TORQUE"', "a table 'C_TORQUE' of a propeller is not understood"),
-        ("<numblades>2</numblades>", "<minpitch>1</minpitch><maxpitch>2</maxpitch>", "table C_THRUST has one dimension where"),
+        (
+            "<numblades>2</numblades>",
+            "<numblades>2</numblades><blades>2</blades>",
+            "fixed.xml:2: <blades> of <propeller>",
+        ),
+        (
+            'name="C_POWER"',
+            'name="C_TORQUE"',
+            "a table 'C_TORQUE' of a propeller is not understood",
+        ),
+        (
+            "<numblades>2</numblades>",
+            "<minpitch>1</minpitch><maxpitch>2</maxpitch>",
+            "table C_THRUST has one dimension where",
+        ),
         ('unit="IN">30', 'unit="YD">30', "unit YD of <diameter> is not understood"),
         ('<ixx unit="SLUG*FT2">0.4</ixx>', "", "<propeller> has no <ixx>"),
         ("5.0 0.0493", "5.0 x", "must be a finite decimal number"),
@@ -75,6 +89,9 @@ def test_what_is_not_understood_is_refused(before: str, after: str, said: str) -
 
 
 def test_a_propeller_at_rest_that_is_not_set_running() -> None:
-    inputs = {name: values * 1e-4 if "throttle" in name else values for name, values in engines.levers(50, 2).items()}
+    inputs = {
+        name: values * 1e-4 if "throttle" in name else values
+        for name, values in engines.levers(50, 2).items()
+    }
     case = engines.Case(CASE.text, CASE.records, inputs, engines.FILES, events="")
     assert flights.worst(flights.apart(case.theirs(), case.ours())) < 1e-9

@@ -12,10 +12,17 @@ from tests.helpers.few import few
 FEEDS = "<feed>0</feed><feed>1</feed><feed>2</feed>"
 TANKS = (
     engines.tank(0.06, "<priority>2</priority>")
-    + engines.tank(0.05, '<unusable-volume unit="GAL">0.004</unusable-volume><density unit="LBS/GAL">6.1</density>')
+    + engines.tank(
+        0.05,
+        '<unusable-volume unit="GAL">0.004</unusable-volume><density unit="LBS/GAL">6.1</density>',
+    )
     + engines.tank(0.03)
 )
-OF_TANKS = [f"propulsion/tank{index}/{name}" for index in ("", "[1]", "[2]") for name in ("contents-lbs", "pct-full", "priority")]
+OF_TANKS = [
+    f"propulsion/tank{index}/{name}"
+    for index in ("", "[1]", "[2]")
+    for name in ("contents-lbs", "pct-full", "priority")
+]
 POINTMASS = (
     "</mass_balance>",
     """<pointmass name="p"><weight unit="LBS">90</weight><location unit="IN"><x>-30</x><y>9</y><z>4</z></location></pointmass>
@@ -27,14 +34,31 @@ def case(systems: str = "", inputs: dict | None = None, frames: int = 900) -> en
     moved = engines.levers(frames)
     return engines.Case(
         engines.aircraft(
-            engines.mounted("eng_io320", "prop_75in2f", feed=FEEDS) + TANKS, engines.HEAVY.replace(*POINTMASS), systems
+            engines.mounted("eng_io320", "prop_75in2f", feed=FEEDS) + TANKS,
+            engines.HEAVY.replace(*POINTMASS),
+            systems,
         ),
-        [*OF_TANKS, *engines.of(0, ["fuel-used-lbs", "fuel-flow-rate-pps", "fuel-flow-rate-gph", "set-running", "thrust-lbs"]),
-         "propulsion/total-fuel-lbs", *engines.MASS, *engines.TOTALS, *engines.MOTION],
+        [
+            *OF_TANKS,
+            *engines.of(
+                0,
+                [
+                    "fuel-used-lbs",
+                    "fuel-flow-rate-pps",
+                    "fuel-flow-rate-gph",
+                    "set-running",
+                    "thrust-lbs",
+                ],
+            ),
+            "propulsion/total-fuel-lbs",
+            *engines.MASS,
+            *engines.TOTALS,
+            *engines.MOTION,
+        ],
         {**moved, **(inputs or {}), "fcs/throttle-cmd-norm": np.ones(frames + 1)},
         engines.stock("eng_io320", "prop_75in2f"),
         start={"ic/u-fps": 150.0},
-    )  # fmt: skip
+    )
 
 
 def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
@@ -86,15 +110,26 @@ def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
     made = case(systems, {"s/in": rng.uniform(-0.2, 1.0, 301)}, 300)
     theirs = made.theirs()
     assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
-    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace("<v>30</v>", "<v>30.001</v>")))) > 1e-9
+    assert (
+        flights.worst(
+            flights.apart(theirs, made.ours(made.text.replace("<v>30</v>", "<v>30.001</v>")))
+        )
+        > 1e-9
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ('<tank type="OXIDIZER"/>', "a tank of type 'OXIDIZER' is not understood"),
-        ('<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>', "<grain_config> of <tank> is not understood"),
-        ('<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>', "an engine feeds from tanks 0 to -1; received 1"),
+        (
+            '<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>',
+            "<grain_config> of <tank> is not understood",
+        ),
+        (
+            '<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>',
+            "an engine feeds from tanks 0 to -1; received 1",
+        ),
     ],
 )
 def test_what_is_not_understood_is_refused(text: str, said: str) -> None:

@@ -32,13 +32,28 @@ def case(propulsion: str, systems: str = "", count: int = 1) -> engines.Case:
 
 @pytest.mark.parametrize(
     ("made", "before", "after"),
-    few([
-        (case(engines.mounted("motor", "direct", extra="")), "<pitch>3", "<pitch>3.00001"),
-        (case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2), "<y>.1</y>", "<y>.10001</y>"),
-        (case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2), '<y>.2</y>', '<y>.20001</y>'),
-        (case(engines.mounted("motor", "direct", extra=""), VECTOR), "<v>.2</v>", "<v>.20001</v>"),
-    ], 2),
-)  # fmt: skip
+    few(
+        [
+            (case(engines.mounted("motor", "direct", extra="")), "<pitch>3", "<pitch>3.00001"),
+            (
+                case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2),
+                "<y>.1</y>",
+                "<y>.10001</y>",
+            ),
+            (
+                case(engines.mounted("motor", "nozzle", extra="") + POINTED, count=2),
+                "<y>.2</y>",
+                "<y>.20001</y>",
+            ),
+            (
+                case(engines.mounted("motor", "direct", extra=""), VECTOR),
+                "<v>.2</v>",
+                "<v>.20001</v>",
+            ),
+        ],
+        2,
+    ),
+)
 def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -> None:
     theirs = made.theirs()
     assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
@@ -50,12 +65,17 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
     ("thruster", "said"),
     [
         ('<thruster file="direct"><spin/></thruster>', "<spin> of <thruster> is not understood"),
-        ('<thruster file="motor"/>', "<electric_engine> is not understood by the batch engine; propeller, direct, nozzle are"),
+        (
+            '<thruster file="motor"/>',
+            "<electric_engine> is not understood by the batch engine; propeller, direct, nozzle are",
+        ),
         ("", "an engine has a <thruster>"),
         ("<thruster/>", "<thruster> names a file or has one of propeller, direct, nozzle"),
     ],
 )
 def test_what_is_not_understood_is_refused(thruster: str, said: str) -> None:
-    message = engines.refusal(engines.aircraft(f'<engine file="motor">{thruster}</engine>'), engines.FILES)
+    message = engines.refusal(
+        engines.aircraft(f'<engine file="motor">{thruster}</engine>'), engines.FILES
+    )
     assert said in message
     assert ".xml:" in message

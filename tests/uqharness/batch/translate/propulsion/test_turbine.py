@@ -9,20 +9,43 @@ from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
 from tests.helpers.few import few
 
-BIG = flights.MASS.replace(">47<", ">50000<").replace(">4<", ">100000<").replace(">6<", ">140000<").replace(">8<", ">200000<")
+BIG = (
+    flights.MASS.replace(">47<", ">50000<")
+    .replace(">4<", ">100000<")
+    .replace(">6<", ">140000<")
+    .replace(">8<", ">200000<")
+)
 NAMES = ["set-running", "fuel-flow-rate-pps", "fuel-used-lbs", "n1", "n2", "thrust-lbs"]
 KINDS = ("J85-GE-5", "CFM56", "F100-PW-229", "GE-CF6-80C2-B1F")
 
 
-def case(motor: str, frames: int, fuel: float = 8000.0, events: str = engines.RUNNING, speed: float = 500.0) -> engines.Case:
+def case(
+    motor: str,
+    frames: int,
+    fuel: float = 8000.0,
+    events: str = engines.RUNNING,
+    speed: float = 500.0,
+) -> engines.Case:
     rng = np.random.default_rng(5)
     most = 1.0 if motor == "CFM56" else 1.2
-    inputs = {"fcs/throttle-cmd-norm": np.repeat(rng.uniform(0.0, most, frames // 100 + 2), 100)[: frames + 1]}
+    inputs = {
+        "fcs/throttle-cmd-norm": np.repeat(rng.uniform(0.0, most, frames // 100 + 2), 100)[
+            : frames + 1
+        ]
+    }
     return engines.Case(
         engines.aircraft(
-            engines.mounted(motor, "direct", feed="<feed>0</feed>", extra="") + engines.tank(fuel, capacity=9000.0), BIG
+            engines.mounted(motor, "direct", feed="<feed>0</feed>", extra="")
+            + engines.tank(fuel, capacity=9000.0),
+            BIG,
         ),
-        [*engines.of(0, NAMES), "propulsion/tank/contents-lbs", *engines.MASS, *engines.TOTALS, *engines.MOTION],
+        [
+            *engines.of(0, NAMES),
+            "propulsion/tank/contents-lbs",
+            *engines.MASS,
+            *engines.TOTALS,
+            *engines.MOTION,
+        ],
         inputs,
         {**engines.stock(*KINDS), "Engines/direct.xml": engines.FILES["Engines/direct.xml"]},
         events,
@@ -77,10 +100,17 @@ def test_each_number_matters(motor: str, tag: str, factor: float) -> None:
     [
         ("fixed", "", "", "a turbine has a <direct> thruster"),
         ("direct", "IdleThrust", "LowThrust", "a turbine has a function IdleThrust"),
-        ("direct", "<bypassratio>", "<fan>1</fan><bypassratio>", "<fan> of <turbine_engine> is not understood"),
+        (
+            "direct",
+            "<bypassratio>",
+            "<fan>1</fan><bypassratio>",
+            "<fan> of <turbine_engine> is not understood",
+        ),
     ],
 )
-def test_what_is_not_understood_is_refused(thruster: str, before: str, after: str, said: str) -> None:
+def test_what_is_not_understood_is_refused(
+    thruster: str, before: str, after: str, said: str
+) -> None:
     text = engines.stock("CFM56")["Engines/CFM56.xml"]
     assert before in text
     files = {**engines.FILES, "Engines/CFM56.xml": text.replace(before, after) if before else text}
