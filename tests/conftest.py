@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,19 @@ from tests.helpers.places import TESTS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
+
+
+def pytest_configure() -> None:
+    """Give signals that the shell ignored their default handlers again.
+
+    `nohup`, background jobs of a shell and some CI runners start a process with SIGINT or SIGHUP
+    ignored. Children inherit that, and tests that interrupt a child would wait for ever.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_IGN:
+            default = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+            signal.signal(number, default)
 
 
 @pytest.fixture(scope="session")
