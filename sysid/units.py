@@ -24,3 +24,51 @@ DEG_RAD = math.radians(1.0)
 SHORT_DEG_RAD = 0.017453293  # JSBSim's own, where a component takes an angle in degrees
 G0_MPS2 = 9.80665
 """Standard gravity. JSBSim's own depends on the place."""
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """Write a number with so many significant digits and, for usual sizes, without an exponent.
+
+    Parameters
+    ----------
+    value : float
+        Any number.
+    digits : int
+        Significant digits.
+
+    Returns
+    -------
+    str
+        ``100``, ``0.035``, ``1.3``; an exponent stands below 1e-4 and from 1e7 on only.
+
+    Examples
+    --------
+    >>> significant(104.0), significant(0.0345), significant(99.7), significant(1.2e-7)
+    ('100', '0.035', '100', '1.2e-07')
+    """
+    rounded = float(f"{value:.{max(digits, 1) - 1}e}")
+    if rounded != 0.0 and not 1e-4 <= abs(rounded) < 1e7:
+        return f"{value:.{digits}g}"
+    return f"{rounded:.{max(digits, 7)}g}"
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """Write a share as a percentage: ``100 %``, ``0.34 %``.
+
+    Examples
+    --------
+    >>> percent(1.0), percent(0.0034)
+    ('100 %', '0.34 %')
+    """
+    return f"{significant(100.0 * share, digits)} %"
+
+
+def counted(number: float, noun: str) -> str:
+    """Write a number with its noun in the singular or plural.
+
+    Examples
+    --------
+    >>> counted(1, "excursion"), counted(0.1, "excursion")
+    ('1 excursion', '0.1 excursions')
+    """
+    return f"{number:g} {noun}" + ("" if number == 1 else "s")

@@ -50,3 +50,21 @@ def test_no_other_module_writes_such_a_value() -> None:
         "sysid/logs/checking/checks.py",
     }  # the latter in a sentence for people
     assert set(found) <= allowed, found
+
+
+def test_numbers_for_people_have_no_needless_exponent():
+    from sysid.units import counted, percent, significant
+
+    assert [significant(x) for x in (0.0, 104.0, 99.7, 0.0345, -1.26, 123456.0)] == [
+        "0",
+        "100",
+        "100",
+        "0.035",
+        "-1.3",
+        "120000",
+    ]
+    assert significant(1.2e-7) == "1.2e-07"
+    assert significant(float("nan")) == "nan"
+    assert percent(1.0) == "100 %"
+    assert percent(0.0) == "0 %"
+    assert (counted(1, "excursion"), counted(2, "excursion")) == ("1 excursion", "2 excursions")

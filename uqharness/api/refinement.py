@@ -40,6 +40,7 @@ def refine(
     servos: Literal["card", "ideal"] = "card",
     campaign: AnyPath | None = None,
     pbox: bool = True,
+    bake: bool = False,
     figures: bool = True,
     workers: int | None = None,
     on_stage: Callable[[str], None] = lambda stage: None,
@@ -64,6 +65,8 @@ def refine(
         Mission that both models fly within their intervals; by default the aircraft's loiter, if it has one.
     pbox : bool
         Whether that mission is flown.
+    bake : bool
+        Whether estimated scales are written into the numbers of the author's functions.
     figures : bool
         Whether figures are drawn into ``out``.
     workers : int, optional
@@ -119,6 +122,7 @@ def refine(
             "--effects": own,
             "--campaign": mission,
             "--no-pbox": not pbox,
+            "--bake": flag("bake", bake),
             "--workers": workers,
             "--no-figures": not figures,
         }
@@ -137,6 +141,7 @@ def refine(
             command=_command(aircraft, files, options) if in_files else (),
             pbox=pbox,
             campaign=mission,
+            bake=bake,
         )
         done = running.refine(request, on_stage)
     write_results(done, folder)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid.units import percent
 from uqharness.campaign.folder.files import is_sealed, read_checked, read_decisions
 from uqharness.campaign.rounds import ALL_CORNERS
 from uqharness.campaign.statements import STATEMENTS
@@ -80,7 +81,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
         f"{counted[word]} {_WORDS.get(word, word)}" for word in _ORDER if counted[word]
     )
     found = [
-        f"at most {first.acceptable_per_h:g} excursions per hour beyond {first.radius_m:g} m? {summary}"
+        f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g} m? {summary}"
     ]
     for answer in answers:
         reason = f" ({answer.reason})" if answer.reason else ""
@@ -88,7 +89,7 @@ def lines(answers: Sequence[Answer]) -> list[str]:
         said = (
             ""
             if share is None
-            else f", at most {100.0 * share:.2g} % of flights with an excursion at the worst corner (95 % limit)"
+            else f", at most {percent(share)} of flights with an excursion at the worst corner (95 % limit)"
         )
         word = _WORDS.get(answer.answer, answer.answer)
         found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sysid.units import percent
 from uqharness.campaign.columns import ERROR_METRICS
 from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition
 from uqharness.campaign.folder.case_table import CASES
@@ -184,7 +185,7 @@ def sentences(found: Sequence[Converged]) -> list[str]:
             half, whole = item.growth[-2], item.growth[-1]
             gained = 1.0 - half.area / whole.area if whole.area > 0 else 0.0
             lines.append(
-                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew by {100 * gained:.2g} % of its "
-                f"area; one more lies outside, at any value, with a chance of at most {100 * whole.chance_of_more:.2g} %"
+                f"{where}: from {half.samples} to {whole.samples} epistemic samples the p-box grew by {percent(gained)} of its "
+                f"area; one more lies outside, at any value, with a chance of at most {percent(whole.chance_of_more)}"
             )
     return lines

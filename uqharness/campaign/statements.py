@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.units import percent
 from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
 from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
 from uqharness.campaign.columns import counted_radii, excursion_column
@@ -134,7 +135,7 @@ class Statement:
         """How many flights may have an excursion, in words; empty where that is not known."""
         if np.isnan(self.flight_share_upper):
             return ""
-        return f"at most {100.0 * self.flight_share_upper:.2g} % of flights have one at the worst corner (95 % limit, any clustering)"
+        return f"at most {percent(self.flight_share_upper)} of flights have one at the worst corner (95 % limit, any clustering)"
 
 
 def statements(

@@ -64,6 +64,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="campaign flown with both models (default: the aircraft's loiter, if it has one)",
     )
     parser.add_argument("--no-pbox", action="store_true", help="do not fly the mission, no p-boxes")
+    parser.add_argument(
+        "--bake",
+        action="store_true",
+        help="write estimated scales into the numbers of the author's functions (-9.0 becomes -12.6)",
+    )
     add_workers(parser, MOST_WORKERS)
     add_no_figures(parser)
 
@@ -90,6 +95,7 @@ def _run(args: argparse.Namespace) -> int:
         tuple(command_words(args)),
         not args.no_pbox,
         args.campaign,
+        args.bake,
     )
     with working("refine", lambda: counter["segments"], keep=True) as stage:
         done = refine(request, stage)

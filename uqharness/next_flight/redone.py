@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sysid.model_form import ModelForm
+from sysid.units import percent
 from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.prospects import widths_over
 from uqharness.text_tables import text_table
@@ -49,7 +50,7 @@ def as_text(rows: Mapping[str, Row]) -> str:
 def _cell(key: str, value: float | None) -> str:
     if value is None:
         return "–"
-    return f"{value:.3g}" if "width" in key else f"{100 * value:.2g} %"
+    return f"{value:.3g}" if "width" in key else percent(value)
 
 
 def _planned(path: Path) -> dict[str, dict[str, float]]:

@@ -5,7 +5,9 @@ from .estimates import put_values as put_values
 from .estimates import write_estimates as write_estimates
 from .folder import undo as undo
 from .instrument import Bounds as Bounds
+from .instrument import coefficient_reference as coefficient_reference
 from .mass import MassProperties as MassProperties
 from .model_form_xml import state_source as state_source
 from .own_card import with_card as with_card
 from .record import FILE_NAME as FILE_NAME
+from .scale_functions import bake_scales as bake_scales

@@ -101,7 +101,7 @@ def plan(
     """
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
-    reference = _reference(aircraft, section)
+    reference = coefficient_reference(aircraft, section)
     if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
         require_reference(section)
     notes = _notes(section)
@@ -199,8 +199,12 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
     return constant_xml(bounds.constant, remark)
 
 
-def _reference(aircraft: Aircraft, section: AeroSection) -> Reference:
-    """What the coefficients are multiplied by: JSBSim's metrics, but the card's numbers where it has others."""
+def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference:
+    """Return area and lengths that coefficients are multiplied by, for the aircraft's XML.
+
+    JSBSim's own ``metrics/...`` properties serve where the card agrees with them to 1e-6; a card
+    with other numbers gets these.
+    """
     card = aircraft.card.reference
     wanted = (
         card.S_m2 and card.S_m2 / FT_M**2,

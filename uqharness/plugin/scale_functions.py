@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from uqharness.xml import (
     SLOT,
@@ -21,17 +23,25 @@ from uqharness.xml import (
     Reference,
     SectionEdit,
     append_child,
+    apply,
     attribute,
     call,
     declarations,
     declare,
+    folder_documents,
     function_lines,
+    number,
     prop,
+    remarked,
     value,
+    with_attribute,
+    with_text,
 )
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
 SYSTEM_NAME = "scale-bias"
+SCALE_PREFIX = "uq/scale/"
+_IDENTIFIED = re.compile(rb"[ \t]*<!-- identified ([^>]*?)-->")
 
 
 @dataclass(frozen=True)
@@ -107,6 +117,115 @@ def scale_system(rows: list[Scaled]) -> bytes:
             f"  {declare(row.bias, '0')}",
         ]
     return ("\n".join([*lines, "</system>"]) + "\n").encode("utf-8")
+
+
+@dataclass(frozen=True)
+class BakedScales:
+    """Scales written into the author's numbers.
+
+    Attributes
+    ----------
+    changed : dict of str to tuple of float
+        Scale property to the author's number before and after.
+    kept : tuple of str
+        Scales that stay properties: their functions have no single number, such as a table.
+    """
+
+    changed: Mapping[str, tuple[float, float]]
+    kept: tuple[str, ...]
+
+
+def bake_scales(folder: Path) -> BakedScales:
+    """Write the scales of an instrumented aircraft into the author's numbers, in place.
+
+    A function that is a product with a number as a factor gets that number times its scale, and the
+    scale is 1 again; the model stays the same to rounding (eight digits). Biases, and scales of
+    functions without such a number, stay as they are.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the instrumented aircraft. Its XML files are edited as a hand would: other bytes
+        stay, and a remark gives the old number and the estimate.
+
+    Returns
+    -------
+    BakedScales
+        The numbers that changed, and the scales that were kept.
+    """
+    documents = list(folder_documents(folder))
+    functions = _scaled_functions(documents)
+    changed: dict[str, tuple[float, float]] = {}
+    kept = []
+    edits: dict[Path, list[Insertion]] = {document.path: [] for document in documents}
+    for document in documents:
+        for name, declared in declarations(document):
+            if not name.startswith(SCALE_PREFIX):
+                continue
+            scale = float(attribute(declared, "value"))
+            if scale == 1.0:
+                continue
+            place = _constant_factor(documents, functions.get(name, ""))
+            if place is None:
+                kept.append(name)
+                continue
+            owner, node = place
+            before = number(node, f"<{node.tag}>", owner)
+            changed[name] = (before, before * scale)
+            remark = f"was {node.text.strip()}, times {name} = {scale:.8g}"
+            note = _IDENTIFIED.search(_behind(document, declared))
+            if note:
+                remark += f" ({note.group(1).decode('utf-8', 'replace').strip()})"
+            edits[owner.path] += [
+                with_text(owner, node, f"{before * scale:.8g}"),
+                remarked(owner, node, remark),
+            ]
+            edits[document.path] += [with_attribute(document, declared, "value", "1")]
+            if note:
+                at = declared.end + note.start()
+                edits[document.path].append(Insertion(at, b"", note.group(0)))
+    for document in documents:
+        if edits[document.path]:
+            document.path.write_bytes(apply(document, edits[document.path]))
+    return BakedScales(changed, tuple(kept))
+
+
+def _behind(document: Document, node: Node) -> bytes:
+    """Return the bytes between an element and the end of its line."""
+    end = document.raw.find(b"\n", node.end)
+    return document.raw[node.end : None if end < 0 else end]
+
+
+def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
+    """Map each scale property to the name of the function that it multiplies."""
+    functions = {}
+    for document in documents:
+        for product in document.root.walk():
+            if product.tag != "product" or len(product.children) != 2:
+                continue
+            difference, function = product.children
+            if difference.tag != "difference" or not difference.children:
+                continue
+            scale = difference.children[0].text.strip()
+            if scale.startswith(SCALE_PREFIX):
+                functions[scale] = function.text.strip()
+    return functions
+
+
+def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document, Node] | None:
+    """Return the number that multiplies the whole function of that name; None without one."""
+    for document in documents:
+        for node in document.root.walk():
+            if node.tag != "function" or re.sub(r"\s", "-", attribute(node, "name")) != name:
+                continue
+            body = [child for child in node.children if child.tag != "description"]
+            if len(body) != 1 or body[0].tag not in ("product", "value", "v"):
+                return None
+            factors = body[0].children if body[0].tag == "product" else body
+            constants = [child for child in factors if child.tag in ("value", "v")]
+            # The last number is the coefficient; numbers before it are conversions of units.
+            return (document, constants[-1]) if constants else None
+    return None
 
 
 def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:

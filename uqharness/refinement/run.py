@@ -18,6 +18,7 @@ from uqharness import __version__
 from uqharness.files import inner_folder
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
 from uqharness.parallel import worker_map
+from uqharness.plugin import bake_scales
 from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, written_at
@@ -58,7 +59,11 @@ from uqharness.simulator import (
 
 @dataclass(frozen=True)
 class Request:
-    """What the command was asked. pbox: whether a mission is flown before and after; campaign: which one."""
+    """What the command was asked.
+
+    pbox: whether a mission is flown before and after; campaign: which one; bake: whether scales are
+    written into the author's numbers.
+    """
 
     aircraft: Aircraft
     train: tuple[Path, ...]
@@ -72,6 +77,7 @@ class Request:
     command: tuple[str, ...] = ()
     pbox: bool = True
     campaign: Path | None = None
+    bake: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,6 +150,9 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         judged = shown("judged", Judged, flown_both_ways)
         say("writing the aircraft")
         target = _put(write(judged.found), aircraft, request.out)
+        baked = bake_scales(target.folder) if request.bake else None
+        if baked is not None:
+            target = find_aircraft(target.folder)
 
         def job(model: Found, made: Aircraft) -> IntervalJob:
             flown = flown_as(model, chosen, whole, lambda _: made)
@@ -165,6 +174,8 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         document["remaining"] |= _unnamed(request, document, judged, write, map_, say)
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
     document = _document(request, document, intervals, _mission(request, models, forms, say))
+    if baked is not None:
+        document["baked"] = {"changed": baked.changed, "kept": list(baked.kept)}
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
     return Refinement(document, chosen, judged, target, aircraft)

@@ -15,7 +15,7 @@ import numpy as np
 from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
-from sysid.units import FT_M
+from sysid.units import FT_M, percent
 from uqharness import batch
 from uqharness.errors import BadInputError
 from uqharness.replay.ground import terrain_m
@@ -187,9 +187,12 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
     same = np.isfinite(ours[said]) == np.isfinite(theirs[said])
     if said[0] and bool(same.all()) and not (apart > _AGREES + spread[said] / size).any():
         return program
+    worst = np.nanmax(np.where(np.isfinite(apart), apart, np.inf), axis=0, initial=0.0)
+    channel = (*RAW, *program.extra)[int(np.argmax(worst))]
     _LOG.warning(
-        "replays are flown by JSBSim: the batch engine differs by %.1g of a channel's size",
-        np.nanmax(apart, initial=0.0),
+        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its size",
+        channel,
+        percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than all",
     )
     return None
 

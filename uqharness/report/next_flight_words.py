@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from sysid.model_form import MissingTerm
+from sysid.units import percent
 from uqharness.campaign import Winner
 from uqharness.next_flight import SENSORS, WORTH, NextFlight, Prospect
 
@@ -120,4 +121,4 @@ def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[s
 
 
 def _percent(value: float) -> str:
-    return f"{100.0 * value:.2g} %"
+    return percent(value)

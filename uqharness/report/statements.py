@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sysid.units import percent
 from uqharness.campaign import CONFIDENCE, ENOUGH_EXCURSIONS, RateRange, Statement
 from uqharness.report.parts import shown
 from uqharness.statistics import NO, OPEN, YES
@@ -61,7 +62,7 @@ def row(item: Statement) -> dict[str, str]:
         if math.isnan(item.dispersion_observed)
         else f"{item.dispersion_observed:.2g}",
         "carried": _carried(item),
-        "outside": "not known" if math.isnan(share) else f"{100.0 * share:.2g} %",
+        "outside": "not known" if math.isnan(share) else percent(share),
     }
 
 

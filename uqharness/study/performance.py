@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sysid.units import counted, percent
 from uqharness.campaign import (
     CONFIDENCE,
     Condition,
@@ -159,7 +160,7 @@ def _tally(flown: Flown) -> Sentence:
         named = [item.cell.condition.label for item in asked if item.answer == answer]
         if named:
             words.append(f"{_ANSWERS[answer]} in {len(named)} ({', '.join(named)})")
-    text = f"At most {asked[0].acceptable_per_h:g} excursions beyond {radius:g} m per flight hour at every corner? "
+    text = f"At most {counted(asked[0].acceptable_per_h, 'excursion')} beyond {radius:g} m per flight hour at every corner? "
     text += f"Of {len(asked)} conditions: "
     answers = {item.answer for item in asked}
     return text + "; ".join(
@@ -170,7 +171,7 @@ def _tally(flown: Flown) -> Sentence:
 def _excursions(item: Statement, before: Statement | None) -> Sentence:
     cell = item.cell
     asked = (
-        f"In {cell.condition.words}: at most {item.acceptable_per_h:g} excursions beyond {cell.radius_m:g} m per flight hour "
+        f"In {cell.condition.words}: at most {counted(item.acceptable_per_h, 'excursion')} beyond {cell.radius_m:g} m per flight hour "
         f"at every corner? {answer_words(item).capitalize()}: {_rates(item)}"
     )
     if item.flight_share:
@@ -280,7 +281,7 @@ def _ended(flown: Mapping[str, Flown]) -> Sentence:
 def _outside(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentence]:
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
-        text = f"{100 * share:.2g} % of the scored time in {condition.words} was flown outside the states that the bounds come from"
+        text = f"{percent(share)} of the scored time in {condition.words} was flown outside the states that the bounds come from"
         yield (
             (text + (", where they are extrapolated." if share > 0 else ".")),
             WARN if share > MUCH_OUTSIDE else PLAIN,

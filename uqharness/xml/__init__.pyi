@@ -1,3 +1,4 @@
+from .aerodynamics import BODY as BODY
 from .aerodynamics import SLOT as SLOT
 from .aerodynamics import AeroSection as AeroSection
 from .aerodynamics import Axis as Axis
@@ -45,4 +46,5 @@ from .summands import SectionEdit as SectionEdit
 from .summands import add_deltas as add_deltas
 from .summands import add_functions as add_functions
 from .summands import add_system as add_system
+from .summands import add_to_axis as add_to_axis
 from .summands import axis_name as axis_name

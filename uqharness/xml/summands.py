@@ -167,7 +167,7 @@ def add_deltas(
         sign = -1 if force and section.force != BODY and slot != 1 else 1
         factors = [prop("aero/qbar-psf"), reference.area, *([_MINUS] if sign < 0 else [])]
         lines = [*(factor.line() for factor in factors), *body]
-        edit = _into_axis(edit, slot, function_lines(names[slot], "product", lines, force, remark))
+        edit = add_to_axis(edit, slot, function_lines(names[slot], "product", lines, force, remark))
     return edit
 
 
@@ -178,8 +178,8 @@ def axis_name(section: AeroSection, slot: int) -> str:
     return _NAMES[section.force][slot] if slot < 3 else _MOMENT_NAMES[slot - 3]
 
 
-def _into_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
-    """Lines at the end of the axis element of that place, which is made where the author has none."""
+def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
+    """Add lines at the end of the axis element of that place, which is made where the author has none."""
     section = edit.section
     if slot in section.axes:
         axis = section.axes[slot]

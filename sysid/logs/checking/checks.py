@@ -17,6 +17,7 @@ from sysid.logs.checking.physics import check_physics
 from sysid.logs.checking.surface_signs import check_surfaces
 from sysid.logs.time_base import CleanTime
 from sysid.record import FlightRecord
+from sysid.units import percent
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS
 
 FloatArray = NDArray[np.float64]
@@ -263,7 +264,7 @@ def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
     ):
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
     text = (
-        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {100 * share:.2g} % of the log"
+        f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {percent(share)} of the log"
         f" (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
@@ -279,7 +280,7 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
             continue
         missing = float(np.mean(~np.isfinite(values)))
         if missing > _EDGE_SHARE:
-            text = f"{name} is missing in {100 * missing:.2g} % of the flight"
+            text = f"{name} is missing in {percent(missing)} of the flight"
             severity = "warning" if missing > 0.01 and name not in _GUIDANCE else "info"
             out.append(Finding("dropouts", name, severity, text, {"share": missing}))
     out += _frozen(flight) + _stuck(flight) + _components_interpolated(flight)

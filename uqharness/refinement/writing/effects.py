@@ -6,29 +6,34 @@ property of its own that restores the model without it bit for bit: a term's at 
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.sax.saxutils import escape
 
+from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import Effect
-from sysid.units import FT_M
 from uqharness.identification.linearised import Carrier, in_dynamics
-from uqharness.plugin import Estimate, put_values
+from uqharness.plugin import Estimate, coefficient_reference, put_values
 from uqharness.refinement.writing.numbers import servo_of, write_mass, write_servo
 from uqharness.refinement.writing.terms import subsystem_terms, term_xml
 from uqharness.simulator import Aircraft, copy_folder, servo_number
 from uqharness.xml import (
+    BODY,
     AeroSection,
     Document,
     Expression,
     Node,
-    Reference,
     SectionEdit,
     add_deltas,
     add_functions,
+    add_to_axis,
     after,
     append_child,
     attribute,
+    computes,
     declaration,
     declarations,
     declare,
@@ -116,18 +121,15 @@ def write_effects(
             edit = _add(edit, aircraft, w, summands)
     if summands:
         edit = add_deltas(
-            edit, summands, "aero/effects", reference_of(aircraft), "effects found by refinement"
+            edit,
+            summands,
+            "aero/effects",
+            coefficient_reference(aircraft, section),
+            "effects found by refinement",
         )
     for path, content in edit.files().items():
         path.write_bytes(content)
     return put_values(out, dict(estimates) | plain)
-
-
-def reference_of(aircraft: Aircraft) -> Reference:
-    """Area and lengths of the aircraft's card."""
-    given = aircraft.card.reference
-    sizes = ((given.S_m2, FT_M**2), (given.b_m, FT_M), (given.c_m, FT_M))
-    return Reference(*(None if size is None else size / unit for size, unit in sizes))
 
 
 def _with_switch(w: Written, aircraft: Aircraft) -> Written:
@@ -168,6 +170,10 @@ def _add(
                 else add_functions(edit, declared)
             )
             return edit.plus(document, append_child(document, total, [product.line()]))
+        function = _author_style(edit, aircraft, w, terms[0][2])
+        if function is not None:
+            slot, lines = function
+            return add_to_axis(add_functions(edit, declared), slot, lines)
     part = name.rpartition("/")[2]
     for coefficient, number, factors in terms:
         parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
@@ -180,6 +186,46 @@ def _add(
         summands.setdefault(coefficient, []).append(function)
         declared = []
     return edit
+
+
+def _author_style(
+    edit: SectionEdit, aircraft: Aircraft, w: Written, factors: Sequence[Expression]
+) -> tuple[int, list[str]] | None:
+    """Return slot and lines of a coefficient's own function, as the author writes them.
+
+    An author who has one function a coefficient in each axis gets one more in that axis. None is
+    returned where the axis has no such functions or is not a body axis: the increment must then be
+    turned into the author's axes.
+    """
+    section, coefficient = edit.section, str(w.effect.coefficient)
+    slot = COEFFICIENTS.index(coefficient)
+    force = slot < 3
+    if (section.force if force else section.moment) != BODY or slot not in section.axes:
+        return None
+    authored = [
+        node
+        for node in section.axes[slot].functions
+        if not attribute(node, "name").startswith("uq/")
+    ]
+    names = [attribute(node, "name") for node in authored]
+    folders = Counter(name.rpartition("/")[0] for name in names if "/" in name)
+    if len(authored) < 2 or not folders:
+        return None
+    folder = folders.most_common(1)[0][0]
+    leaf = w.effect.property_name.rpartition("/")[2]
+    # Authors write Cmq, Cm_q or other words; a name in the first style has no underscores.
+    compact = any(re.match(rf"{coefficient}[a-zA-Z0-9]", name.rpartition("/")[2]) for name in names)
+    name = f"{folder}/{leaf.replace('_', '') if compact else leaf}"
+    if any(computes(document, name) for document in section.documents):
+        name = f"{folder}/{leaf}-effect"
+    reference = coefficient_reference(aircraft, section)
+    lengths = [] if force else [reference.lengths[slot - 3]]
+    parts = [prop("aero/qbar-psf"), reference.area, *lengths, prop(w.effect.property_name)]
+    lines = [part.line() for part in (*parts, *factors)]
+    if not any(node.find("description") for node in authored):
+        return slot, function_lines(name, "product", lines, force, w.effect.name)
+    opening, *body = function_lines(name, "product", lines, force)
+    return slot, [opening, f"  <description>{escape(w.effect.name)}</description>", *body]
 
 
 def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.effects import SPANS, Smooth, SmoothFit
-from uqharness.refinement.writing.effects import reference_of
+from uqharness.plugin import coefficient_reference
 from uqharness.refinement.writing.terms import variable_xml
 from uqharness.simulator import Aircraft
 from uqharness.xml import SectionEdit, add_deltas, add_functions, comment, read_section
@@ -58,7 +58,7 @@ def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
         add_functions(edit, lines),
         {term.coefficient: [name]},
         PREFIX,
-        reference_of(aircraft),
+        coefficient_reference(aircraft, section),
         "unnamed: no physics",
     )
     for path, content in edit.files().items():

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 
 import pandas as pd
 
+from sysid.units import percent
 from uqharness.campaign import CONFIDENCE, Condition, ExcursionCell, Statement
 from uqharness.campaign.conditions import conditions
 from uqharness.report import statements as report_statements
@@ -144,9 +145,7 @@ def _median_row(
     ]
     if between:
         row.append(
-            ""
-            if item.widened is None or math.isnan(item.widened)
-            else f"{100.0 * item.widened:.2g} %"
+            "" if item.widened is None or math.isnan(item.widened) else percent(item.widened)
         )
     if published:
         row.append("" if item.published is None else f"{item.published:g}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.model_form import CoefficientBounds, Outside, parameter_variance
+from sysid.units import percent
 from uqharness.next_flight import NextFlight
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.parts import (
@@ -89,7 +90,7 @@ def _point_table(found: NextFlight) -> Table:
     rows = []
     for k, p in enumerate(found.plan, start=1):
         unit = ", ".join(f"{s.unit_s:g} s" for s in p.point.steps) or "-"
-        rows.append((str(k), f"{p.start_s:.0f} s", p.point.name, unit, f"{100 * p.gain:.2g} %"))
+        rows.append((str(k), f"{p.start_s:.0f} s", p.point.name, unit, percent(p.gain)))
     return Table(
         "Test points in the order of the flight.",
         ("Number", "From", "Point", "Unit", "Gain"),
