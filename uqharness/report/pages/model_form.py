@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Parts, Variation
+from sysid.units import significant
 from uqharness.errors import BadInputError
 from uqharness.identification import load_form
 from uqharness.replay import (
@@ -95,10 +96,11 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
     said = []
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
     if parts:
-        found = [c for c, p in parts.items() if p.found]
+        errors = [f"{c} ±{_limit(p):.2g} ({_beside_noise(p)})" for c, p in parts.items() if p.found]
         none = [f"{c} ±{_limit(p):.2g}" for c, p in parts.items() if not p.found]
-        if found:
-            said.append(Say(f"The flights show model error in {', '.join(found)}."))
+        if errors:
+            sizes = ", ".join(errors)
+            said.append(Say(f"Model error, at most (95 %): {sizes}."))
         if none:
             said.append(Say(f"No model error found above {', '.join(none)}.", "good"))
     else:
@@ -122,6 +124,13 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Say, ...]:
 def _limit(parts: Parts) -> float:
     """What 95 % of a normal model error of the largest likely size do not exceed [-]."""
     return 1.96 * parts.not_above
+
+
+def _beside_noise(parts: Parts) -> str:
+    """Write the size of the model error beside the sensors' noise in a sample."""
+    if not parts.noise > 0.0:
+        return "no sensor noise"
+    return f"{significant(_limit(parts) / (1.96 * parts.noise))} times the sensor noise"
 
 
 def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:
@@ -157,7 +166,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
         "Mean width",
         "Persistent",
         "Transient (time)",
-        "95 % limit ±",
+        "Model error at most ± (95 %)",
         "Model error found",
         "Sensor noise",
         "Rate of variation [%/√s]",
@@ -165,7 +174,7 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
     text = (
         "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial and what persists through a "
         "manoeuvre. Persistent, transient, sensor noise: standard deviations; the transient part changes within seconds, "
-        "noise is in no bounds. 95 % limit: upper limit of the rms of the whole model error in the data. Model error found: yes "
+        "noise is in no bounds. Model error at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes "
         "where a model error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error within a flight, "
         "in percent of its interval."
     )
