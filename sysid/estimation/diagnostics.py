@@ -94,11 +94,14 @@ def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
     )
 
 
-def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> list[str]:
+def colour_warnings(
+    found: Colour, std: Array, std_crb: Array, method: str, *, calm_air: bool = False
+) -> list[str]:
     """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are not.
 
     Two conditions must meet: whiteness is rejected, and the colour is large enough to move the standard errors; so that
-    long records do not cry at trifles.
+    long records do not cry at trifles. With ``calm_air`` process noise has been ruled out by another
+    test and is not suspected.
     """
     m = found.p_value.size
     rejected = np.flatnonzero(found.p_value < WHITENESS_LEVEL / m)
@@ -114,18 +117,21 @@ def colour_warnings(found: Colour, std: Array, std_crb: Array, method: str) -> l
     evidence = ", ".join(f"{100 * found.predictable[c]:.0f} % of output {c}" for c in worst)
     explained = found.explained[worst]
     explained = explained[np.isfinite(explained)]
-    if explained.size and explained.max() > MOTION_SHARE:
-        cause = "the model's form before process noise (turbulence)"
-        share = f"; up to {100 * explained.max():.0f} % is a function of the motion"
-    elif explained.size:
-        cause = "process noise (turbulence) before the model's form"
-        share = f"; at most {100 * max(explained.max(), 0.0):.0f} % is a function of the motion"
-    else:
-        cause, share = "process noise (turbulence) or the model's form", ""
     cure = {
         "output error": "Estimates may be biased: use filter error",
         "filter error": "Give more states noise or revise the model",
     }[method]
+    if calm_air:
+        cause, share = "the model's form", ""
+        cure = "Estimates may be biased: look for the missing term with refine"
+    elif explained.size and explained.max() > MOTION_SHARE:
+        cause = "the model's form before process noise (turbulence)"
+        share = f"; motion explains up to {100 * explained.max():.0f} %"
+    elif explained.size:
+        cause = "process noise (turbulence) before the model's form"
+        share = f"; motion explains at most {100 * max(explained.max(), 0.0):.0f} %"
+    else:
+        cause, share = "process noise (turbulence) or the model's form", ""
     return [
         (
             f"coloured residuals: suspect {cause}. Predictable from their past: {evidence}{share}. Standard errors allow "

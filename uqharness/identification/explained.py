@@ -54,7 +54,7 @@ def withdrawn(found: Identification) -> Identification:
     why = _why_withdrawn(found) if found.identified else ""
     if not why:
         return found
-    advice = "compare the flights and the model first (units, signs, mass and inertia, servos), or let refine look for what is missing"
+    advice = "check units, signs, mass, inertia and servos with compare, or let refine look for a missing effect"
     return replace(
         found,
         theta=found.initial.copy(),
@@ -79,11 +79,7 @@ def _why_withdrawn(found: Identification) -> str:
             f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
         )
         return (
-            f"the fit leaves {channel} at {sigma:.0f} sigma, {100.0 * share:.0f} % of its variance{others}: this model does not "
-            "explain the flights, and its nearest values are no estimates"
+            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f} sigma, "
+            f"{100.0 * share:.0f} % of its variance{others}"
         )
-    return (
-        ""
-        if found.converged
-        else "the estimation did not converge: where it was stopped is no estimate, and has no standard error"
-    )
+    return "" if found.converged else "not converged; values unchanged"

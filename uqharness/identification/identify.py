@@ -14,7 +14,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.estimation import NOISE_FLOOR, channel_noise, process_noise_shown, rms
+from sysid.estimation import (
+    NOISE_FLOOR,
+    channel_noise,
+    colour,
+    colour_warnings,
+    process_noise_shown,
+    rms,
+)
 from uqharness.errors import BadInputError
 from uqharness.identification.channels import BIASES, OUTPUTS
 from uqharness.identification.descent import Descent
@@ -127,7 +134,7 @@ def identify(
         if method == "output-error" or (method == "auto" and not gusty):
             if tell is not None:
                 tell(_why_it_stays(method, gusty))
-            return withdrawn(found)
+            return withdrawn(found if gusty else _in_calm_air(found))
         if tell is not None:
             tell(_why_filter_error(found, method))
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
@@ -151,6 +158,17 @@ def identify(
             )
 
 
+def _in_calm_air(found: Identification) -> Identification:
+    """Return the result with warnings of coloured residuals that no longer suspect turbulence."""
+    coloured = [w for w in found.warnings if w.startswith("coloured residuals")]
+    if not coloured:
+        return found
+    tint = colour(found.residual, found.modelled)
+    text = colour_warnings(tint, found.std, found.std_crb, "output error", calm_air=True)
+    others = tuple(w for w in found.warnings if w not in coloured)
+    return replace(found, warnings=(*others, *by_channel(text, found.outputs)))
+
+
 def _outputs(flights: Sequence[Flight], asked: Sequence[str] | None) -> tuple[str, ...]:
     """Channels that some flight has. Raises BadInputError for one asked for that none has."""
     there = tuple(
@@ -168,25 +186,17 @@ def _why_output_error(observed: Observed, names: Sequence[str], method: str) -> 
     seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in observed.cut)
     free = len(names) - len(observed.held)
     why = {
-        "auto": "it is exact in calm air, and what it leaves tells whether the air was",
-        "output-error": "asked for by --method",
-        "filter-error": "filter error, asked for by --method, begins where it ends",
+        "auto": "assumes calm air; its residuals are then checked for turbulence",
+        "output-error": "requested by --method",
+        "filter-error": "start of filter error, requested by --method",
     }[method]
-    return f"output error begins: {len(observed.cut)} segments, {seconds:.0f} s, {free} parameters ({why})"
+    return f"output error: {len(observed.cut)} segments, {seconds:.0f} s, {free} parameters ({why})"
 
 
 def _why_it_stays(method: str, gusty: bool) -> str:
-    if method == "output-error":
-        air = (
-            "looks like process noise (turbulence): estimates may be biased"
-            if gusty
-            else "does not look like process noise"
-        )
-        return f"output error stays (asked for by --method); what it leaves {air}"
-    return (
-        "output error stays: what it leaves of rates and accelerations does not look like process noise (turbulence), which would "
-        "be coloured, there in quiet flight too, and no function of the motion"
-    )
+    sign = "show turbulence; estimates may be biased" if gusty else "show no sign of turbulence"
+    requested = " (requested by --method)" if method == "output-error" else ""
+    return f"keeping output error{requested}: the rate and acceleration residuals {sign}"
 
 
 def _why_filter_error(found: Identification, method: str) -> str:
@@ -197,16 +207,13 @@ def _why_filter_error(found: Identification, method: str) -> str:
     left = ", ".join(
         f"{shown_channel(c)[0]} {r:.2f}" for c, r in ratio.items() if np.isfinite(r) and r > 1.0
     )
-    why = "asked for by --method"
+    why = "requested by --method"
     if method != "filter-error":
-        why = (
-            "what output error leaves looks like process noise (turbulence): it is coloured, in quiet flight too; over the noise: "
-            + (left or "none")
-        )
+        why = f"the residuals of output error show turbulence; rms over noise: {left or 'none above 1'}"
     rows = sum(len(r) for r in residual)
     return (
-        f"filter error begins after {found.seconds:.0f} s of output error ({why}): {rows} samples, {len(found.names)} parameters; "
-        "--method output-error does without"
+        f"filter error after {found.seconds:.0f} s of output error ({why}): {rows} samples, "
+        f"{len(found.names)} parameters; --method output-error skips it"
     )
 
 

@@ -43,3 +43,13 @@ def test_the_cause_first_and_few_words(method, explained, first):
 )
 def test_no_warning(colour, std):
     assert colour_warnings(colour, np.full(3, std), np.ones(3), "output error") == []
+
+
+def test_turbulence_that_another_test_ruled_out_is_not_suspected():
+    for explained in (0.9, 0.1, np.nan):
+        (text,) = colour_warnings(
+            found(explained=explained), np.full(3, 3.2), np.ones(3), "output error", calm_air=True
+        )
+        assert "turbulence" not in text
+        assert "filter error" not in text
+        assert "the model's form" in text

@@ -109,10 +109,10 @@ def test_a_gradient_of_the_wrong_sign_does_not_converge():
     found = run(rosenbrock(sign=-1.0), [-1.2, 1.0])
     assert not found.converged
     assert found.cost == rosenbrock().evaluate(np.array([-1.2, 1.0]))[0]
-    assert "no lower cost" in found.message
+    assert "no step lowers the cost" in found.message
     short = run(rosenbrock(), [-1.2, 1.0], iterations=2)
     assert not short.converged
-    assert "stopped after 2 iterations" in short.message
+    assert "not converged after 2 iterations" in short.message
 
 
 def test_a_step_over_a_bound_is_put_on_it_and_the_rest_solved_again():

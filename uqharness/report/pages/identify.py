@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -142,9 +143,12 @@ def _ratio(row: Mapping[str, Any]) -> float | None:
 
 def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
     rows = []
+    notes = _shared_reasons(parameters)
     for name, row in parameters.items():
         known = row["status"] == _IDENTIFIED
-        status = Cell(row["status"], "" if known else "warn", row.get("reason") or "")
+        reason = row.get("reason") or ""
+        text = f"{row['status']} ({notes.index(reason) + 1})" if reason in notes else row["status"]
+        status = Cell(text, "" if known else "warn", "" if reason in notes else reason)
         spread = (
             (shown(row["std"], ".2g"), shown(row["std_crb"], ".2g"))
             if known
@@ -169,7 +173,15 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
         note=True,
     )
     figure = _change(parameters, prefix)
-    return Section("Parameters", (words, *((Figures((figure,)),) if figure else ()), table))
+    parts = [words, *([Figures((figure,))] if figure else []), table]
+    parts += [Words(f"({number}) {reason}", note=True) for number, reason in enumerate(notes, 1)]
+    return Section("Parameters", tuple(parts))
+
+
+def _shared_reasons(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return reasons that several parameters share; a note below the table gives each once."""
+    count = Counter(row["reason"] for row in parameters.values() if row.get("reason"))
+    return [reason for reason, times in count.items() if times > 1]
 
 
 def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure | None:
