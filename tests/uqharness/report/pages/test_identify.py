@@ -81,3 +81,15 @@ def test_a_channel_without_a_value_draws_nothing_and_says_so(identified):
     figure = tree.get_element_by_id("fit-history-0-V_mps")
     assert "The log has no value of it here." in figure.find("svg").get("aria-label")
     assert not figure.xpath(".//path[contains(@class, 'dots')]")
+
+
+def test_a_reason_that_parameters_share_stands_once(identified):
+    fit = json.loads((identified / "fit.json").read_text())
+    reason = "not converged; values unchanged"
+    rows = {
+        name: {**row, "status": "not-identified", "reason": reason, "std": None, "std_crb": None}
+        for name, row in fit["parameters"].items()
+    }
+    words = said(identified, parameters=rows)
+    assert words.count(reason) == 1
+    assert words.count("not-identified (1)") == len(rows) == 3
