@@ -14,6 +14,7 @@ from uqharness.files import check_page
 from uqharness.flight import (
     CATEGORIES,
     CLASSES,
+    DIVERGENCE,
     Assessment,
     LocusPoint,
     point_at,
@@ -281,13 +282,23 @@ def _as_text(name: str, trim: Trim, found: list[Mode], levels: list[Assessment])
         "",
         f"  {'mode':<14}{'real, 1/s':>11}{'imag, 1/s':>11}{'wn, rad/s':>11}{'zeta':>9}   MIL-F-8785C",
     ]
+    named: set[str] = set()
     for mode in found:
         remarks = [
             f"Level {a.level}" + (" (worse than 3)" if a.level == 4 else "") + f" {_measured(a)}"
             for a in levels
-            if a.mode == mode.name
+            if a.mode == mode.name and _belongs(a, mode, first=mode.name not in named)
         ]
+        named.add(mode.name)
         lines.append(
-            f"  {mode.name:<14}{mode.real:>11.4f}{mode.imag:>11.4f}{mode.wn_radps:>11.4f}{mode.zeta:>9.3f}   {'; '.join(remarks)}"
+            f"  {mode.name:<14}{mode.real:>11.4f}{mode.imag:>11.4f}{mode.wn_radps:>11.4f}"
+            f"{mode.zeta:>9.3f}   {'; '.join(remarks)}".rstrip()
         )
     return "\n".join(lines)
+
+
+def _belongs(assessment: Assessment, mode: Mode, first: bool) -> bool:
+    """Whether a criterion is printed in a mode's row: a divergence at its root, others once."""
+    if assessment.paragraph != DIVERGENCE:
+        return first
+    return mode.real > 0.0 and math.isclose(assessment.value, math.log(2.0) / mode.real)

@@ -20,6 +20,7 @@ from .fly import set_wind_without_air as set_wind_without_air
 from .fly import staged_mission as staged_mission
 from .handling import CATEGORIES as CATEGORIES
 from .handling import CLASSES as CLASSES
+from .handling import DIVERGENCE as DIVERGENCE
 from .handling import Assessment as Assessment
 from .level_edges import OSCILLATORY as OSCILLATORY
 from .level_edges import cap_limits as cap_limits

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sysid.units import G0_MPS2
-from uqharness.simulator import LinearModel, Mode
+from uqharness.simulator import MODE_NAMES, LinearModel, Mode
 
 CATEGORIES = ("A", "B", "C")
 CLASSES = ("I", "II-L", "II-C", "III", "IV")
@@ -30,6 +30,12 @@ CAP = {
 }
 # 3.2.1.2: least damping at Levels 1 and 2, shortest time to double amplitude [s] at Level 3.
 PHUGOID_DAMPING, PHUGOID_DOUBLE_S = (0.04, 0.0), 55.0
+# 3.2.1.1: airspeed must not diverge without oscillation at Levels 1 and 2; shortest time to double
+# amplitude [s] at Level 3.
+DIVERGENCE, DIVERGENCE_DOUBLE_S = "3.2.1.1", 6.0
+# 3.3.1.4: least zeta wn [rad/s] of a coupled roll-spiral oscillation at Levels 1, 2 and 3 in
+# categories B and C; category A permits none.
+ROLL_SPIRAL_RADPS = (0.5, 0.3, 0.15)
 
 
 @dataclass(frozen=True)
@@ -52,15 +58,16 @@ def assess(
         raise ValueError(
             f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)} and {', '.join(CLASSES)}"
         )
-    by_name: dict[str, list[Mode]] = {}
+    by_name: dict[str, list[Mode]] = {name: [] for name in MODE_NAMES}
     for mode in found:
-        by_name.setdefault(mode.name, []).append(mode)
+        by_name[mode.name].append(mode)
     return [
-        *_short_period(by_name["short_period"], model, category),
+        *_short_period(by_name["short_period"], by_name["third"], model, category),
         *_phugoid(by_name["phugoid"]),
         *_dutch_roll(by_name["dutch_roll"], category, aircraft_class),
         *_roll(by_name["roll"], category, aircraft_class),
         *_spiral(by_name["spiral"], category),
+        *_roll_spiral(by_name["other"], category),
     ]
 
 
@@ -69,31 +76,60 @@ def load_factor_per_alpha(model: LinearModel) -> float:
     return -float(model.A[2, 2]) * model.trim.condition.V_mps / G0_MPS2
 
 
-def _short_period(pair: list[Mode], model: LinearModel, category: str) -> list[Assessment]:
-    if len(pair) == 1:
-        zeta, wn = pair[0].zeta, pair[0].wn_radps
-    else:
-        product = pair[0].real * pair[1].real
-        if product <= 0:
-            return [Assessment("short_period", "damping", float("nan"), "1", 4, "3.2.2.1.2")]
-        wn = math.sqrt(product)
-        zeta = -(pair[0].real + pair[1].real) / (2 * wn)
-    first, second, third = SHORT_PERIOD_DAMPING[category]
+def _short_period(
+    roots: list[Mode], third: list[Mode], model: LinearModel, category: str
+) -> list[Assessment]:
+    """Judge the short period, or the pair that takes its place.
+
+    Beside a third oscillatory mode the short period is one real root. The pitch response to a
+    control then oscillates with the pair, which is judged instead of it.
+    """
+    pair = third or roots
+    name = pair[0].name
+    divergence = [
+        _divergence(root) for root in roots if root.imag == 0 and root.real > 0 and root.wn_radps
+    ]
+    if len(pair) == 1 and not pair[0].imag:
+        return divergence
+    if len(pair) == 2 and pair[0].real * pair[1].real <= 0:
+        undefined = Assessment(name, "damping", float("nan"), "1", 4, "3.2.2.1.2")
+        return [undefined, *divergence]
+    zeta, wn = _damping_and_frequency(pair)
+    first, second, third_low = SHORT_PERIOD_DAMPING[category]
     damping = (
-        1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third else 4
+        1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third_low else 4
     )
     cap = wn**2 / load_factor_per_alpha(model)
     one, two = CAP[category]
     control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
     return [
-        Assessment("short_period", "damping", zeta, "1", damping, "3.2.2.1.2"),
-        Assessment("short_period", "CAP", cap, "1/(g s^2)", control, "3.2.2.1.1"),
+        Assessment(name, "damping", zeta, "1", damping, "3.2.2.1.2"),
+        Assessment(name, "CAP", cap, "1/(g s^2)", control, "3.2.2.1.1"),
+        *divergence,
     ]
 
 
+def _damping_and_frequency(pair: list[Mode]) -> tuple[float, float]:
+    """Return zeta and wn [rad/s] of a pair, or of two real roots of one sign as a pair."""
+    if len(pair) == 1:
+        return pair[0].zeta, pair[0].wn_radps
+    wn = math.sqrt(pair[0].real * pair[1].real)
+    return -(pair[0].real + pair[1].real) / (2 * wn), wn
+
+
+def _divergence(root: Mode) -> Assessment:
+    """Judge an unstable real root of the longitudinal motion."""
+    double = math.log(2.0) / root.real
+    level = 3 if double >= DIVERGENCE_DOUBLE_S else 4
+    return Assessment(root.name, "divergence, time to double", double, "s", level, DIVERGENCE)
+
+
 def _phugoid(pair: list[Mode]) -> list[Assessment]:
+    unstable = [root for root in pair if root.imag == 0 and root.real > 0]
+    if unstable:
+        return [_divergence(root) for root in unstable]
     slowest = max(pair, key=lambda mode: mode.real)
-    zeta = slowest.zeta if slowest.imag else (1.0 if slowest.real < 0 else -1.0)
+    zeta = slowest.zeta if slowest.imag else (1.0 if slowest.real < 0 else 0.0)
     if zeta >= PHUGOID_DAMPING[0]:
         level = 1
     elif zeta >= PHUGOID_DAMPING[1]:
@@ -127,27 +163,37 @@ def spiral_limits_s(category: str) -> tuple[float, float, float]:
 
 
 def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
-    if len(pair) == 2:
-        level = 1 if max(mode.real for mode in pair) < 0 else 4
-        return [
-            Assessment(
-                "dutch_roll", "damping", 1.0 if level == 1 else float("nan"), "1", level, "3.3.1.1"
-            )
-        ]
-    mode = pair[0]
-    level = 4
-    for index, (zeta, product, wn) in enumerate(
-        dutch_roll_limits(category, aircraft_class), start=1
-    ):
-        if mode.zeta >= zeta and -mode.real >= product and mode.wn_radps >= wn:
-            level = index
-            break
-    return [Assessment("dutch_roll", "damping", mode.zeta, "1", level, "3.3.1.1")]
+    if len(pair) == 2 and max(root.real for root in pair) >= 0:
+        return [Assessment("dutch_roll", "damping", float("nan"), "1", 4, "3.3.1.1")]
+    zeta, wn = _damping_and_frequency(pair)
+    decay = -pair[0].real if len(pair) == 1 else zeta * wn
+    level = _first(
+        zeta >= least_zeta and decay >= product and wn >= least_wn
+        for least_zeta, product, least_wn in dutch_roll_limits(category, aircraft_class)
+    )
+    return [Assessment("dutch_roll", "damping", zeta, "1", level, "3.3.1.1")]
+
+
+def _roll_spiral(found: list[Mode], category: str) -> list[Assessment]:
+    """Judge a coupled roll-spiral oscillation (lateral phugoid)."""
+    return [
+        Assessment(
+            mode.name,
+            "coupled roll-spiral, zeta wn",
+            -mode.real,
+            "rad/s",
+            4 if category == "A" else _first(-mode.real >= limit for limit in ROLL_SPIRAL_RADPS),
+            "3.3.1.4",
+        )
+        for mode in found
+    ]
 
 
 def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    if not found:
+        return []
     real = found[0].real
-    if real >= 0 or found[0].imag:
+    if real >= 0:
         return [Assessment("roll", "time constant", float("nan"), "s", 4, "3.3.1.2")]
     constant = -1.0 / real
     level = _first(constant <= limit for limit in roll_limits_s(category, aircraft_class))
@@ -155,6 +201,8 @@ def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessm
 
 
 def _spiral(found: list[Mode], category: str) -> list[Assessment]:
+    if not found:
+        return []
     real = found[0].real
     if real <= 0:
         return [Assessment("spiral", "time to double", math.inf, "s", 1, "3.3.1.3")]

@@ -111,10 +111,15 @@ def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
     """Damping and frequency [rad/s] of phugoid and short period, in this order, from A (..., 4, 4).
 
     The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve a pair that has split into two
-    real roots as well; a pair with one unstable real root has no frequency and gives NaN.
+    real roots as well. NaN where there is no such mode: a pair of real roots of opposite sign, and
+    all four where a conjugate pair lies between two real roots (the third oscillatory mode of a
+    statically unstable aircraft).
     """
     unsorted = np.linalg.eigvals(A)
     values = np.take_along_axis(unsorted, np.argsort(np.abs(unsorted), axis=-1), axis=-1)
+    # Conjugates differ in modulus by rounding only, so a cut pair shows on both sides of the cut.
+    cut = (values[..., 0].imag == 0) & (values[..., 1].imag != 0)
+    values = np.where(cut[..., None], np.nan, values)
     slow, fast = values[..., :2], values[..., 2:]
     return *_damping(-slow.sum(axis=-1).real, slow.prod(axis=-1).real), *_damping(
         -fast.sum(axis=-1).real, fast.prod(axis=-1).real

@@ -32,6 +32,7 @@ from .forced_state import SETTLED_RADPS as SETTLED_RADPS
 from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .forced_state import body_velocity as body_velocity
 from .gate import tag_end as tag_end
+from .linear import MODE_NAMES as MODE_NAMES
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
 from .linear import linearise as linearise

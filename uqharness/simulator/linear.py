@@ -18,6 +18,8 @@ from uqharness.simulator.trim import Trim, force_beside
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
 LATERAL = (1, 3, 5, 6)
+MODE_NAMES = ("short_period", "phugoid", "third", "dutch_roll", "roll", "spiral", "other")
+"""Names that `modes` gives, in its order."""
 
 # Central-difference steps: m/s, rad/s and rad; controls take a thousandth of their span.
 _STEP = {
@@ -117,68 +119,97 @@ def _central(function: Callable[[float], NDArray[np.float64]], step: float) -> N
 
 
 def modes(model: LinearModel) -> list[Mode]:
-    """The modes of A by name: two longitudinal pairs (short_period, phugoid), dutch_roll, roll and spiral.
+    """Modes of A, every eigenvalue once, conjugate pairs whole, named by their eigenvectors.
 
-    Each eigenvalue counts once: the four whose eigenvectors are most longitudinal, conjugates kept together, make the longitudinal
-    modes. A pair that has split into two real roots keeps its name on both. In a steep turn the axes are coupled and a
-    name says only what the mode is nearest to.
+    The four roots whose eigenvectors have the largest share of u, w, q, theta are longitudinal, the
+    other four lateral. Among the longitudinal roots, short_period has the most angle of attack for
+    its airspeed and phugoid the least. A pair between two real roots is ``third``, the third
+    oscillatory mode of an aircraft with little or no static stability. Among the lateral roots,
+    dutch_roll has the most sideslip for its bank; of the others the faster one is roll, the
+    slower one spiral. Roll and spiral that have joined in a pair (lateral phugoid) are ``other``.
+
+    Parameters
+    ----------
+    model : LinearModel
+        A linear model about a trim.
+
+    Returns
+    -------
+    list of Mode
+        short_period, phugoid, third, dutch_roll, roll, spiral, other, as far as they exist. Two
+        real roots in place of a pair are two entries of one name. Axes are coupled in a steep
+        turn; a name then says which mode of straight flight is nearest.
+
+    References
+    ----------
+    B. Etkin and L. D. Reid, Dynamics of Flight, 3rd edition, sections 6.5 and 6.8.
     """
     values, vectors = np.linalg.eig(model.A)
-    # Angles and rates are weighed against velocities by the airspeed, so that the share of each set has one unit.
-    weight = np.ones(8)
-    weight[3:] = model.trim.condition.V_mps
-    energy = np.abs(vectors * weight[:, None]) ** 2
+    V = model.trim.condition.V_mps
+    size = np.abs(vectors)
+    # Angles and rates times airspeed have the unit of u, v, w, so shares can be added.
+    energy = (size * np.where(np.arange(8) < 3, 1.0, V)[:, None]) ** 2
     share = energy[list(LONGITUDINAL)].sum(axis=0) / energy.sum(axis=0)
-    # A conjugate pair is one block: its upper half stands for both.
-    blocks = [
-        [k] if value.imag == 0 else [k, int(np.argmin(np.abs(values - value.conjugate())))]
-        for k, value in enumerate(values)
-        if value.imag >= 0
-    ]
+    blocks = _conjugate_blocks(values)
+    # Blocks of four roots in all; eight roots of a real matrix always allow such a choice.
     choices = [
-        [k for block in chosen for k in block]
+        chosen
         for count in range(2, 5)
         for chosen in itertools.combinations(blocks, count)
         if sum(map(len, chosen)) == 4
     ]
-    longitudinal = max(choices, key=lambda chosen: float(share[chosen].sum()))
-    lateral = [k for k in range(8) if k not in longitudinal]
-    return _longitudinal_modes(values[longitudinal]) + _lateral_modes(values[lateral])
+    longitudinal = max(choices, key=lambda chosen: sum(share[k] for block in chosen for k in block))
+    lateral = [block for block in blocks if block not in longitudinal]
+    incidence = np.arctan2(size[2], size[0])  # 0 where airspeed alone moves, pi/2 where alpha does
+    sideslip = np.arctan2(size[1], V * size[6])
+    named = _longitudinal_names(list(longitudinal), values, incidence)
+    named += _lateral_names(lateral, values, sideslip)
+    named.sort(key=lambda item: MODE_NAMES.index(item[0]))
+    return [_mode(name, values[block[0]]) for name, block in named]
 
 
-def _longitudinal_modes(values: NDArray[np.complex128]) -> list[Mode]:
-    by_speed = values[np.argsort(-np.abs(values))]
-    found: list[Mode] = []
-    for name, pair in (("short_period", by_speed[:2]), ("phugoid", by_speed[2:])):
-        found += _pair(name, pair)
-    return found
+def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
+    """Return indices of each real root alone and of each pair, the upper half first."""
+    upper = [k for k, value in enumerate(values) if value.imag > 0]
+    lower = [k for k, value in enumerate(values) if value.imag < 0]
+    blocks: list[tuple[int, ...]] = [(k,) for k, value in enumerate(values) if value.imag == 0]
+    for k in upper:
+        # LAPACK gives exact conjugates; equal pairs must not share one lower half.
+        partner = min(lower, key=lambda j, k=k: abs(values[j] - values[k].conjugate()))  # type: ignore[misc]
+        lower.remove(partner)
+        blocks.append((k, partner))
+    return blocks
 
 
-def _lateral_modes(values: NDArray[np.complex128]) -> list[Mode]:
-    oscillating = [value for value in values if value.imag > 0]
-    real = sorted((value.real for value in values if value.imag == 0), key=abs)
-    if len(oscillating) == 1:
-        return [
-            _mode("dutch_roll", oscillating[0]),
-            _mode("roll", real[-1]),
-            _mode("spiral", real[0]),
-        ]
-    if len(oscillating) == 2:
-        # Roll and spiral have joined: a lateral phugoid, slower than the Dutch roll.
-        slow, fast = sorted(oscillating, key=abs)
-        return [_mode("dutch_roll", fast), _mode("roll", slow), _mode("spiral", slow)]
-    return [
-        _mode("dutch_roll", real[1]),
-        _mode("dutch_roll", real[2]),
-        _mode("roll", real[3]),
-        _mode("spiral", real[0]),
+_Named = list[tuple[str, tuple[int, ...]]]
+
+
+def _longitudinal_names(
+    blocks: list[tuple[int, ...]], values: NDArray[np.complex128], incidence: NDArray[np.float64]
+) -> _Named:
+    """Name four roots in blocks by their share of angle of attack; fastest first within a name."""
+    ranked = sorted(blocks, key=lambda block: (-incidence[block[0]], -abs(values[block[0]])))
+    if [len(block) for block in ranked] == [1, 2, 1]:
+        return [("short_period", ranked[0]), ("phugoid", ranked[2]), ("third", ranked[1])]
+    half = 2 if len(ranked) == 4 else 1 if len(ranked[0]) == 2 else 2
+    return [("short_period", block) for block in ranked[:half]] + [
+        ("phugoid", block) for block in ranked[half:]
     ]
 
 
-def _pair(name: str, pair: NDArray[np.complex128]) -> list[Mode]:
-    if pair[0].imag != 0:
-        return [_mode(name, complex(pair[0].real, abs(pair[0].imag)))]
-    return [_mode(name, value) for value in pair]
+def _lateral_names(
+    blocks: list[tuple[int, ...]], values: NDArray[np.complex128], sideslip: NDArray[np.float64]
+) -> _Named:
+    """Name four roots in blocks by their share of sideslip."""
+    ranked = sorted(blocks, key=lambda block: -sideslip[block[0]])
+    pairs, reals = ([b for b in ranked if len(b) == n] for n in (2, 1))
+    if len(pairs) == 2:
+        return [("dutch_roll", pairs[0]), ("other", pairs[1])]
+    if pairs and ranked[-1] == pairs[0]:
+        return [("dutch_roll", block) for block in reals] + [("other", pairs[0])]
+    dutch, remaining = (pairs, reals) if pairs else (reals[:2], reals[2:])
+    roll, spiral = sorted(remaining, key=lambda block: -abs(values[block[0]]))
+    return [*(("dutch_roll", block) for block in dutch), ("roll", roll), ("spiral", spiral)]
 
 
 def _mode(name: str, value: complex) -> Mode:

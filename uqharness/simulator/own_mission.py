@@ -103,6 +103,7 @@ def finely(aircraft: Aircraft) -> Aircraft:
 def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
     """Steps of every surface that turns the aircraft, sized for EXCURSION_DEG."""
     frequency = {mode.name: mode.wn_radps for mode in modes(model)}
+    coupled = frequency.get("other", 0.0)  # ailerons excite it where roll and spiral have joined
     steps = []
     for control, mode in _MODE.items():
         if control not in model.controls:
@@ -113,7 +114,8 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             else (DOUBLET, 2.3)
         )
         unit_s = _GRID_S * round(
-            min(max(cycles / max(frequency[mode], 1e-3), _UNITS_S[0]), _UNITS_S[1]) / _GRID_S
+            min(max(cycles / max(frequency.get(mode, coupled), 1e-3), _UNITS_S[0]), _UNITS_S[1])
+            / _GRID_S
         )
         greatest = _excursion_rad(model, control, unit_s, pattern)
         if not greatest > 1e-9:

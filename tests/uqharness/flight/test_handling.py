@@ -170,3 +170,38 @@ def test_the_class_counts():
     assert levels("C", "III", dutch_roll=slow)["dutch_roll", "damping"] == 1
     with pytest.raises(ValueError, match="class 'V'"):
         levels("B", "V")
+
+
+@pytest.mark.parametrize(("double", "level"), [(6.1, 3), (5.9, 4), (0.8, 4)])
+def test_a_longitudinal_divergence(double, level):
+    """MIL-F-8785C 3.2.1.1: none at Levels 1 and 2, not below 6 s at Level 3."""
+    roots = [real("phugoid", -0.5), real("phugoid", math.log(2.0) / double)]
+    found = {key: value for key, value in levels(phugoid=roots).items() if key[0] == "phugoid"}
+    assert found == {("phugoid", "divergence, time to double"): level}
+
+
+def test_a_third_mode_is_judged_as_the_pitch_oscillation_that_it_is():
+    third = {
+        "short_period": [real("short_period", -20.0)],
+        "third": [pair("third", 0.17, 2.0)],
+        "phugoid": [real("phugoid", -0.2)],
+    }
+    assert {key: value for key, value in levels(**third).items() if key[0] in third} == {
+        ("third", "damping"): 3,
+        ("third", "CAP"): 1,
+        ("phugoid", "damping"): 1,
+    }
+
+
+@pytest.mark.parametrize(("product", "level"), [(0.51, 1), (0.31, 2), (0.16, 3), (0.14, 4)])
+def test_a_coupled_roll_spiral_oscillation(product, level):
+    joined = {"roll": [], "spiral": [], "other": [pair("other", product, 1.0)]}
+    key = ("other", "coupled roll-spiral, zeta wn")
+    assert levels(**joined)[key] == level
+    assert levels("A", **joined)[key] == 4
+
+
+@pytest.mark.parametrize(("roots", "level"), [((-0.4, -1.0), 1), ((-0.1, -0.2), 4)])
+def test_a_dutch_roll_of_two_real_roots_needs_the_frequency_too(roots, level):
+    found = [real("dutch_roll", value) for value in roots]
+    assert levels(dutch_roll=found)["dutch_roll", "damping"] == level

@@ -65,6 +65,19 @@ def test_a_pair_with_one_unstable_root_has_no_frequency():
     assert fast == pytest.approx(np.sqrt(12.0))
 
 
+def test_a_pair_between_two_real_roots_is_neither_phugoid_nor_short_period():
+    """Roots of a statically unstable aircraft: the pair must not be cut into both modes."""
+    A = np.zeros((4, 4))
+    A[0, 0], A[3, 3] = -21.6, 0.86
+    A[1:3, 1:3] = [[-1.5, 1.2], [-1.2, -1.5]]
+    assert np.isnan(longitudinal_modes(A)).all()
+    values = VALUES | {"Cm_alpha": 0.4}
+    matrix = system_matrix("as_corrected", values)
+    roots = sorted(np.linalg.eigvals(matrix.dense()), key=abs)
+    assert [root.imag != 0 for root in roots] == [False, True, True, False]
+    assert np.isnan(np.array(modes_of(matrix))).all()
+
+
 @pytest.mark.parametrize("reading", ["as_corrected", "as_published"])
 def test_the_fast_way_to_the_modes_is_that_of_eigenvalues(reading):
     rng = np.random.default_rng(1)

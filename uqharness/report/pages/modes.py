@@ -39,9 +39,17 @@ Array = NDArray[np.float64]
 NAMES = {
     "short_period": "short period",
     "phugoid": "phugoid",
+    "third": "third mode",
     "dutch_roll": "Dutch roll",
     "roll": "roll",
     "spiral": "spiral",
+    "other": "coupled roll-spiral",
+}
+_PARAGRAPHS = {
+    "phugoid": "3.2.1.2",
+    "dutch_roll": "3.3.1.1",
+    "roll": "3.3.1.2",
+    "spiral": "3.3.1.3",
 }
 _LEVELS: Mapping[int, Level] = {1: "good", 2: "warn", 3: "warn", 4: "bad"}
 _EDGES = ("level1", "level2", "level3")
@@ -86,6 +94,8 @@ def _verdict(asked: ModesAsked, point: LocusPoint, locus: Locus) -> tuple[Say, .
     said = [Say(f"At {point.V_mps:g} m/s {reached}{better}.", _LEVELS[worst])]
     for mode, name in NAMES.items():
         found = [a for a in point.levels if a.mode == mode]
+        if not found:
+            continue
         told = "; ".join(f"{criterion_words(a)}, {_level_words(a.level)}" for a in found)
         said.append(
             Say(f"{name[0].upper()}{name[1:]}: {told}.", _LEVELS[max(a.level for a in found)])
@@ -146,9 +156,10 @@ def _eigenvalues(point: LocusPoint) -> Section:
 
 
 def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
-    figures = [_all(point, locus), _cap(asked, point, locus)]
-    figures += [_pair(mode, asked, point, locus) for mode in OSCILLATORY]
-    figures += [_root(mode, asked, point, locus) for mode in ("roll", "spiral")]
+    figures = [_all(point, locus), *_cap(asked, point, locus)]
+    drawn = {m.name for p in locus.points for m in p.modes}
+    figures += [_pair(mode, asked, point, locus) for mode in OSCILLATORY if mode in drawn]
+    figures += [_root(mode, asked, point, locus) for mode in ("roll", "spiral") if mode in drawn]
     text = (
         "Each line joins the roots of one mode by rising speed, a dot at each speed. Areas and limits are those of the category "
         "and class above; of two real roots in place of a pair both are drawn."
@@ -287,24 +298,25 @@ def _pair(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
     of = (
         "damping alone; CAP has its own figure"
         if mode == "short_period"
-        else "MIL-F-8785C " + _paragraph(point, mode)
+        else "MIL-F-8785C " + _PARAGRAPHS[mode]
     )
     return Figure(
         chart.name, chart.svg(), f"{NAMES[mode][0].upper()}{NAMES[mode][1:]}: Levels by {of}."
     )
 
 
-def _paragraph(point: LocusPoint, mode: str) -> str:
-    return next(a.paragraph for a in point.levels if a.mode == mode)
+def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> list[Figure]:
+    """Draw natural frequency over n/alpha with lines of equal CAP, as the specification's figures 1 to 3.
 
-
-def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
-    """Natural frequency of the short period over n/alpha with lines of equal CAP, as in the specification's figures 1 to 3."""
+    Empty where CAP is defined at no speed, as for a statically unstable aircraft.
+    """
     place: dict[float, list[tuple[float, float]]] = {}
     for p in locus.points:
         cap = next((a.value for a in p.levels if a.criterion == "CAP"), math.nan)
         if math.isfinite(cap) and cap > 0.0 and p.n_alpha > 0.0:
             place[p.V_mps] = [(p.n_alpha, math.sqrt(cap * p.n_alpha))]
+    if not place:
+        return []
     n, wn = (np.array([found[0][k] for found in place.values()]) for k in (0, 1))
     (one_low, one_high), (two_low, two_high) = cap_limits(asked.category)
     x = log_scale("n/alpha [g/rad]", [n], margin=0.25)
@@ -337,7 +349,7 @@ def _cap(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
         f"Control anticipation parameter: Level 1 from {one_low:g} to {one_high:g}, Level 2 from {two_low:g} to {two_high:g} "
         "1/(g s²), MIL-F-8785C 3.2.2.1.1."
     )
-    return Figure(chart.name, chart.svg(), caption)
+    return [Figure(chart.name, chart.svg(), caption)]
 
 
 def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figure:
@@ -366,31 +378,29 @@ def _root(mode: str, asked: ModesAsked, point: LocusPoint, locus: Locus) -> Figu
         if m.name == mode:
             chart.marker(point.V_mps, m.real, "second", "disc", f"{point.V_mps:.4g} m/s")
     what = "time constant, -1/root" if mode == "roll" else "time to double amplitude, ln 2/root"
-    oscillates = any(m.imag for p in locus.points for m in p.modes if m.name == mode)
-    note = (
-        " Where roll and spiral make an oscillation its real part is drawn." if oscillates else ""
-    )
     return Figure(
         chart.name,
         chart.svg(),
-        f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_paragraph(point, mode)}.{note}",
+        f"{mode.capitalize()}: Levels by {what}, MIL-F-8785C {_PARAGRAPHS[mode]}.",
     )
 
 
 def _by_speed(locus: Locus) -> Section:
-    keys = [(a.mode, a.criterion) for a in locus.points[0].levels]
+    units = {
+        (a.mode, a.criterion): "-" if a.unit == "1" else a.unit
+        for p in locus.points
+        for a in p.levels
+    }
+    keys = sorted(units, key=lambda key: list(NAMES).index(key[0]))
     rows: list[tuple[str | Cell, ...]] = []
     for p in locus.points:
         found = {(a.mode, a.criterion): a for a in p.levels}
         rows.append(
             (
                 f"{p.V_mps:.4g}",
-                *(_cell(found[key]) if key in found else Cell("undefined") for key in keys),
+                *(_cell(found[key]) if key in found else Cell("no such mode") for key in keys),
             )
         )
-    units = {
-        (a.mode, a.criterion): "-" if a.unit == "1" else a.unit for a in locus.points[0].levels
-    }
     head = (
         "Speed [m/s]",
         *(f"{NAMES[m][0].upper()}{NAMES[m][1:]}, {c} [{units[m, c]}]" for m, c in keys),
