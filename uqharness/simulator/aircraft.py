@@ -17,6 +17,7 @@ from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft_files import identity, read_xml, signature, walk
 from uqharness.simulator.card import Card, read_card, standard_card
+from uqharness.simulator.physical_checks import check_physical
 from uqharness.simulator.preflight import ensure_loadable
 from uqharness.simulator.staging import fingerprint, staged
 
@@ -116,7 +117,7 @@ def _read_aircraft(folder: Path) -> Aircraft:
         xml = folder / f"{folder.name}.xml"
         if not xml.is_file():
             raise BadInputError(
-                f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft folder"
+                f"{folder}: no airframe.toml and no {folder.name}.xml, {_other_models(folder)}"
             )
         card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
@@ -140,6 +141,20 @@ def _read_aircraft(folder: Path) -> Aircraft:
     )
 
 
+def _other_models(folder: Path) -> str:
+    """Say which aircraft a folder holds under names other than its own."""
+    models = [
+        path.name for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)
+    ]
+    if not models:
+        return "so this is not a JSBSim aircraft folder"
+    name = Path(models[0]).stem
+    return (
+        f"but {' and '.join(models)}: JSBSim wants folder and file of one name; rename the folder to "
+        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}" into it'
+    )
+
+
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run. Raises BadInputError."""
     check_loadable(aircraft)
@@ -156,6 +171,7 @@ def check_loadable(aircraft: Aircraft) -> None:
         for _, path in walk(aircraft.folder):
             if path.suffix == ".xml":
                 refuse_unknown_operations(path)
+        check_physical(aircraft)
         ensure_loadable(aircraft, content_hash(aircraft))
         _loadable.add(stamp)
 

@@ -29,6 +29,7 @@ INSIDE = {
     "engine": ("", "Engines", "engines", "Engine", "engine"),
 }
 """Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _SKIPPED = frozenset({".git"})
 
 
@@ -137,9 +138,15 @@ def _target(path: Path) -> str:
 def read_xml(path: Path) -> bytes:
     """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is too large."""
     try:
-        return read_regular(path, MOST_FILE_BYTES)
+        content = read_regular(path, MOST_FILE_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if content.startswith(_LFS_POINTER):
+        raise BadInputError(
+            f"{path}:1: is a Git LFS pointer, not the file itself; fetch the file with 'git lfs "
+            "pull' in its repository, or download it"
+        )
+    return content
 
 
 def opened(aircraft: HasFiles) -> Opened:

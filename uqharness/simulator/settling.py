@@ -8,6 +8,7 @@ switched off. A steady state is the same for every length of step, so steps begi
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 _OF_MOTION = (
@@ -17,13 +18,14 @@ _OF_MOTION = (
     "position/translational",
 )
 INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
-STEPS_S = (0.1, 0.05, 0.02, 0.01)
-"""Lengths of step that are tried one after the other."""
+STEPS_S = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
+"""Lengths of step that are tried one after the other, down to the step that the aircraft flies with."""
 BLOCK_FRAMES, MOST_BLOCKS = 25, 40
 CRANK_S = 3.0
 SETTLED = 1e-9
 """Change over a block, as a share of the largest thrust or speed, at which an engine has settled."""
 _BALANCED = 1e-3  # of the power that a propeller takes, at which JSBSim's own way has found its steady state
+_ALTERNATES = 0.01  # of the speed: a change from frame to frame that is no rounding
 _FTLBF_PER_S_HP = 550.0
 _WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
@@ -71,13 +73,15 @@ def settle(fdm: Any) -> str:
     # No engine draws fuel while JSBSim takes itself to be trimming.
     fdm.set_trim_status(True)
     try:
-        for step_s in STEPS_S:
+        # No step is shorter than the flight's: what settles only there does not settle in flight.
+        for step_s in (*(step_s for step_s in STEPS_S if step_s > dt_s), dt_s):
             fdm.set_dt(step_s)
             if pistons:
                 _crank(fdm, time_s)
             moved, number, what = _runs_out(fdm, watched, time_s)
             if moved < SETTLED:
                 break
+        in_turn = "" if moved < _BALANCED else _in_turn(fdm, number, time_s)
     finally:
         fdm.set_dt(dt_s)
         fdm.set_trim_status(trimming)
@@ -93,7 +97,28 @@ def settle(fdm: Any) -> str:
                 fdm[name] = value
     if moved < _BALANCED:
         return ""
-    return f"engine {number} does not settle: {what} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
+    changing = f"{what} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
+    return f"engine {number} does not settle at a step of {dt_s:g} s: {in_turn or changing}"
+
+
+def _in_turn(fdm: Any, number: int, time_s: float) -> str:
+    """Say between which speeds a propeller alternates from frame to frame; empty if it does not."""
+    name = f"propulsion/engine[{number - 1}]/propeller-rpm"
+    if not fdm.get_property_manager().hasNode(name):
+        return ""
+    rpm = [fdm[name]]
+    for _ in range(4):
+        fdm.set_sim_time(time_s)
+        fdm.run()
+        rpm.append(fdm[name])
+    changes = [after - before for before, after in itertools.pairwise(rpm)]
+    least = _ALTERNATES * max(map(abs, rpm))
+    if all(abs(c) > least for c in changes) and all(
+        a * b < 0.0 for a, b in itertools.pairwise(changes)
+    ):
+        low, high = sorted(rpm[-2:])
+        return f"its propeller turns at {low:.0f} and {high:.0f} rpm in turn"
+    return ""
 
 
 def _crank(fdm: Any, time_s: float) -> None:

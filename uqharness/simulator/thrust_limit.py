@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from sysid.units import G0_MPS2
 
-SPEEDS = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 1.05, 1.1, 1.2, 1.35, 1.5, 2.0)
+SPEEDS = (0.9, 0.75, 0.6, 1.1, 1.35, 2.0)
 """Shares of the speed asked for at which flight is tried, in this order on each side."""
-_HALVINGS = 4
+_HALVINGS = 3
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,12 @@ def thrust_reason(
     wanted_rad: float,
     full: Callable[[float], AtLimit | None],
     idle: Callable[[float], AtLimit | None],
+    mass_kg: float,
 ) -> str:
     """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``; empty where it is neither.
 
     ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that end, None where there is none.
+    ``mass_kg`` turns the acceleration into the thrust that is missing, or too much.
     """
     for throttle, fly, way in (("full", full, -1.0), ("idle", idle, 1.0)):
         found = fly(V_mps)
@@ -42,7 +44,8 @@ def thrust_reason(
             else "the thrust of that throttle"
         )
         said = f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle} throttle: {thrust}"
-        return f"{said} at {V_mps:g} m/s; {_advice(V_mps, wanted_rad, fly, way, found)}"
+        amount = f"{mass_kg * change:.3g} N too {'little' if way < 0.0 else 'much'}"
+        return f"{said} at {V_mps:g} m/s, {amount}; {_advice(V_mps, wanted_rad, fly, way, found)}"
     return ""
 
 
@@ -64,9 +67,9 @@ def _advice(
 ) -> str:
     """The nearest speed that fits, slower first."""
 
-    def fits(V: float) -> bool:
+    def fits(V: float) -> bool | None:
         there = fly(V)
-        return there is not None and way * (there.climb_rad - wanted_rad) <= 0.0
+        return None if there is None else way * (there.climb_rad - wanted_rad) <= 0.0
 
     for slower in (True, False):
         outside = V_mps
@@ -74,7 +77,11 @@ def _advice(
             if (share < 1.0) is not slower:
                 continue
             inside = share * V_mps
-            if not fits(inside):
+            fit = fits(inside)
+            if fit is None:
+                # No steady flight at all there: beyond a stall or a control's limit there is none.
+                break
+            if not fit:
                 outside = inside
                 continue
             for _ in range(_HALVINGS):

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
-from sysid.units import LBF_N
+from sysid.units import LBF_N, SLUG_KG
+from uqharness.errors import BadInputError
 from uqharness.simulator import control_system, engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.control_system import Rest
@@ -29,6 +30,7 @@ from uqharness.simulator.forced_state import (
     place,
     set_control,
 )
+from uqharness.simulator.physical_checks import rotor_place
 from uqharness.simulator.thrust_limit import AtLimit, dead_throttle, thrust_reason
 
 _ENGINE_THRUSTS = (
@@ -37,9 +39,25 @@ _ENGINE_THRUSTS = (
 )
 _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _BODY_RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
+_MASS = "inertia/mass-slugs"
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
 _LATERAL_FELT = "accelerations/Ny"
 _G_MPS2 = 9.806
+_AXES = (
+    "forward acceleration",
+    "sideways acceleration",
+    "downward acceleration",
+    "roll acceleration",
+    "pitch acceleration",
+    "yaw acceleration",
+    "lateral specific force",
+)
+_UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3 + ("m/s^2",)
+_AT_LIMIT = 0.005  # of a range: a search keeps off its bounds
+_STALLED_STEPS, _STALLED_GAIN = 3, 0.98  # a search ends where that many steps leave that share
+_LATERAL_SHARE = 0.01  # of the largest acceleration, from where bank may help
+_UNSETTLED_SHARE = 0.25  # of a failed search's evaluations, from where it failed for that
+_SHORTER = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
 _MOVES = 1e-9  # m/s2, rad/s2
 _STEEPEST_RAD = 0.9
 _NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
@@ -151,13 +169,16 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     does not move make no glider: that is not converged, with the reason, as are engines that never settle. Where surfaces do not
     balance straight flight with wings level (a rudder that follows the ailerons alone), bank is unknown in place of the rudder, up
     to 5 deg, and stands in the trim's ``condition``. Where the control system moves at the state that was found, states are forced
-    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that does not load.
+    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that does not load, and for a
+    rotorcraft.
     """
+    if rotor := rotor_place(aircraft):
+        raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
     rest = _moving_from_the_start(aircraft, condition)
     found = _search(aircraft, condition, rest)
     if rest is None and (rest := _moving(aircraft, found.trim)) is not None:
         found = _search(aircraft, condition, rest)
-    if rest is not None and not found.trim.converged:
+    if rest is not None and not found.trim.converged and found.problem.unsettled:
         # A control law that integrates rests where the aircraft turns as commanded: body rates are left to it.
         free = _search(aircraft, condition, replace(rest, free=True))
         found = free if free.trim.converged else found
@@ -166,20 +187,53 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
 
 @dataclass(frozen=True)
 class _Found:
-    """Where a search ended, ``names`` of the controls it had; ``wrong``: what says that it is no trim (empty: nothing)."""
+    """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty: nothing)."""
 
     problem: _Problem
     trim: Trim
-    names: list[str]
+    x: NDArray[np.float64]
     wrong: str
 
     def explained(self) -> Trim:
-        """The trim; where there is none, with what the thrust has to do with it."""
-        trim, problem = self.trim, self.problem
-        reason = self.wrong
-        if not reason and not trim.converged and "throttle" in problem.names:
-            reason = _thrust_reason(problem.aircraft, problem.condition, self.names, problem.rest)
-        return replace(trim, reason=f"{_asked(problem.condition)}: {reason}") if reason else trim
+        """The trim; where there is none, with its cause."""
+        if self.trim.converged:
+            return self.trim
+        return replace(self.trim, reason=f"{_asked(self.problem.condition)}: {self._cause()}")
+
+    def _cause(self) -> str:
+        """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of these."""
+        if self.wrong:
+            return self.wrong
+        problem, left = self.problem, self.trim.residual
+        limits = problem.at_limits(self.x)
+        axis = int(np.argmax(np.abs(left)))
+        throttle_end = dict(limits).get("throttle", "")
+        mass_kg = _mass_kg(problem, self.x)
+        if "throttle" in problem.names and (throttle_end or axis == 0):
+            end = throttle_end if left[0] == 0.0 else "upper" if left[0] < 0.0 else "lower"
+            if reason := _thrust_reason(problem, end, mass_kg):
+                return reason
+        remains = f"{_AXES[axis]} of {left[axis]:.3g} {_UNITS[axis]} remains"
+        if throttle_end and axis == 0:
+            amount = f"{mass_kg * abs(left[0]):.3g} N too {'little' if left[0] < 0.0 else 'much'}"
+            remains += f", thrust is {amount}"
+        saturated = [name for name, _ in limits if name != "alpha"]
+        where = ", ".join(problem.limit_words(name, end) for name, end in limits)
+        if "alpha" in dict(limits):
+            return (
+                f"{where}: {remains}; the wing does not carry the aircraft at this speed and "
+                "height, so try a faster or lower flight"
+            )
+        if saturated:
+            return (
+                f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}] "
+                "of airframe.toml if the aircraft has more travel"
+            )
+        return (
+            f"no equilibrium: {remains} where all accelerations are least (alpha "
+            f"{math.degrees(self.trim.alpha_rad):.3g} deg), although no control is at its limit; "
+            "try another speed or height"
+        )
 
 
 def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -> _Found:
@@ -204,17 +258,27 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
     )
     x = problem.solve()
     trim = _result(problem, x)
-    if not trim.converged and acts:
+    wrong, unstable = ("", False) if trim.converged else _unsettled(problem, x)
+    if unstable or (rest is not None and not rest.free and problem.never_settles):
+        return _Found(problem, trim, x, wrong)
+    if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
         # A propeller that the wind drives and one that its engine drives are two steady states; thrust leaps between them.
         again = problem.solve(_OPEN)
         other = _result(problem, again)
         x, trim = (again, other) if other.converged else (x, trim)
-    if not trim.converged and not problem.turning:
+    lateral = np.abs(trim.residual)[[1, 3, 5]]
+    if (
+        not trim.converged
+        and not problem.turning
+        and np.max(lateral) > _LATERAL_SHARE * np.max(np.abs(trim.residual))
+    ):
         banked = problem.banked()
         other = _result(banked, again := banked.solve())
         problem, x, trim = (banked, again, other) if other.converged else (problem, x, trim)
-    wrong = dead or _unsettled(problem, x)
-    return _Found(problem, replace(trim, converged=trim.converged and not wrong), names, wrong)
+    if trim.converged or not wrong:
+        wrong = _settles_not_at(problem, x) if trim.converged else ""
+    wrong = dead or wrong
+    return _Found(problem, replace(trim, converged=trim.converged and not wrong), x, wrong)
 
 
 def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Rest | None:
@@ -276,35 +340,97 @@ def _throttle_acts(
     )
 
 
-def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> str:
-    """What does not settle at the controls that were found."""
-    (state, controls, _, _), condition = problem.unpack(x), problem.condition
-    if not math.isfinite(state.theta):
-        return ""
+def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
+    """What does not settle at these unknowns, and whether the length of the step is the cause.
+
+    Where all settles at ``x`` but not in a good part of the search, what did not settle last.
+    """
+    condition = problem.condition
+
+    def at(aircraft: Aircraft) -> str:
+        state, controls, _, _ = problem.unpack(x)
+        if not math.isfinite(state.theta):
+            return ""
+        return forced(
+            aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+        )[1]
+
+    reason = at(problem.aircraft)
+    if not reason and len(problem.unsettled) > _UNSETTLED_SHARE * problem.evaluations:
+        x = problem.unsettled[-1]
+        reason = at(problem.aircraft)
+    if not reason:
+        return "", False
+    for share in _SHORTER:
+        dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
+        if not at(_with_step(problem.aircraft, dt_s)):
+            larger = (
+                f", or a propeller's <ixx> of {1.0 / share:g} times the XML's"
+                if "propeller" in reason
+                else ""
+            )
+            return (
+                f"{reason}; it is unstable at this step and settles at a shorter one (dt_s = "
+                f"{dt_s:g} in [aircraft] of airframe.toml{larger})"
+            ), True
+    return reason, False
+
+
+def _settles_not_at(problem: _Problem, x: NDArray[np.float64]) -> str:
+    """What does not settle at these unknowns."""
+    state, controls, _, _ = problem.unpack(x)
+    condition = problem.condition
     return forced(
         problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
     )[1]
 
 
-def _thrust_reason(
-    aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
-) -> str:
-    """What the thrust at either end of the throttle has to do with it."""
-    low, high = aircraft.card.inputs["throttle"].limits
-    free = tuple(name for name in names if name != "throttle")
+def _with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
+    """The aircraft with another integration step [s]."""
+    section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
+    return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
 
-    def at(end: float, V: float) -> AtLimit | None:
-        problem = _Problem(
-            aircraft, replace(condition, V_mps=V), free, {"throttle": end}, True, rest=rest
-        )
-        found = _result(problem, problem.solve())
-        # A governor hunts within its last digits; what is said of the thrust needs two.
-        there = found.converged or float(np.max(np.abs(found.residual))) < _NEARLY
-        return AtLimit(found.condition.climb_rad, found.thrust_N) if there else None
 
-    return thrust_reason(
-        condition.V_mps, condition.climb_rad, lambda V: at(high, V), lambda V: at(low, V)
+def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
+    """The aircraft's mass."""
+    state, controls, _, _ = problem.unpack(x)
+    condition = problem.condition
+    _, out = force_state(
+        problem.aircraft, state, controls, condition.altitude_m, condition.properties, (_MASS,)
     )
+    return SLUG_KG * out[_MASS]
+
+
+def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
+    """What the thrust at that end of the throttle has to do with it."""
+    aircraft, condition = problem.aircraft, problem.condition
+    limits = aircraft.card.inputs["throttle"].limits
+    free = tuple(name for name in problem.names if name != "throttle")
+    start: NDArray[np.float64] | None = None
+
+    def at(V: float) -> AtLimit | None:
+        nonlocal start
+        limited = _Problem(
+            aircraft,
+            replace(condition, V_mps=V),
+            free,
+            {"throttle": limits[end == "upper"]},
+            True,
+            rest=problem.rest,
+        )
+        unknowns = limited.solve(start=start, tolerance=_NEARLY)
+        result = _result(limited, unknowns)
+        # A governor hunts within its last digits; what is said of the thrust needs two.
+        if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY):
+            return None
+        start = unknowns
+        return AtLimit(result.condition.climb_rad, result.thrust_N)
+
+    def never(V: float) -> AtLimit | None:
+        return None
+
+    full, idle = (at, never) if end == "upper" else (never, at)
+    return thrust_reason(condition.V_mps, condition.climb_rad, full, idle, mass_kg)
 
 
 class _Problem:
@@ -329,6 +455,7 @@ class _Problem:
             rest,
         )
         self.free_climb, self.free_bank = free_climb, free_bank
+        self.evaluations, self.unsettled = 0, list[NDArray[np.float64]]()
         self.turning = condition.bank_rad != 0.0
         lows, highs = (
             np.array([aircraft.card.inputs[name].limits[end] for name in names], dtype=float)
@@ -348,6 +475,11 @@ class _Problem:
             [[0.03, 0.0], 0.5 * (lows + highs), rate, climb, [0.0] * free_bank]
         )
 
+    @property
+    def never_settles(self) -> bool:
+        """Whether engines or control system settled in less than a tenth of the evaluations."""
+        return len(self.unsettled) > 0.9 * self.evaluations
+
     def banked(self) -> _Problem:
         """The same with the bank unknown and the rudder neutral."""
         neutral = {
@@ -366,12 +498,55 @@ class _Problem:
             self.rest,
         )
 
-    def solve(self, throttle: float = 0.5) -> NDArray[np.float64]:
-        """The unknowns that leave the least acceleration, from that share of the throttle's travel on."""
-        start = np.clip(self.guess / self.scale, self.lower + 1e-9, self.upper - 1e-9)
-        if "throttle" in self.names:
-            at = 2 + self.names.index("throttle")
-            start[at] = self.lower[at] + throttle * (self.upper[at] - self.lower[at])
+    def at_limits(self, x: NDArray[np.float64]) -> list[tuple[str, str]]:
+        """Which of alpha, beta and the controls are at their "lower" or "upper" limit."""
+        out = []
+        for name, value, low, high in zip(
+            ["alpha", "beta", *self.names], x, self.lower, self.upper, strict=False
+        ):
+            margin = _AT_LIMIT * (high - low)
+            if min(value - low, high - value) < margin:
+                out.append((name, "lower" if value - low < margin else "upper"))
+        return out
+
+    def limit_words(self, name: str, end: str) -> str:
+        """Name a saturated unknown with its limit in its own unit."""
+        k = ["alpha", "beta", *self.names].index(name)
+        value = float((self.lower if end == "lower" else self.upper)[k] * self.scale[k])
+        if k < 2:
+            return f"{name} is at its {end} limit of {math.degrees(value):.3g} deg"
+        unit = self.aircraft.card.inputs[name].unit
+        return f"{name} is saturated at its {end} limit of {value:g} {unit}"
+
+    def solve(
+        self,
+        throttle: float = 0.5,
+        start: NDArray[np.float64] | None = None,
+        tolerance: float = 0.0,
+    ) -> NDArray[np.float64]:
+        """The unknowns that leave the least acceleration.
+
+        From that share of the throttle's travel, or from ``start``, on. Ends where three steps have
+        gained nothing, or where all accelerations are below ``tolerance`` [m/s2, rad/s2].
+        """
+        if start is None:
+            start = self.guess / self.scale
+            if "throttle" in self.names:
+                at = 2 + self.names.index("throttle")
+                start[at] = self.lower[at] + throttle * (self.upper[at] - self.lower[at])
+        start = np.clip(start, self.lower + 1e-9, self.upper - 1e-9)
+        costs: list[float] = []
+
+        def callback(intermediate_result: OptimizeResult) -> None:
+            cost = float(intermediate_result.cost)
+            costs.append(cost)
+            stalled = (
+                len(costs) > _STALLED_STEPS and cost > _STALLED_GAIN * costs[-1 - _STALLED_STEPS]
+            )
+            hopeless = len(costs) > 1 and self.never_settles
+            if (stalled and cost > _NEARLY**2) or 2.0 * cost < tolerance**2 or hopeless:
+                raise StopIteration
+
         solution = least_squares(
             self.residual,
             start,
@@ -382,6 +557,7 @@ class _Problem:
             x_scale=1.0,
             diff_step=1e-6,
             max_nfev=25,
+            callback=callback,
         )
         return np.asarray(solution.x)
 
@@ -420,15 +596,18 @@ class _Problem:
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
-        acceleration, out = force_state(
+        fdm, unsettled = forced(
             self.aircraft,
             state,
             controls,
             condition.altitude_m,
             condition.properties,
-            (_LATERAL_FELT, *_BODY_RATES),
             self.rest,
         )
+        acceleration, out = answers(fdm, (_LATERAL_FELT, *_BODY_RATES))
+        self.evaluations += 1
+        if unsettled:
+            self.unsettled.append(x.copy())
         if self.rest is not None and self.rest.free:
             ended = np.array([out[name] for name in _BODY_RATES])
             acceleration[3:] += (ended - (state.p, state.q, state.r)) / _RATE_TIME_S
@@ -467,24 +646,10 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan")
     )
     converged = bool(np.max(np.abs(left)) < 1e-6)
-    at_limit = [
-        name
-        for name, value, lo, hi in zip(
-            ["alpha", "beta", *names], x, problem.lower, problem.upper, strict=False
-        )
-        if min(value - lo, hi - value) < 1e-6 * (hi - lo)
-    ]
-    reason = ""
-    if not converged:
-        worst = ("u", "v", "w", "p", "q", "r", "lateral force")[int(np.argmax(np.abs(left)))]
-        limits = f"; at its limit: {', '.join(at_limit)}" if at_limit else ""
-        reason = (
-            f"{_asked(condition)}: {worst} still accelerates by {np.max(np.abs(left)):.3g}{limits}"
-        )
     return Trim(
         condition=replace(condition, climb_rad=climb, bank_rad=state.phi),
         converged=converged,
-        reason=reason,
+        reason="" if converged else _asked(condition),
         alpha_rad=math.atan2(state.w, state.u),
         beta_rad=math.asin(state.v / condition.V_mps),
         theta_rad=state.theta,

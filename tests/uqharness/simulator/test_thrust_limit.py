@@ -23,32 +23,33 @@ def flight(thrust_g):
 
 
 def test_too_little_thrust_is_told_with_the_deceleration_and_the_speed_that_it_reaches():
-    said = thrust_reason(60.0, 0.0, flight(0.1), flight(0.0))
+    said = thrust_reason(60.0, 0.0, flight(0.1), flight(0.0), 100.0)
     deceleration = G * (0.1 * 1.5**2 - 0.1)
     assert said.startswith(
-        f"deceleration {deceleration:.2g} m/s^2 at full throttle: 100 N of thrust at 60 m/s; try V <= "
+        f"deceleration {deceleration:.2g} m/s^2 at full throttle: 100 N of thrust at 60 m/s, "
+        f"{100.0 * deceleration:.3g} N too little; try V <= "
     )
     speed = float(said.split("<= ")[1].split()[0])
     assert 36.0 <= speed <= 40.0
 
 
 def test_too_much_thrust_at_idle_is_told_as_well():
-    said = thrust_reason(30.0, 0.0, flight(0.3), flight(0.1))
+    said = thrust_reason(30.0, 0.0, flight(0.3), flight(0.1), 1.0)
     assert said.startswith("acceleration")
     speed = float(said.split(">= ")[1].split()[0])
     assert 40.0 <= speed <= 46.0
 
 
 def test_thrust_that_fits_is_not_blamed():
-    assert thrust_reason(40.0, 0.0, flight(0.2), flight(0.0)) == ""
+    assert thrust_reason(40.0, 0.0, flight(0.2), flight(0.0), 1.0) == ""
 
 
 def test_where_nothing_fits_the_path_that_does_is_told():
-    said = thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None)
+    said = thrust_reason(40.0, 0.0, lambda V: AtLimit(-0.2, math.nan), lambda V: None, 1.0)
     assert "no speed from" in said
     assert "try a path of <= -11.46 deg" in said  # 0.2 rad are 11.459 deg
     assert "try a path of >= 11.46 deg" in thrust_reason(
-        40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan)
+        40.0, 0.0, lambda V: None, lambda V: AtLimit(0.2, math.nan), 1.0
     )
 
 
