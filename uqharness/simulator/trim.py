@@ -55,7 +55,7 @@ _AXES = (
 _UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3 + ("m/s^2",)
 _AT_LIMIT = 0.005  # of a range: a search keeps off its bounds
 _STALLED_STEPS, _STALLED_GAIN = 3, 0.98  # a search ends where that many steps leave that share
-_LATERAL_SHARE = 0.01  # of the largest acceleration, from where bank may help
+_LATERAL_SHARE = 0.1  # of the largest acceleration, from where bank may help
 _UNSETTLED_SHARE = 0.25  # of a failed search's evaluations, from where it failed for that
 _SHORTER = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
 _MOVES = 1e-9  # m/s2, rad/s2
@@ -260,7 +260,7 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
     trim = _result(problem, x)
     wrong, unstable = ("", False) if trim.converged else _unsettled(problem, x)
     if unstable or (rest is not None and not rest.free and problem.never_settles):
-        return _Found(problem, trim, x, wrong)
+        return _Found(problem, trim, x, dead or wrong)
     if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
         # A propeller that the wind drives and one that its engine drives are two steady states; thrust leaps between them.
         again = problem.solve(_OPEN)

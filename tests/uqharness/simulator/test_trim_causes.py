@@ -104,14 +104,21 @@ def test_an_engine_unstable_at_the_step_is_named_with_both_speeds_and_cures(tmp_
     assert shorter.rpm == pytest.approx(heavier.rpm, rel=1e-3)
 
 
-@pytest.mark.slow
-def test_thrust_that_is_short_is_told_in_newtons():
-    result = find_trim(find_aircraft("c172x"), SteadyCondition(80.0, 1000.0))
+@pytest.mark.parametrize(
+    ("name", "V_mps"), [("espaaro", 40.0), pytest.param("c172x", 80.0, marks=pytest.mark.slow)]
+)
+def test_thrust_that_is_short_is_told_in_newtons(name, V_mps):
+    aircraft = find_aircraft(name)
+    result = find_trim(aircraft, SteadyCondition(V_mps))
     assert not result.converged
-    assert "at full throttle" in result.reason
+    full = float(re.search(r"at full throttle: (\d+) N", result.reason).group(1))
     missing = float(re.search(r"([\d.e+]+) N too little", result.reason).group(1))
-    assert 100.0 < missing < 2000.0
-    assert float(re.search(r"try V <= ([\d.]+)", result.reason).group(1)) < 80.0
+    speed = float(re.search(r"try V <= ([\d.]+)", result.reason).group(1))
+    slower = find_trim(aircraft, SteadyCondition(speed))
+    assert slower.converged, slower.reason
+    # Drag at these speeds grows nearly with the square of the airspeed.
+    drag = slower.thrust_N * (V_mps / speed) ** 2
+    assert full + missing == pytest.approx(drag, rel=0.1)
 
 
 def test_a_saturated_elevator_is_named_with_its_limit(tmp_path):
