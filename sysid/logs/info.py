@@ -191,7 +191,7 @@ def _loiter_seconds(record: FlightRecord) -> float:
 def _moving(record: FlightRecord) -> list[str]:
     spans = {
         n: float(np.nanmax(record[n]) - np.nanmin(record[n]))
-        for n in SURFACES
+        for n in (*SURFACES, *(n.replace("_deg", "_pos_deg") for n in SURFACES))
         if not _missing(record, (n,))
     }
     return [n for n, span in spans.items() if span > MIN_MOVING_DEG]
@@ -199,16 +199,19 @@ def _moving(record: FlightRecord) -> list[str]:
 
 def _surfaces(record: FlightRecord) -> str:
     """Reason for which the surfaces do not serve, "" when they do."""
-    positions = tuple(n.replace("_deg", "_pos_deg") for n in SURFACES)
-    if all(not _missing(record, (p,)) for p in positions):
+    positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
+    measured = [n for n in SURFACES if not _missing(record, (positions[n],))]
+    if len(measured) == len(SURFACES):
         return ""
-    missing = _missing(record, SURFACES)
+    missing = [n for n in _missing(record, SURFACES) if n not in measured]
     if len(missing) == len(SURFACES):
         needs = _finding(record, "no-card")
         return f"no surfaces: {needs}" if needs else "no surfaces are logged"
     if not _moving(record):
         return f"the surfaces stand still (less than {MIN_MOVING_DEG} deg)"
-    return f"no {', '.join(missing)}" if missing else ""
+    commanded = len(_missing(record, SURFACES)) < len(SURFACES)
+    names = missing if commanded or not measured else [positions[n] for n in missing]
+    return f"no {', '.join(names)}" if names else ""
 
 
 def _lacks(record: FlightRecord, missing: list[str]) -> str:

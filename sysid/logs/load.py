@@ -6,17 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from sysid.digests import file_sha256
-from sysid.errors import LogError
+from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
+from sysid.logs.channels import wrap_angles
 from sysid.logs.checking.checks import check_again
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
-from sysid.logs.signal_map import SignalMap, read_map, shipped_map
+from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
 from sysid.record import FlightRecord
 from sysid.vocabulary import SIGNALS
 
@@ -72,13 +73,28 @@ def _assemble(
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
-        return assemble(
+        record = assemble(
             read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest
         )
     except LogError as e:
         if str(path) in str(e):
             raise
         raise LogError(str(e), path) from None
+    absent = [] if user_map is None else [n for n in user_map.entries if n not in record]
+    return _with_findings(record, [_not_in_log(n, user_map.entries[n]) for n in absent])
+
+
+def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
+    """The record with more findings in front of those that it has."""
+    both = (*findings, *record.metadata.findings)
+    return replace(record, metadata=replace(record.metadata, findings=both)) if findings else record
+
+
+def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
+    labels = " or ".join(entry.label for entry in candidates)
+    text = f"the map makes {signal} of {labels}, which this log does not have"
+    mend = f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map` lists them)"
+    return Finding("not-in-log", signal, "warning", text, {}, "", mend)
 
 
 _MAP_OF = {
@@ -100,11 +116,13 @@ def read_raw(
             return dataflash_binary.read(path, wanted, progress)
         case "dataflash-text":
             return dataflash_text.read(path, wanted, progress)
-    return limited.read_raw(path, dialect, wanted, progress)
+    time = None if signal_map is None else signal_map.time
+    return limited.read_raw(path, dialect, wanted, progress, time)
 
 
 def _record_file(path: Path) -> FlightRecord:
     record = FlightRecord.read(path)
+    record = record.with_columns(wrap_angles(record.columns))
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
         raise LogError(
             "the table holds a time and no signal; name the columns as the vocabulary does or give a --map",
