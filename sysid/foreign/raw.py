@@ -52,7 +52,7 @@ class RawLog:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; times as text have none."""
+    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; "iso" for text."""
 
     field: str
     unit: str = "s"

@@ -69,7 +69,7 @@ def _assemble(
     digest: str,
     progress: Progress | None,
 ) -> FlightRecord:
-    base = shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
+    base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
@@ -104,6 +104,11 @@ _MAP_OF = {
     "ulog": "ulog",
     "jsbsim-csv": "jsbsim-csv",
 }
+
+
+def map_of_dialect(dialect: str) -> SignalMap:
+    """The signal map that comes with the package for a dialect; an empty one for tables."""
+    return shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
 
 
 def read_raw(

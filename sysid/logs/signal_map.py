@@ -206,7 +206,7 @@ def _time(row: Any, name: str) -> TimeColumn:
         raise LogError('field = "..." (the column of the times) is missing', name, where)
     unit = row.get("unit", "s")
     if isinstance(unit, str) and unit.lower() in _TEXT_TIMES:
-        return TimeColumn(column)
+        return TimeColumn(column, "iso")
     if "scale" in row:
         scale = _number(row["scale"], name, where)
         unit = next((u for u, s in TIME_UNITS.items() if math.isclose(s, scale)), scale)

@@ -49,13 +49,13 @@ def time_names(names: Sequence[str]) -> list[str]:
 
 def times_of(
     fields: Mapping[str, NDArray[Any]], time: TimeColumn | None, path: Path
-) -> tuple[str, FloatArray, list[Finding]]:
-    """Name of the column of times, the times in s (NaN where there is none), and what had to be assumed.
+) -> tuple[TimeColumn, FloatArray, list[Finding]]:
+    """The column of times and its unit, the times in s (NaN where there is none), and what had to be assumed.
 
     Raises LogError where no column holds times.
     """
     if time is not None:
-        return time.field, _seconds(fields[time.field], time, path), []
+        return time, _seconds(fields[time.field], time, path), []
     named = time_names(list(fields))
     readable = {name: _values(fields[name]) for name in named}
     name = next((n for n, v in readable.items() if v is not None and _increases(v)), None)
@@ -86,14 +86,14 @@ def times_of(
     assert values is not None
     unit = _words(name)[1]
     if fields[name].dtype == object:
-        unit = "s"
+        return TimeColumn(name, "iso"), values, findings
     if unit is None:
         steps = np.diff(values[np.isfinite(values)])
         step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
         unit = likely_time_unit(step)
         if unit != "s":
             findings.append(time_unit_finding(name, step, converted=True))
-    return name, values * TIME_UNITS[unit], findings
+    return TimeColumn(name, unit), values * TIME_UNITS[unit], findings
 
 
 def _words(name: str) -> tuple[frozenset[str], str | None]:
@@ -114,7 +114,7 @@ def _seconds(values: NDArray[Any], time: TimeColumn, path: Path) -> FloatArray:
             " numbers, 2024-05-01T12:00:00.02 and 12:00:00.02",
             path,
         )
-    return numbers * (1.0 if values.dtype == object else TIME_UNITS[time.unit])
+    return numbers * (1.0 if values.dtype == object else TIME_UNITS.get(time.unit, 1.0))
 
 
 def _values(values: NDArray[Any]) -> FloatArray | None:

@@ -442,11 +442,11 @@ def _from_columns(
                 )
             )
         fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
-    time_name, time_s, about_time = times_of(fields, time, path)
-    del fields[time_name]
+    column, time_s, about_time = times_of(fields, time, path)
+    del fields[column.field]
     good = np.isfinite(time_s)
     if good.sum() < 2:
-        raise LogError(f"the time column {time_name} holds fewer than two numbers", path)
+        raise LogError(f"the time column {column.field} holds fewer than two numbers", path)
     fields = {n: v[good] for n, v in fields.items() if kept is None or n in kept}
     dialect = "jsbsim-csv" if jsbsim else "csv"
     table = MessageTable(time_s[good], fields)
@@ -456,5 +456,5 @@ def _from_columns(
         {_MESSAGE: rows},
         vehicle="JSBSim" if jsbsim else "",
         findings=(*about_time, *findings),
-        facts={"time column": time_name},
+        facts={"time column": column.field, "time unit": column.unit},
     )
