@@ -126,6 +126,10 @@ _LATITUDE, _LONGITUDE = (
 _PAIR_FIELDS = frozenset({"north_m", "east_m"})
 _INDICATED = re.compile(r"ias|cas|eas|indicated")
 _FOREIGN_SIGNALS = ("V_mps", "alpha_rad", "beta_rad", "rpm", "thrust_N")
+_NO_SENSORS = re.compile(
+    r"innov|test|ratio|setpoint|status|estimator|variance|PID|TUNE|^X?[NX]K", re.IGNORECASE
+)
+"""Messages of logs whose fields have the names of signals and hold errors, demands or ratios of them."""
 _ROUNDS = 4
 _STANDARD = 1e-3  # relative, by which a scale may miss one that is a unit's
 
@@ -269,7 +273,7 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
     taken = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
     matches: dict[str, list[tuple[int, str, str]]] = {}
     for (message, instance), content in raw.messages.items():
-        if instance:
+        if instance or (not table and _NO_SENSORS.search(message)):
             continue
         for field, values in content.fields.items():
             if (message, field) in taken or not _usable(values):
@@ -509,7 +513,7 @@ def _by_kinematics(
                 entry=replace(
                     p.entry, scale=factor * p.entry.scale, offset=factor * p.entry.offset
                 ),
-                evidence=(*p.evidence, f"scale changed by {factor:.6g}: {f.message}"),
+                evidence=_without_undone(p.evidence, factor, f.message),
                 unsure=tuple(x for x in p.unsure if "no unit" not in x)
                 + (("the dialect's own field has another scale",) if dialects_own else ()),
             )
@@ -517,6 +521,14 @@ def _by_kinematics(
         if not changed:
             break
     return (_confirmed(out, record), record) if record is not None else (out, record)
+
+
+def _without_undone(evidence: tuple[str, ...], factor: float, message: str) -> tuple[str, ...]:
+    """The evidence with one more change of scale, or without the change that this one takes back."""
+    opposite = f"scale changed by {1.0 / factor:.6g}: "
+    if evidence and evidence[-1].startswith(opposite):
+        return evidence[:-1]
+    return (*evidence, f"scale changed by {factor:.6g}: {message}")
 
 
 def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str, Proposal]:
@@ -529,8 +541,9 @@ def _confirmed(proposals: dict[str, Proposal], record: FlightRecord) -> dict[str
         if p is None or not h.agrees:
             continue
         text = f"{h.relation.scale:.2f} times {h.law.says} ({h.relation.low:.2f} to {h.relation.high:.2f})"
+        sure = tuple(x for x in p.unsure if "no unit" in x)
         unsure = tuple(x for x in p.unsure if "no unit" not in x)
-        out[h.law.subject] = replace(p, evidence=(*p.evidence, text), unsure=unsure)
+        out[h.law.subject] = replace(p, evidence=(*p.evidence, *sure, text), unsure=unsure)
     for f in record.metadata.findings:
         if f.channel in out and f.severity == "error":
             p = out[f.channel]
