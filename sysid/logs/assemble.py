@@ -20,7 +20,12 @@ from sysid.foreign.raw import RawLog
 from sysid.logs import phase as flight_phase
 from sysid.logs.card import AirframeCard
 from sysid.logs.channels import CIRCLE_FROM, Channel, Times, resolve, wrap_angles
-from sysid.logs.checking.checks import check_channel, check_record, one_per_cause
+from sysid.logs.checking.checks import (
+    check_channel,
+    check_record,
+    estimated_channels,
+    one_per_cause,
+)
 from sysid.logs.importers.table_format import listed
 from sysid.logs.loiters import found_loiters, loiter_commands
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
@@ -115,7 +120,11 @@ def assemble(
         *findings,
         *check_record(record, phase.free_s),
     ]
-    return FlightRecord(record.columns, replace(meta, findings=tuple(one_per_cause(findings))))
+    findings = one_per_cause(findings)
+    estimates = estimated_channels(meta.estimates, findings)
+    return FlightRecord(
+        record.columns, replace(meta, findings=tuple(findings), estimates=estimates)
+    )
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:

@@ -212,7 +212,10 @@ def _surfaces(record: FlightRecord) -> str:
         needs = _finding(record, "no-card")
         return f"no surfaces: {needs}" if needs else "no surfaces are logged"
     if not _moving(record):
-        return f"the surfaces stand still (less than {MIN_MOVING_DEG} deg)"
+        return (
+            f"the surfaces stand still (less than {MIN_MOVING_DEG} deg); if they are in rad, write"
+            " scale = 57.29578 in the map"
+        )
     commanded = len(_missing(record, SURFACES)) < len(SURFACES)
     names = missing if commanded or not measured else [positions[n] for n in missing]
     return f"no {', '.join(names)}" if names else ""

@@ -13,7 +13,7 @@ from sysid.logs.assemble import assemble
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
-from sysid.logs.checking.checks import check_again
+from sysid.logs.checking.checks import check_again, estimated_channels
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
@@ -138,4 +138,7 @@ def _record_file(path: Path) -> FlightRecord:
 
 def _as_known_today(record: FlightRecord) -> FlightRecord:
     """The record with what today's checks find in it: it may have been imported before a fault was known."""
-    return replace(record, metadata=replace(record.metadata, findings=tuple(check_again(record))))
+    findings = check_again(record)
+    estimates = estimated_channels(record.metadata.estimates, findings)
+    meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
+    return replace(record, metadata=meta)

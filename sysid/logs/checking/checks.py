@@ -272,6 +272,12 @@ def _range(
     return [Finding("out-of-range", name, severity, text, numbers, spoils(name), mended)]
 
 
+def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Channels that no sensor measured: those that the map says, and angles of flow that were computed from other channels."""
+    computed = (f.channel for f in findings if f.code == "estimate" and f.channel in AIR[1:])
+    return tuple(dict.fromkeys((*mapped, *computed)))
+
+
 def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
     """The findings without those that another one explains.
 
