@@ -80,8 +80,10 @@ def _assemble(
         if str(path) in str(e):
             raise
         raise LogError(str(e), path) from None
-    absent = [] if user_map is None else [n for n in user_map.entries if n not in record]
-    return _with_findings(record, [_not_in_log(n, user_map.entries[n]) for n in absent])
+    mapped = {} if user_map is None else user_map.entries
+    return _with_findings(
+        record, [_not_in_log(n, entries) for n, entries in mapped.items() if n not in record]
+    )
 
 
 def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:

@@ -366,7 +366,8 @@ def _sized(
     values = _values(raw, message, field)
     due = SIGNALS[signal].unit
     evidence, unsure = [f'named "{field}"; {_size(values)}'], []
-    scale, offset, function, pwm = 1.0, 0.0, "value", ()
+    scale, function = 1.0, "value"
+    pwm: tuple[tuple[float, float], ...] = ()
     if unit is not None and unit in _UNITS.get(due, {}):
         scale = _UNITS[due][unit]
         evidence.append(
@@ -398,7 +399,7 @@ def _sized(
         unsure.append(f"other fields with such a name: {', '.join(others[:5])}")
     if not table:
         unsure.append("recognised by its name alone")
-    entry = Entry(message, 0, (field,), scale, offset, pwm, function)
+    entry = Entry(message, 0, (field,), scale, 0.0, pwm, function)
     return Proposal(signal, entry, tuple(evidence), tuple(unsure))
 
 

@@ -15,6 +15,9 @@ _COMMON = 0.9  # share of changes on one beat
 _ALIKE = 1.5  # over the smallest corners, the usual one where all are of one size
 _STUCK_S = 2.0
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+_SIXTH = (
+    924.0**0.5
+)  # sixth differences over white noise: 1 + 36 + 225 + 400 + 225 + 36 + 1 in variance
 _COARSE = 1e-4  # of the usual step, beyond which a channel's own step hides a quiet motion
 _ALONE = 0.25  # of the longest stand-still that any other may last
 _BITS = (8, 16)
@@ -104,8 +107,9 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     # Samples are equal up to the rounding of what a unit or an interpolation made of them.
     least = _ROUNDING * float(np.nanmax(np.abs(values)))
     moving = moving[moving > least]
-    # In coarse steps a quiet motion stands still: noise that exceeds a step has to move it.
-    noisy = noisy or _step_of_lattice(moving) > _COARSE * _median(moving)
+    quantum = _step_of_lattice(moving)
+    if quantum > _COARSE * _median(moving) and _noise(values) < quantum:
+        return None  # in coarse steps a quiet motion stands still, where no noise moves it
     same = np.concatenate([[False], steps <= least, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     if not len(edges):
@@ -126,6 +130,11 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     return (first, last) if lively and alone and (last - first) * step_s > _STUCK_S else None
 
 
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the channel's noise, from sixth differences, which motion hardly enters."""
+    return _median(np.abs(np.diff(values[np.isfinite(values)], 6))) / (0.6745 * _SIXTH)
+
+
 def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
@@ -134,12 +143,16 @@ def _step_of_lattice(steps: FloatArray) -> float:
     """The step of which all steps are whole multiples, 0 where there is none."""
     if not len(steps):
         return 0.0
-    unit = float(np.quantile(steps, 0.01))
     smallest = float(steps.min())
-    unit = smallest if unit < 1.5 * smallest else unit
-    counts = steps / unit
-    off = np.abs(counts - np.round(counts))
-    return unit if float(np.quantile(off, 0.9)) < 0.05 else 0.0
+    # The smallest step may be some units; the median of what the small ones say is free of their rounding.
+    for units in range(1, 11):
+        unit = smallest / units
+        small = steps[steps < 20.0 * smallest]
+        unit = float(np.median(small / np.round(small / unit)))
+        counts = steps / unit
+        if float(np.quantile(np.abs(counts - np.round(counts)), 0.9)) < 0.05:
+            return unit
+    return 0.0
 
 
 def _noisy(values: FloatArray) -> bool:

@@ -125,7 +125,7 @@ def _values(values: NDArray[Any]) -> FloatArray | None:
     stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     if stamps.notna().mean() > 0.5:
         since = stamps - stamps[stamps.first_valid_index()]
-        return since.dt.total_seconds().to_numpy(dtype=np.float64)
+        return np.asarray(since.dt.total_seconds(), dtype=np.float64)
     parts = text.str.extract(_CLOCK)
     numbers = parts.apply(lambda column: pd.to_numeric(column.str.replace(",", "."))).astype(float)
     if numbers[3].notna().mean() <= 0.5:
