@@ -299,7 +299,7 @@ def _split(field: str) -> tuple[str, str | None]:
     if bracket and not bracket.group(1).isdigit():
         unit, field = bracket.group(1).lower(), field[: bracket.start()]
     words = re.findall(
-        r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[{}]", "", field)).lower()
+        r"[a-z]+\d*|\d+", re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[{}]", "", field)).lower()
     )
     if unit is None:
         for count in (3, 2, 1):
@@ -315,6 +315,9 @@ def _split(field: str) -> tuple[str, str | None]:
 
 def _signals_of(base: str, field: str) -> Iterable[tuple[str, int]]:
     """Signals that a name may mean, each with the rank of the pattern that it meets (the lower the likelier)."""
+    if field in SIGNALS and field not in LABELS:
+        yield field, -1  # the record's own name
+        return
     for signal, pattern in _NAMES.items():
         for rank, one in enumerate(_alternatives(pattern)):
             if re.fullmatch(one, base):

@@ -26,7 +26,7 @@ STRANGE = {
     "Heading": ("psi_rad", DEG),
     "GyroX": ("p_radps", DEG),
     "GyroY": ("q_radps", -DEG),
-    "GyroZ": ("r_radps", -DEG),
+    "GyroZ": ("r_radps", DEG),
     "AccX": ("ax_mps2", 1.0 / 9.80665),
     "AccY": ("ay_mps2", -1.0 / 9.80665),
     "AccZ": ("az_mps2", -1.0 / 9.80665),
