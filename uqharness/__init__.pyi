@@ -8,6 +8,7 @@ from .api.campaigns import run_campaign as run_campaign
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
 from .api.flights import fly as fly
+from .api.flights import propose_map as propose_map
 from .api.flights import read_flights as read_flights
 from .api.identification import compare as compare
 from .api.identification import fit_model_form as fit_model_form

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from sysid.errors import LogError, finding_from_dict
 from sysid.foreign.data_file import DataFileError, load
 from sysid.foreign.limits import LIMITS, Limit
-from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
+from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn, Wanted
 from sysid.foreign.regular_files import in_words, open_regular, require_regular
 from sysid.parallel import ONE_THREAD
 
@@ -38,18 +38,23 @@ _BEGIN = (
 
 
 def read_raw(
-    path: Path, dialect: str, wanted: Wanted | None, progress: Progress | None = None
+    path: Path,
+    dialect: str,
+    wanted: Wanted | None,
+    progress: Progress | None = None,
+    time: TimeColumn | None = None,
 ) -> RawLog:
-    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` as in the importers.
+    """A log of dialect ulog, tlog, csv, jsbsim-csv or parquet; `wanted` and `time` as in the importers.
 
     Raises LogError for what cannot be read, and for what takes more time or memory than a file of its size should.
     """
     names = (
         None if wanted is None else {message: sorted(fields) for message, fields in wanted.items()}
     )
+    order = {"wanted": names, "time": None if time is None else [time.field, time.unit]}
     messages: dict[tuple[str, int], MessageTable] = {}
     about: dict[str, Any] = {}
-    for kind, *content in _ask(path, dialect, {"wanted": names}, progress):
+    for kind, *content in _ask(path, dialect, order, progress):
         if kind == "table":
             name, instance, time_s, fields = content
             messages[name, instance] = MessageTable(time_s, fields)

@@ -50,4 +50,12 @@ class RawLog:
     findings: tuple[Finding, ...] = ()
 
 
+@dataclass(frozen=True)
+class TimeColumn:
+    """The column of a table that holds its times, and its unit: s, ms, us, ns, min or h; "iso" for text."""
+
+    field: str
+    unit: str = "s"
+
+
 Wanted = Mapping[str, frozenset[str]]  # message name -> field names to keep

@@ -19,4 +19,6 @@ from .info import LogInfo as LogInfo
 from .info import log_info as log_info
 from .info import no_aeroplane as no_aeroplane
 from .load import import_log as import_log
+from .map_proposal import MapProposal as MapProposal
+from .map_proposal import propose_map as propose_map
 from .servo_parameters import parse_parameters as parse_parameters

@@ -19,18 +19,23 @@ from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
 from sysid.foreign.raw import RawLog
 from sysid.logs import phase as flight_phase
 from sysid.logs.card import AirframeCard
-from sysid.logs.channels import Channel, Times, resolve
-from sysid.logs.checking.checks import check_channel, check_record
+from sysid.logs.channels import CIRCLE_FROM, Channel, Times, resolve, wrap_angles
+from sysid.logs.checking.checks import (
+    check_channel,
+    check_record,
+    estimated_channels,
+    one_per_cause,
+)
+from sysid.logs.importers.table_format import listed
 from sysid.logs.loiters import found_loiters, loiter_commands
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
 from sysid.logs.signal_map import ServoOutputs, SignalMap
-from sysid.logs.time_base import hold, interpolate
+from sysid.logs.time_base import JUMP_S, hold, interpolate, time_unit_finding
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import COMMANDS, SIGNALS
 
 FloatArray = NDArray[np.float64]
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
-_CIRCULAR = {"phi_rad", "psi_rad"}
 _MAX_ROWS = 40_000_000
 _FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20
 
@@ -57,7 +62,7 @@ def assemble(
     }
     for name, make in servos.items():
         sources[name] = partial(_first_of, sources.get(name), make)
-    grid = _grid(raw, sources, signal_map.name, source)
+    grid = _grid(raw, sources, signal_map)
     step = float(np.median(np.diff(grid)))
     columns: dict[str, NDArray[Any]] = {"time_s": grid}
     about: dict[str, tuple[str, float, bool]] = {}
@@ -81,6 +86,9 @@ def assemble(
     labels = _manoeuvres(raw, grid)
     if labels is not None:
         columns["manoeuvre"] = labels
+    wrapped = wrap_angles(columns)
+    columns.update(wrapped)
+    findings = [f for f in findings if f.code != "out-of-range" or f.channel not in wrapped]
     for column in columns.values():
         column.setflags(write=False)  # the record then shares them instead of copying
     phase = _phase(raw, columns, signal_map.servos, times, mode_changes)
@@ -112,7 +120,11 @@ def assemble(
         *findings,
         *check_record(record, phase.free_s),
     ]
-    return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+    findings = one_per_cause(findings)
+    estimates = estimated_channels(meta.estimates, findings)
+    return FlightRecord(
+        record.columns, replace(meta, findings=tuple(findings), estimates=estimates)
+    )
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:
@@ -156,7 +168,7 @@ def _drop(raw: RawLog, messages: Iterable[str]) -> None:
 
 
 def _grid(
-    raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], map_name: str, source: str
+    raw: RawLog, sources: Mapping[str, Callable[[], Channel | None]], signal_map: SignalMap
 ) -> FloatArray:
     best: Channel | None = None
     for names in (_GRID_CHANNELS, tuple(n for n in SIGNALS if n not in (*_GRID_CHANNELS, "mode"))):
@@ -167,10 +179,7 @@ def _grid(
         if best is not None:
             break
     if best is None:
-        have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
-        raise LogError(
-            f"no signal of the map '{map_name}' is in this log; it has {have}; give a --map"
-        )
+        raise LogError(_no_signal(raw, signal_map))
     if ("csv", 0) in raw.messages:
         return best.time_s
     step = best.clean.step_s
@@ -188,6 +197,34 @@ def _grid(
     return np.round(best.time_s[0] + step * np.arange(int(np.floor(span / step + 0.25)) + 1), 9)
 
 
+def _no_signal(raw: RawLog, signal_map: SignalMap) -> str:
+    """Why no signal of the map could be made from the log, and what to do."""
+    for (message, _), table in raw.messages.items():
+        mapped = {
+            f
+            for e in signal_map.entries.values()
+            for c in e
+            if c.message == message
+            for f in c.fields
+        }
+        good = table.time_s[np.isfinite(table.time_s)]
+        steps = np.diff(good)
+        if mapped & set(table.fields) and np.median(steps if steps.size else [0.0]) > JUMP_S:
+            column = str(raw.facts.get("time column", message))
+            finding = time_unit_finding(column, float(np.median(steps)), converted=False)
+            return f"{finding.message}; write in the map: {'; '.join(finding.mend.splitlines())}"
+    if "columns" in raw.facts:
+        return (
+            f"no signal of the map '{signal_map.name}' is among the columns of this table:"
+            f" {listed(str(raw.facts['columns']).split(chr(10)))}"
+        )
+    have = ", ".join(sorted({m for m, _ in raw.messages})[:20])
+    return (
+        f"no signal of the map '{signal_map.name}' is in this log; it has {have or 'nothing'};"
+        " give a --map (`uqharness log map FILE --out map.toml` proposes one)"
+    )
+
+
 def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
     if c.name == "mode":
         at = np.searchsorted(c.time_s, grid, side="right") - 1
@@ -196,7 +233,7 @@ def _on_grid(c: Channel, grid: FloatArray) -> NDArray[Any]:
         return c.values
     if c.name in COMMANDS:
         return hold(c.time_s, c.values, c.clean.gaps, grid, c.clean.step_s)
-    if c.name in _CIRCULAR:
+    if c.name in CIRCLE_FROM:
         return _interpolate_angle(c.name, c, grid)
     return interpolate(c.time_s, c.values, c.clean.gaps, grid)
 

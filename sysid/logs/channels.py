@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +137,52 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
         return _euler(fields)[
             ("quaternion_roll", "quaternion_pitch", "quaternion_yaw").index(entry.function)
         ]
+
+
+CIRCLE_FROM = {"psi_rad": 0.0, "phi_rad": -np.pi}
+"""Angles that go round, and where the turn begins on which they are recorded."""
+_TURN_MARGIN = 0.02  # rad, by which a logged angle may miss the end of its turn
+_IN_DEGREES = 8.0  # slope between angle and rate, the geometric mean of 1 and 57.3
+
+
+def wrap_angles(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
+    """Heading and roll angle on the turn that the vocabulary asks for, where they are radians on another one.
+
+    Angles beyond one turn are radians that count turns, or degrees. Where they leap it is by a turn, which has 6.28 rad or 360
+    degrees; where they do not, the slope of their derivative on the angular rate tells.
+    """
+    wrapped = {}
+    for name, start in CIRCLE_FROM.items():
+        if name not in columns:
+            continue
+        values = columns[name]
+        good = np.isfinite(values)
+        on_turn = (values[good] >= start) & (values[good] <= start + 2.0 * np.pi)
+        if bool(on_turn.all()):
+            continue
+        if _in_radians(name, values[good], columns):
+            usable = good & (np.abs(np.where(good, values, 0.0)) < 1e6)
+            angle = np.mod(np.where(usable, values, 0.0) - start, 2.0 * np.pi) + start
+            wrapped[name] = np.where(usable, angle, values)
+    return wrapped
+
+
+def _in_radians(name: str, angle: FloatArray, columns: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether an angle that leaves its turn is in radians."""
+    steps = np.abs(np.diff(angle))
+    if steps.size < 2 or float(steps.max()) > 180.0:
+        return False
+    leaps = np.abs(steps - 2.0 * np.pi) < 0.1 * 2.0 * np.pi
+    if leaps.any() and float(leaps.mean()) < 0.05 and float(np.median(steps)) < 1.0:
+        return True
+    rate = columns.get("r_radps" if name == "psi_rad" else "p_radps")
+    if rate is not None:
+        slope = np.gradient(columns[name], columns["time_s"])
+        both = np.isfinite(slope) & np.isfinite(rate)
+        size = float(np.median(np.abs(rate[both]))) if both.any() else 0.0
+        if size > 0.0:
+            return float(np.median(np.abs(slope[both]))) < _IN_DEGREES * size
+    return name == "psi_rad" and float(np.abs(angle).max()) <= np.pi + _TURN_MARGIN
 
 
 def local(lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

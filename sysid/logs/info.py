@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -86,6 +86,8 @@ def log_info(record: FlightRecord) -> LogInfo:
     meta = record.metadata
     time = record["time_s"]
     flight_s = meta.free_flight_s[0] if meta.free_flight_s else None
+    if flight_s is None and meta.dialect in ("record", ""):
+        flight_s = float(time[0]), float(time[-1])  # a record holds the part that was flown
     obstacle = _no_flight(record)
     flight = record if flight_s is None else record.between(*flight_s)
     judged = {"loiter-metrics": _loiter, "replay": _replay, "identification": _identification}
@@ -154,6 +156,8 @@ def _loiter(record: FlightRecord) -> tuple[bool, str]:
     missing = _missing(record, (*path, "h_m", "V_mps"))
     if missing:
         return False, f"no {', '.join(missing)}"
+    if spoilt := _spoilt(record, (*path, "h_m", "V_mps")):
+        return False, spoilt
     rate = _rate(record, (*path, "h_m", "V_mps"))
     if rate < 0.9 * LOITER_MIN_HZ:
         return (
@@ -191,7 +195,7 @@ def _loiter_seconds(record: FlightRecord) -> float:
 def _moving(record: FlightRecord) -> list[str]:
     spans = {
         n: float(np.nanmax(record[n]) - np.nanmin(record[n]))
-        for n in SURFACES
+        for n in (*SURFACES, *(n.replace("_deg", "_pos_deg") for n in SURFACES))
         if not _missing(record, (n,))
     }
     return [n for n, span in spans.items() if span > MIN_MOVING_DEG]
@@ -199,16 +203,38 @@ def _moving(record: FlightRecord) -> list[str]:
 
 def _surfaces(record: FlightRecord) -> str:
     """Reason for which the surfaces do not serve, "" when they do."""
-    positions = tuple(n.replace("_deg", "_pos_deg") for n in SURFACES)
-    if all(not _missing(record, (p,)) for p in positions):
+    positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
+    measured = [n for n in SURFACES if not _missing(record, (positions[n],))]
+    if len(measured) == len(SURFACES):
         return ""
-    missing = _missing(record, SURFACES)
+    missing = [n for n in _missing(record, SURFACES) if n not in measured]
     if len(missing) == len(SURFACES):
         needs = _finding(record, "no-card")
         return f"no surfaces: {needs}" if needs else "no surfaces are logged"
     if not _moving(record):
-        return f"the surfaces stand still (less than {MIN_MOVING_DEG} deg)"
-    return f"no {', '.join(missing)}" if missing else ""
+        return (
+            f"the surfaces stand still (less than {MIN_MOVING_DEG} deg); if they are in rad, write"
+            " scale = 57.29578 in the map"
+        )
+    commanded = len(_missing(record, SURFACES)) < len(SURFACES)
+    names = missing if commanded or not measured else [positions[n] for n in missing]
+    return f"no {', '.join(names)}" if names else ""
+
+
+def _used_surfaces(record: FlightRecord) -> list[str]:
+    """Surfaces as a replay takes them: the measured position where there is one, else the command."""
+    positions = {n: n.replace("_deg", "_pos_deg") for n in SURFACES}
+    return [n if _missing(record, (positions[n],)) else positions[n] for n in SURFACES]
+
+
+def _spoilt(record: FlightRecord, channels: Iterable[str]) -> str:
+    """The first error of one of these channels and how many more there are, "" without any."""
+    used = {*channels, "time_s"}
+    bad = [f for f in record.metadata.findings if f.severity == "error" and f.channel in used]
+    others = list(dict.fromkeys(f.channel for f in bad[1:] if f.channel != bad[0].channel))
+    return (
+        bad[0].message + (f"; errors also of {', '.join(others)}" if others else "") if bad else ""
+    )
 
 
 def _lacks(record: FlightRecord, missing: list[str]) -> str:
@@ -219,12 +245,13 @@ def _lacks(record: FlightRecord, missing: list[str]) -> str:
 
 
 def _replay(record: FlightRecord) -> tuple[bool, str]:
-    missing = _missing(
-        record,
-        ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m", "throttle_pct"),
-    )
+    needed = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps", "h_m")
+    missing = _missing(record, (*needed, "throttle_pct"))
     if reason := _lacks(record, missing):
         return False, reason
+    used = (*needed, "alpha_rad", "beta_rad", "psi_rad", "throttle_pct", *_used_surfaces(record))
+    if spoilt := _spoilt(record, used):
+        return False, spoilt
     rate = _rate(record, (*SURFACES, "p_radps", "q_radps", "r_radps"))
     if rate < 0.75 * REPLAY_MIN_HZ:
         return (
@@ -249,13 +276,9 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
             False,
             f"rates, accelerations or surfaces come at {rate:.1f} Hz; at least {IDENTIFICATION_MIN_HZ:g} Hz",
         )
-    bad = [
-        f
-        for f in record.metadata.findings
-        if f.severity == "error" and f.channel in (*rates, *SURFACES, "V_mps")
-    ]
-    if bad:
-        return False, bad[0].message
+    angles = ("phi_rad", "theta_rad", "alpha_rad", "beta_rad")
+    if spoilt := _spoilt(record, (*rates, *_used_surfaces(record), "V_mps", *angles)):
+        return False, spoilt
     estimates = [n for n in record.metadata.estimates if n in ("alpha_rad", "beta_rad")]
     if estimates:
         note = f"; {' and '.join(estimates)} are estimates: good in calm air only"

@@ -6,17 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from sysid.digests import file_sha256
-from sysid.errors import LogError
+from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
-from sysid.logs.checking.checks import check_again
+from sysid.logs.channels import wrap_angles
+from sysid.logs.checking.checks import check_again, estimated_channels
 from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
-from sysid.logs.signal_map import SignalMap, read_map, shipped_map
+from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
 from sysid.record import FlightRecord
 from sysid.vocabulary import SIGNALS
 
@@ -68,17 +69,34 @@ def _assemble(
     digest: str,
     progress: Progress | None,
 ) -> FlightRecord:
-    base = shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
+    base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
-        return assemble(
+        record = assemble(
             read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest
         )
     except LogError as e:
         if str(path) in str(e):
             raise
         raise LogError(str(e), path) from None
+    mapped = {} if user_map is None else user_map.entries
+    return _with_findings(
+        record, [_not_in_log(n, entries) for n, entries in mapped.items() if n not in record]
+    )
+
+
+def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
+    """The record with more findings in front of those that it has."""
+    both = (*findings, *record.metadata.findings)
+    return replace(record, metadata=replace(record.metadata, findings=both)) if findings else record
+
+
+def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
+    labels = " or ".join(entry.label for entry in candidates)
+    text = f"the map makes {signal} of {labels}, which this log does not have"
+    mend = f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map` lists them)"
+    return Finding("not-in-log", signal, "warning", text, {}, "", mend)
 
 
 _MAP_OF = {
@@ -88,6 +106,11 @@ _MAP_OF = {
     "ulog": "ulog",
     "jsbsim-csv": "jsbsim-csv",
 }
+
+
+def map_of_dialect(dialect: str) -> SignalMap:
+    """The signal map that comes with the package for a dialect; an empty one for tables."""
+    return shipped_map(_MAP_OF[dialect]) if dialect in _MAP_OF else SignalMap(dialect, {})
 
 
 def read_raw(
@@ -100,11 +123,13 @@ def read_raw(
             return dataflash_binary.read(path, wanted, progress)
         case "dataflash-text":
             return dataflash_text.read(path, wanted, progress)
-    return limited.read_raw(path, dialect, wanted, progress)
+    time = None if signal_map is None else signal_map.time
+    return limited.read_raw(path, dialect, wanted, progress, time)
 
 
 def _record_file(path: Path) -> FlightRecord:
     record = FlightRecord.read(path)
+    record = record.with_columns(wrap_angles(record.columns))
     if not set(record.columns) & (set(SIGNALS) - {"time_s", "manoeuvre", "mode"}):
         raise LogError(
             "the table holds a time and no signal; name the columns as the vocabulary does or give a --map",
@@ -115,4 +140,7 @@ def _record_file(path: Path) -> FlightRecord:
 
 def _as_known_today(record: FlightRecord) -> FlightRecord:
     """The record with what today's checks find in it: it may have been imported before a fault was known."""
-    return replace(record, metadata=replace(record.metadata, findings=tuple(check_again(record))))
+    findings = check_again(record)
+    estimates = estimated_channels(record.metadata.estimates, findings)
+    meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
+    return replace(record, metadata=meta)

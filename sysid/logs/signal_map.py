@@ -13,7 +13,9 @@ from typing import Any
 
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_toml
+from sysid.foreign.raw import TimeColumn
 from sysid.foreign.regular_files import read_regular_text
+from sysid.logs.time_base import TIME_UNITS
 from sysid.vocabulary import SIGNALS
 
 FUNCTIONS: dict[str, int] = {
@@ -34,6 +36,7 @@ FUNCTIONS: dict[str, int] = {
     "air_beta": 3,  # (u, v, w)
     "density_of_eas2tas": 1,  # 1.225 / ratio^2
 }
+_TEXT_TIMES = ("iso", "iso8601", "text", "datetime")
 _KEYS = {
     "message",
     "instance",
@@ -89,12 +92,13 @@ class ServoOutputs:
 
 @dataclass(frozen=True)
 class SignalMap:
-    """entries: signal -> candidates, the first that the log carries wins."""
+    """entries: signal -> candidates, the first that the log carries wins; time: the column of a table's times."""
 
     name: str
     entries: Mapping[str, tuple[Entry, ...]]
     servos: ServoOutputs | None = None
     needs: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    time: TimeColumn | None = None
 
     def wanted(self) -> dict[str, frozenset[str]]:
         """message -> fields, for the importers."""
@@ -116,6 +120,7 @@ class SignalMap:
             {**self.entries, **other.entries},
             other.servos or self.servos,
             {**self.needs, **other.needs},
+            other.time or self.time,
         )
 
 
@@ -167,17 +172,51 @@ def parse_map(source: str, name: str) -> SignalMap:
     if not isinstance(signals, dict):
         raise LogError("[signals] must hold tables such as [signals.q_radps]", name)
     entries: dict[str, tuple[Entry, ...]] = {}
+    time = None
     for signal, value in signals.items():
-        if signal not in SIGNALS or signal == "time_s":
-            allowed = [s for s in SIGNALS if s != "time_s"]
+        if signal == "time_s":
+            time = _time(value, name)
+            continue
+        if signal not in SIGNALS:
             raise LogError(
-                f"unknown signal '{signal}'; allowed are {allowed}", name, f"[signals.{signal}]"
+                f"unknown signal '{signal}'; allowed are {list(SIGNALS)}",
+                name,
+                f"[signals.{signal}]",
             )
         rows = value if isinstance(value, list) else [value]
         entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
     return SignalMap(
-        name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name)
+        name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name), time
     )
+
+
+def _time(row: Any, name: str) -> TimeColumn:
+    """`[signals.time_s]`: the column of a table's times and its unit, or the scale that makes them seconds."""
+    where = "[signals.time_s]"
+    if not isinstance(row, dict):
+        raise LogError('must be a table such as field = "TIME", unit = "us"', name, where)
+    allowed = ("message", "field", "column", "unit", "scale")
+    unknown = sorted(set(row) - set(allowed))
+    if unknown:
+        raise LogError(f"unknown keys {unknown}; allowed are {list(allowed)}", name, where)
+    if row.get("message", "csv") != "csv":
+        raise LogError('belongs to tables (message = "csv"); other logs have one time', name, where)
+    column = row.get("field", row.get("column"))
+    if not isinstance(column, str):
+        raise LogError('field = "..." (the column of the times) is missing', name, where)
+    unit = row.get("unit", "s")
+    if isinstance(unit, str) and unit.lower() in _TEXT_TIMES:
+        return TimeColumn(column, "iso")
+    if "scale" in row:
+        scale = _number(row["scale"], name, where)
+        unit = next((u for u, s in TIME_UNITS.items() if math.isclose(s, scale)), scale)
+    if unit not in TIME_UNITS:
+        raise LogError(
+            f'unit = {unit!r}; allowed are {list(TIME_UNITS)}, and "iso" for times written as text',
+            name,
+            where,
+        )
+    return TimeColumn(column, unit)
 
 
 def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.errors import Finding
+
 FloatArray = NDArray[np.float64]
 JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
 SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Unit of a time -> seconds."""
+_UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+SLOWEST_STEP_S = 5.0  # between rows of a flight
 GAP_STEPS = 2.5  # a step longer than this many usual steps is a gap
 
 
@@ -69,6 +75,25 @@ def clean(time_s: FloatArray) -> CleanTime:
     used = time_s[index]
     step = float(np.median(np.diff(used))) if len(used) > 1 else float("nan")
     return CleanTime(keep, step, backwards, repeats, dropped_s, gaps_of(used, step))
+
+
+def likely_time_unit(step: float) -> str:
+    """Unit in which rows of a flight are this step apart: 1 Hz to 1 kHz where it is not s."""
+    if step <= SLOWEST_STEP_S:
+        return "s"
+    return "ms" if step <= 1e3 else "us" if step <= 2e6 else "ns"
+
+
+def time_unit_finding(column: str, step: float, *, converted: bool) -> Finding:
+    """Times whose steps cannot be seconds."""
+    unit = likely_time_unit(step)
+    words = _UNIT_WORDS.get(unit, unit)
+    done = f"and are read as {words}" if converted else f"and look like {words}"
+    text = f"steps of {step:.6g} s: the times of {column} are no seconds {done}"
+    mend = f'[signals.time_s]\nfield = "{column}"\nunit = "{unit}"'
+    spoilt = "" if converted else "every rate, derivative and delay"
+    severity = "warning" if converted else "error"
+    return Finding("time-unit", "time_s", severity, text, {"step": step}, spoilt, mend)
 
 
 def gaps_of(time_s: FloatArray, step_s: float) -> FloatArray:

@@ -28,6 +28,7 @@ NAMES = {
         "linearise",
         "pbox",
         "plot_pbox",
+        "propose_map",
         "read_campaign",
         "read_flights",
         "refine",

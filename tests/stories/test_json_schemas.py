@@ -45,6 +45,7 @@ COMMANDS = {
     "modes": "modes espaaro --speed-mps 22.2",
     "modes, no trim": "modes espaaro --speed-mps 5",
     "log-info": "log info {}/f1.parquet --aircraft espaaro --no-cache",
+    "log-map": "log map {}/f1.parquet --aircraft espaaro --out {}/map.toml",
     "log-import": "log import {}/f1.parquet --aircraft espaaro --out {}/again.csv --no-cache",
     "log-export": "log export {}/f1.parquet --aircraft espaaro --lat-deg 37 --lon-deg -80 --out {}/shown",
     "identify": "identify espaaro --flight {}/f1.parquet --params aero/Cm_q --no-figures --workers 1 --out {}/identified",

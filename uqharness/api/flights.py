@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from sysid.digests import file_sha256, sha256_hex
-from sysid.logs import check_units
+from sysid.logs import MapProposal, check_units
+from sysid.logs import propose_map as proposed
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
 from uqharness.arguments import flag, instance, number, one_of, whole
@@ -253,6 +254,41 @@ def read_flights(
         Flight(path.stem, record, sha256)
         for path, record, sha256 in zip(files, records, hashes, strict=True)
     ]
+
+
+def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposal:
+    """Propose a signal map for a log, as ``uqharness log map`` does.
+
+    Parameters
+    ----------
+    log : str or Path
+        Table (CSV or Parquet), ArduPilot, MAVLink or PX4 log.
+    aircraft : str, Path or Aircraft, optional
+        Whose airframe.toml turns servo outputs into angles.
+
+    Returns
+    -------
+    MapProposal
+        ``signals`` holds each signal with its field, scale and evidence; ``to_toml()`` is the map as text.
+
+    Raises
+    ------
+    LogError
+        For a file that is no log or cannot be read.
+
+    Examples
+    --------
+    >>> import math
+    >>> import uqharness as uq
+    >>> rows = [f"{20 * k};{20 + math.sin(0.1 * k):.3f}" for k in range(100)]
+    >>> with open("air.csv", "w") as file:
+    ...     _ = file.write("\\n".join(["time_ms;TAS [kt]", *rows]))
+    >>> proposal = uq.propose_map("air.csv")
+    >>> proposal.time.unit, proposal.signals[0].signal, round(proposal.signals[0].entry.scale, 4)
+    ('ms', 'V_mps', 0.5144)
+    """
+    card = None if aircraft is None else carded_aircraft(aircraft).folder
+    return proposed(argument_path("log", log), card)
 
 
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:

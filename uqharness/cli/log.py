@@ -1,4 +1,4 @@
-"""``uqharness log info`` and ``uqharness log import``: what a flight log holds, and a flight record from it."""
+"""``uqharness log info``, ``map`` and ``import``: what a flight log holds, its signal map, and a flight record from it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from uqharness.cli.options import (
     describe,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_page, finite
+from uqharness.files import check_page, finite, write_text
 
 if TYPE_CHECKING:
     from sysid.foreign.raw import Progress
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
+    "map": ("log:add_map_proposal", "propose a signal map for a log"),
     "import": ("log:add_import", "turn a log into a flight record"),
     "export": ("log_export:add_export", "write a flight for FlightGear"),
 }
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Check a flight log, convert it to a flight record, or export it to FlightGear."
     )
-    add_commands(parser, VERBS, "log_command", "info|import|export")
+    add_commands(parser, VERBS, "log_command", "info|map|import|export")
 
 
 def add_info(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +59,59 @@ def add_info(parser: argparse.ArgumentParser) -> None:
     _add_log(parser)
     add_page(parser, "every channel over time, findings flagged, phases and manoeuvres shaded")
     add_manoeuvres(parser)
+
+
+def add_map_proposal(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``log map``."""
+    text, no = (
+        "Propose a signal map for a log by names, units and statistics, to be read and edited.",
+        "no signal was recognised",
+    )
+    examples = """
+  uqharness log map flight.csv --out map.toml
+  uqharness log info flight.csv --map map.toml"""
+    describe(parser, _map, text, examples, no=no)
+    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.toml", help="the map")
+    parser.add_argument(
+        "--aircraft", metavar="AIRCRAFT", help="name under aircraft/, folder, or airframe.toml"
+    )
+
+
+def _map(args: argparse.Namespace) -> int:
+    """0 when a signal was recognised, 1 when none was."""
+    from sysid.logs import propose_map
+
+    if args.out.exists():
+        raise BadInputError(
+            f"{args.out}: exists, and may have been edited; give another name or remove it"
+        )
+    with _ProgressLine(args.log.name) as progress:
+        proposal = propose_map(args.log, _card_of(args), callback=progress)
+    write_text(args.out, proposal.to_toml())
+    if args.json:
+        rows = {
+            p.signal: {
+                "source": p.entry.label,
+                "scale": p.entry.scale,
+                "evidence": list(p.evidence),
+                "unsure": list(p.unsure),
+            }
+            for p in proposal.signals
+        }
+        report = {"out": str(args.out), "signals": rows, "absent": list(proposal.absent)}
+        print(json.dumps(finite(report), indent=2))
+    else:
+        lines = [f"{args.out}: {len(proposal.signals)} signals; edit it, then"]
+        lines += [f"  uqharness log info {args.log} --map {args.out}", ""]
+        lines += [
+            f"  {p.signal:18} {p.entry.label}" + (f"  unsure: {p.unsure[0]}" if p.unsure else "")
+            for p in proposal.signals
+        ]
+        if proposal.absent:
+            lines += ["", f"not recognised: {', '.join(proposal.absent)}"]
+        print("\n".join(lines))
+    return 0 if proposal.signals else 1
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -162,14 +216,18 @@ def _import(args: argparse.Namespace) -> int:
 def _read(args: argparse.Namespace) -> FlightRecord:
     from sysid.logs import import_log
 
-    card = None
-    if args.aircraft is not None:
-        card = Path(args.aircraft)
-        if not card.is_file():
-            card = aircraft_with_card(args.aircraft).folder
+    card = _card_of(args)
     cache = None if args.no_cache else (args.cache or default_cache())
     with _ProgressLine(args.log.name) as progress:
         return import_log(args.log, args.map, card, cache=cache, progress=progress)
+
+
+def _card_of(args: argparse.Namespace) -> Path | None:
+    """The card that --aircraft names, or the folder that holds it."""
+    if args.aircraft is None:
+        return None
+    card = Path(args.aircraft)
+    return card if card.is_file() else aircraft_with_card(args.aircraft).folder
 
 
 class _ProgressLine:

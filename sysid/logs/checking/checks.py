@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,11 +14,11 @@ from sysid.logs.checking.estimates import check_estimates
 from sysid.logs.checking.held import held, interpolated, stuck, wraps
 from sysid.logs.checking.kinematics import AIR
 from sysid.logs.checking.lever_arm import lever_arm_finding
-from sysid.logs.checking.mending import spoils
-from sysid.logs.checking.physics import check_physics
+from sysid.logs.checking.mending import mend, spoils
+from sysid.logs.checking.physics import MOST_RAD, check_physics, degrees_by_size
 from sysid.logs.checking.surface_signs import check_surfaces
-from sysid.logs.time_base import CleanTime
-from sysid.record import FlightRecord
+from sysid.logs.time_base import SLOWEST_STEP_S, CleanTime, time_unit_finding
+from sysid.record import FlightRecord, Metadata
 from sysid.units import percent
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS
 
@@ -246,7 +248,9 @@ def _wrap(name: str, c: Channel) -> list[Finding]:
     return [Finding("wraps", name, "error", text, numbers, spoils(name))]
 
 
-def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
+def _range(
+    name: str, label: str, values: FloatArray, meta: Metadata | None = None
+) -> list[Finding]:
     signal = SIGNALS[name]
     good = values[np.isfinite(values)]
     if not len(good) or name in LABELS:
@@ -256,19 +260,43 @@ def _range(name: str, label: str, values: FloatArray) -> list[Finding]:
     numbers = {"share": share, "low": float(good.min()), "high": float(good.max())}
     if share <= 0:
         return []
-    hint = ""
-    if (
-        signal.unit.startswith("rad")
-        and share > 0.01
-        and float(np.quantile(np.abs(good), 0.99)) > 3.2
-    ):
+    hint = mended = ""
+    if name in MOST_RAD and degrees_by_size(name, values):
         hint = "; it looks like degrees where radians are due (scale 0.0174533 in the map)"
+        mended = mend(name, np.pi / 180.0, meta or Metadata(channels={name: label}))
     text = (
         f"{name} ({label}) leaves [{signal.low:g}, {signal.high:g}] {signal.unit} in {percent(share)} of the log"
         f" (from {numbers['low']:.4g} to {numbers['high']:.4g}){hint}"
     )
     severity = "error" if share > 0.01 else "warning"
-    return [Finding("out-of-range", name, severity, text, numbers)]
+    return [Finding("out-of-range", name, severity, text, numbers, spoils(name), mended)]
+
+
+def estimated_channels(mapped: tuple[str, ...], findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Channels that no sensor measured: those that the map says, and angles of flow that were computed from other channels."""
+    computed = (f.channel for f in findings if f.code == "estimate" and f.channel in AIR[1:])
+    return tuple(dict.fromkeys((*mapped, *computed)))
+
+
+def one_per_cause(findings: Sequence[Finding]) -> list[Finding]:
+    """The findings without those that another one explains.
+
+    A wrong unit or sign takes a channel out of its range and makes an airspeed negative; a channel in degrees, or one that
+    stands still, fails every relation that it has a part in, and its sign cannot be judged.
+    """
+    slips = {f.channel for f in findings if f.code in ("unit", "sign")}
+    still = {f.channel for f in findings if f.code == "frozen" and f.severity == "error"}
+    by_size = {f.channel for f in findings if f.code == "out-of-range" and f.mend}
+    kept: list[Finding] = []
+    for f in findings:
+        explained = (
+            (f.code in ("out-of-range", "negative-airspeed") and f.channel in slips)
+            or (f.code in ("kinematics-disagree", "delay") and f.channel in still | slips | by_size)
+            or (f.code in ("stuck", "quantised", "sample-and-hold") and f.channel in still)
+        )
+        if not explained and f not in kept:
+            kept.append(f)
+    return kept
 
 
 def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> list[Finding]:
@@ -283,6 +311,8 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
             text = f"{name} is missing in {percent(missing)} of the flight"
             severity = "warning" if missing > 0.01 and name not in _GUIDANCE else "info"
             out.append(Finding("dropouts", name, severity, text, {"share": missing}))
+    if len(record) > 2 and record.dt_s > SLOWEST_STEP_S:
+        out.append(time_unit_finding("time_s", record.dt_s, converted=False))
     out += _frozen(flight) + _stuck(flight) + _components_interpolated(flight)
     if "V_mps" in flight and len(flight):
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
@@ -371,13 +401,13 @@ def check_units(record: FlightRecord) -> list[Finding]:
     out = check_ranges(record)
     if len(record) > 1:
         out += [f for f in check_motion(record) if f.code in ("unit", "sign")]
-    return out
+    return one_per_cause(out)
 
 
 def check_ranges(record: FlightRecord) -> list[Finding]:
     """Channels outside the vocabulary's ranges."""
     found = [
-        _range(n, record.metadata.channels.get(n, "column"), v)
+        _range(n, record.metadata.channels.get(n, "column"), v, record.metadata)
         for n, v in record.columns.items()
         if n not in LABELS
     ]
@@ -386,6 +416,7 @@ def check_ranges(record: FlightRecord) -> list[Finding]:
 
 _AT_RECORD = frozenset(
     {
+        "time-unit",
         "unit",
         "sign",
         "kinematics-disagree",
@@ -421,7 +452,8 @@ def check_again(record: FlightRecord) -> list[Finding]:
     span = (max(start, free[0][0]), min(end, free[0][1])) if free else (start, end)
     span = span if span[1] > span[0] else (start, end)
     with np.errstate(all="ignore"):  # a damaged record holds what no sum can
-        return [*kept, *check_ranges(record), *_samples(record), *check_record(record, span)]
+        new = [*check_ranges(record), *_samples(record), *check_record(record, span)]
+    return one_per_cause([*kept, *new])
 
 
 def _samples(record: FlightRecord) -> list[Finding]:

@@ -35,6 +35,8 @@ _NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.
 _THIRD = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
 _EXPLAINED = 10.0
 """Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more of ArduPlane's sensor."""
+_LEAST_NOISE_MPS2 = 1e-4
+"""Below any accelerometer's noise (a hundredth of a milligravity), and ten times what a simulation's integrators leave."""
 _MOST_SAMPLES, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
 _LEAST = 100
 _SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
@@ -80,7 +82,9 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
 
 def _noisy(flight: FlightRecord, name: str) -> bool:
     return (
-        name in flight and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
+        name in flight
+        and _fast(flight[name][:: _stride(flight, name)]) > _THIRD * _LEAST_NOISE_MPS2
+        and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
     )
 
 

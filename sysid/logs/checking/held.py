@@ -14,7 +14,11 @@ _STANDING = 50  # samples in a row after which a value stands still rather than 
 _COMMON = 0.9  # share of changes on one beat
 _ALIKE = 1.5  # over the smallest corners, the usual one where all are of one size
 _STUCK_S = 2.0
-_STILL = 3e-3  # of the usual step
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+_SIXTH = (
+    924.0**0.5
+)  # sixth differences over white noise: 1 + 36 + 225 + 400 + 225 + 36 + 1 in variance
+_COARSE = 1e-4  # of the usual step, beyond which a channel's own step hides a quiet motion
 _ALONE = 0.25  # of the longest stand-still that any other may last
 _BITS = (8, 16)
 _ON_LATTICE = 1e-3  # of a step, by which a logged number may miss a whole multiple
@@ -98,8 +102,14 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
         return None
     steps = np.abs(np.diff(values))
     moving = steps[steps > 0.0]
-    # What stands still may yet be multiplied by a factor that drifts, such as the ratio of true to equivalent airspeed.
-    least = _STILL * float(np.median(moving)) if len(moving) else 0.0
+    if not len(moving):
+        return None
+    # Samples are equal up to the rounding of what a unit or an interpolation made of them.
+    least = _ROUNDING * float(np.nanmax(np.abs(values)))
+    moving = moving[moving > least]
+    quantum = _step_of_lattice(moving)
+    if quantum > _COARSE * _median(moving) and _noise(values) < quantum:
+        return None  # in coarse steps a quiet motion stands still, where no noise moves it
     same = np.concatenate([[False], steps <= least, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     if not len(edges):
@@ -118,6 +128,31 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     others = np.delete(ends - begins, longest)
     alone = not len(others) or int(others.max()) < _ALONE * (last - first)
     return (first, last) if lively and alone and (last - first) * step_s > _STUCK_S else None
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the channel's noise, from sixth differences, which motion hardly enters."""
+    return _median(np.abs(np.diff(values[np.isfinite(values)], 6))) / (0.6745 * _SIXTH)
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _step_of_lattice(steps: FloatArray) -> float:
+    """The step of which all steps are whole multiples, 0 where there is none."""
+    if not len(steps):
+        return 0.0
+    smallest = float(steps.min())
+    # The smallest step may be some units; the median of what the small ones say is free of their rounding.
+    for units in range(1, 11):
+        unit = smallest / units
+        small = steps[steps < 20.0 * smallest]
+        unit = float(np.median(small / np.round(small / unit)))
+        counts = steps / unit
+        if float(np.quantile(np.abs(counts - np.round(counts)), 0.9)) < 0.05:
+            return unit
+    return 0.0
 
 
 def _noisy(values: FloatArray) -> bool:

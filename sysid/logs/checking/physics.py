@@ -206,16 +206,44 @@ def _ground_in_time(record: FlightRecord) -> tuple[FlightRecord, float]:
 
 def _in_radians(record: FlightRecord) -> FlightRecord:
     """Angles that leave their range by far are degrees, which the check of ranges says; the laws are about radians."""
-    most = {"phi_rad": 3.3, "theta_rad": 1.65, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
-    wrong = {}
-    for name, limit in most.items():
-        if (
-            name in record
-            and np.isfinite(record[name]).any()
-            and float(np.nanquantile(np.abs(record[name]), 0.99)) > limit
-        ):
-            wrong[name] = record[name] / _DEG
+    wrong = {
+        name: record[name] / _DEG
+        for name in MOST_RAD
+        if name in record and SIGNALS[name].unit == "rad" and degrees_by_size(name, record[name])
+    }
     return record.with_columns(wrong) if wrong else record
+
+
+MOST_RAD = {
+    "phi_rad": 3.3,
+    "theta_rad": 1.65,
+    "psi_rad": 6.6,
+    "alpha_rad": 1.65,
+    "beta_rad": 1.65,
+    "p_radps": 20.0,
+    "q_radps": 20.0,
+    "r_radps": 20.0,
+}
+"""Angles [rad] and rates [rad/s] that no flight exceeds in one sample of a hundred."""
+
+
+def degrees_by_size(name: str, values: FloatArray) -> bool:
+    """Whether a channel's size says that it is in degrees: it goes beyond what radians can be, and gets there by moving.
+
+    Damaged samples leap there; a channel in degrees passes the limit in steps as small as its others.
+    """
+    good = values[np.isfinite(values)]
+    limit = MOST_RAD[name]
+    if good.size < 3 or float(np.quantile(np.abs(good), 0.99)) <= limit:
+        return False
+    outside = np.abs(good) > limit
+    if outside.all():
+        return True
+    steps = np.abs(np.diff(good))
+    passing = steps[outside[1:] != outside[:-1]]
+    inside = steps[~outside[1:] & ~outside[:-1]]
+    usual = float(np.quantile(inside, 0.95)) if inside.size else 0.0
+    return float(np.median(passing)) < max(0.5 * limit, 5.0 * usual)
 
 
 def _slips(record: FlightRecord, wrong: Sequence[Heard]) -> Iterator[Slip]:
@@ -298,6 +326,7 @@ def _named(
     now = {h.law: h for h in after}
     mended = [h for h in before if h.law in now and now[h.law].agrees and not h.agrees]
     broke = [h for h in before if h.differs]
+    repaired = [h for h in mended if h.differs]
     about = [h for h in mended if h.law.subject in slip.channels] or mended or broke
     best = min(
         about,
@@ -315,14 +344,14 @@ def _named(
     for channel in slip.channels:
         text = (
             f"{channel} is {size} times {best.law.says} (between {low:.3g} and {high:.3g}, coherence {relation.coherence:.2f}):"
-            f" {slip.words}; without it {len(mended)} of {len(broke)} relations between channels hold that do not{either}"
+            f" {slip.words}; without it {len(repaired)} of the {len(broke)} relations that do not hold do{either}"
         )
         numbers = {
             "slope": slip.factor,
             "low": low,
             "high": high,
             "correlation": math.sqrt(max(relation.coherence, 0.0)),
-            "relations_mended": float(len(mended)),
+            "relations_mended": float(len(repaired)),
             "relations_broken": float(len(broke)),
         }
         code = "sign" if -SAME < slip.factor < 0.0 else "unit"

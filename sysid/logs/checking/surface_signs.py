@@ -86,6 +86,9 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
         return None  # an autopilot answers a gust within a sample: what it does and what that does cannot be told apart
     high = min(_BAND_HZ[1], 0.2 * native)
     others = tuple(n for n in axis.others if n in record and np.isfinite(record[n]).mean() > 0.5)
+    if "alpha_rad" in others and "alpha_rad" not in record.metadata.estimates:
+        # Lift is that of alpha and of the elevator: beside a measured alpha it would stand for the elevator itself.
+        others = tuple(n for n in others if n != "az_mps2")
     parts = _parts(record, (column, axis.rate, *others), dt)
     if not parts or high < 2.0 * _BAND_HZ[0]:
         return None

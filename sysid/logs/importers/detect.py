@@ -9,6 +9,7 @@ from sysid.errors import LogError
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.air_velocity import COMPONENTS
 from sysid.logs.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC
+from sysid.logs.importers.table_format import SNIFFED_BYTES, decoded, sniff
 from sysid.vocabulary import SIGNALS
 
 _FOREIGN = {
@@ -28,14 +29,27 @@ _FOREIGN = {
     b"PARE": "an encrypted Parquet file (export it without)",
 }
 _KNOWN = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV, JSBSim's CSV"
-_HEAD_BYTES = 65536
+JSBSIM_HEADINGS = frozenset(
+    {
+        "V_{Total} (ft/s)",
+        "V_{Inertial} (ft/s)",
+        "P (deg/s)",
+        "Phi (deg)",
+        "Alpha (deg)",
+        "Altitude ASL (ft)",
+        "Aileron Command (norm)",
+        "Rho (slugs/ft^3)",
+        "F_{Total x} (lbs)",
+    }
+)
+"""One heading at least of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
 
 
 def detect(path: Path) -> str:
     """dataflash | dataflash-text | tlog | ulog | parquet | jsbsim-csv | csv. LogError for anything else."""
     try:
         with open_regular(path) as handle:
-            head = handle.read(_HEAD_BYTES)
+            head = handle.read(SNIFFED_BYTES)
     except FileNotFoundError:
         raise LogError("no such file", path) from None
     except IsADirectoryError:
@@ -49,12 +63,23 @@ def detect(path: Path) -> str:
             raise LogError(f"this is {what}, not a flight log; allowed are {_KNOWN}", path)
     found = _binary(head) or _text(head)
     if found is None:
-        raise LogError(
-            f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are {_KNOWN}. "
-            "If this is one of them its beginning is damaged: copy the log again",
-            path,
-        )
+        raise LogError(_not_recognised(head), path)
     return found
+
+
+def _not_recognised(head: bytes) -> str:
+    content = decoded(head)
+    line = next((x for x in content[0].splitlines() if x.strip(" #")), "") if content else ""
+    if line:
+        return (
+            f"not recognised as a flight log: a text whose first line is '{line.strip()[:80]}', and no table. A"
+            " table has a line of names, then rows of numbers, separated by commas, semicolons or tabs;"
+            f" allowed are also {_KNOWN}"
+        )
+    return (
+        f"not recognised as a flight log (it begins with {head[:8].hex(' ')}); allowed are {_KNOWN}. "
+        "If this is one of them its beginning is damaged: copy the log again"
+    )
 
 
 def _binary(head: bytes) -> str | None:
@@ -96,35 +121,28 @@ def frame_time(data: bytes, pos: int) -> float:
 
 
 def _text(head: bytes) -> str | None:
-    if b"\0" in head:
+    content = decoded(head)
+    if content is None:
         return None
-    try:
-        # A multi-byte character may be cut at the end of the head.
-        text = head.decode("utf-8", errors="strict" if len(head) < _HEAD_BYTES else "ignore")
-    except UnicodeDecodeError:
-        return None
-    lines = [line for line in text.splitlines() if line.strip()]
+    lines = [line for line in content[0].splitlines() if line.strip()]
     if any(line.startswith(("FMT,", "FMT, ")) for line in lines[:20]):
         return "dataflash-text"
-    header, *rows = [line for line in lines if not line.startswith("#")] or [""]
-    names = [name.strip().strip('"') for name in header.split(",")]
-    if len(names) < 2:
-        return None
-    if names[0] == "Time" and any("/" in name or "fdm" in name for name in names):
-        return "jsbsim-csv"
-    if "time_s" in names or sum(name in SIGNALS or name in COMPONENTS for name in names) >= 2:
+    table = sniff(head)
+    header = next((line for line in lines if not line.startswith("#")), "")
+    names = (
+        [name.strip().strip('"') for name in header.split(",")] if table is None else table.names
+    )
+    signals = sum(name in SIGNALS or name in COMPONENTS for name in names)
+    if len(names) > 1 and ("time_s" in names or signals >= 2):
         return "csv"
+    if table is None or table.numeric < 2:
+        return None
+    if table.names[0] == "Time" and any(is_jsbsim_name(name) for name in table.names):
+        return "jsbsim-csv"
     # A table of numbers with other names can be used with a user's map.
-    numeric = [all(_is_number(cell) for cell in line.split(",")) for line in rows[:5]]
-    return "csv" if numeric and all(numeric) else None
+    return "csv"
 
 
-def _is_number(cell: str) -> bool:
-    cell = cell.strip()
-    if not cell:
-        return True
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+def is_jsbsim_name(name: str) -> bool:
+    """Whether a column has the name of a JSBSim property, or a heading of JSBSim's <output>."""
+    return "/" in name.split(" (")[0] or "fdm" in name or name in JSBSIM_HEADINGS

@@ -26,7 +26,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.foreign.data_file import dump
 from sysid.foreign.memory_limit import MemoryLimit
-from sysid.foreign.raw import Progress, RawLog
+from sysid.foreign.raw import Progress, RawLog, TimeColumn
 
 _PROGRESS_S = 0.1
 
@@ -99,11 +99,14 @@ def _messages(importer: Any, path: Path, order: Mapping[str, Any], progress: Pro
 
 
 def _csv(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
-    return _log_parts(tables.read_csv(path, _wanted(order), order["kind"] == "jsbsim-csv"))
+    return _log_parts(
+        tables.read_csv(path, _wanted(order), order["kind"] == "jsbsim-csv", _time(order))
+    )
 
 
 def _parquet(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
-    return _log_parts(tables.read_parquet(path, _wanted(order), int(order["memory"])))
+    memory = int(order["memory"])
+    return _log_parts(tables.read_parquet(path, _wanted(order), memory, _time(order)))
 
 
 def _record(tables: Any, path: Path, order: Mapping[str, Any], progress: Progress) -> Parts:
@@ -136,6 +139,11 @@ def _wanted(order: Mapping[str, Any]) -> dict[str, frozenset[str]] | None:
         if wanted is None
         else {message: frozenset(fields) for message, fields in wanted.items()}
     )
+
+
+def _time(order: Mapping[str, Any]) -> TimeColumn | None:
+    time = order.get("time")
+    return None if time is None else TimeColumn(*time)
 
 
 def _log_parts(raw: RawLog) -> Parts:

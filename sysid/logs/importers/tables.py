@@ -1,7 +1,8 @@
-"""Tables as logs: a flight record in CSV or Parquet, any CSV with a user's map, and JSBSim's own CSV output.
+"""Tables as logs: a flight record in CSV or Parquet, any table with a user's map, and JSBSim's own CSV output.
 
-Only the columns that are asked for are read. Rows and columns are counted before memory is asked for: a cell of a table costs
-its writer a byte, or nothing where it is packed, and its reader eight.
+`table_format` says how a text is written, `table_times` which column holds the times. Only the columns that are asked
+for are read. Rows and columns are counted before memory is asked for: a cell of a table costs its writer a byte, or nothing
+where it is packed, and its reader eight.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +22,14 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding, LogError, in_a_line
 from sysid.foreign.limits import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
-from sysid.foreign.raw import MessageTable, RawLog, Wanted
+from sysid.foreign.raw import MessageTable, RawLog, TimeColumn, Wanted
 from sysid.foreign.regular_files import in_words, open_regular
 from sysid.logs.air_velocity import COMPONENTS, with_air_data
+from sysid.logs.importers.table_format import SNIFFED_BYTES, TableFormat, listed, sniff
+from sysid.logs.importers.table_times import time_names, times_of
 from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from sysid.vocabulary import LABELS, SIGNALS
 
-_TIME_NAMES = ("time_s", "Time", "time", "t", "t_s", "Time (s)", "timestamp")
 _METADATA_KEY = b"flight_record"
 _CSV_MARK = "# flight_record"
 _MESSAGE = "csv"
@@ -45,35 +48,61 @@ _SUFFIXES = {
     "-psf": PSF_PA,
     "-slugs": SLUG_KG,
     "-slug_ft2": SLUG_FT2_KGM2,
+    # Headings of JSBSim's <output>.
+    "(ft/s)": FT_M,
+    "(ft)": FT_M,
+    "(lbs)": LBF_N,
+    "(psf)": PSF_PA,
+    "(slugs/ft^3)": SLUG_FT3_KGPM3,
 }
+_FT_S2 = frozenset(f"BodyAccel_{axis}" for axis in "XYZ")
+"""Headings of JSBSim's <output> without a unit, in ft/s2."""
 
 
 def si_factor(name: str) -> float:
-    """Factor that turns a JSBSim property into SI by its suffix; 1 where the suffix is unknown or an angle."""
+    """Factor that turns a JSBSim property or heading into SI by its suffix; 1 for an unknown suffix or an angle."""
+    if name in _FT_S2:
+        return FT_M
     return next((f for s, f in _SUFFIXES.items() if name.endswith(s)), 1.0)
 
 
-def read_csv(path: Path, wanted: Wanted | None = None, jsbsim: bool = False) -> RawLog:
+def read_csv(
+    path: Path,
+    wanted: Wanted | None = None,
+    jsbsim: bool = False,
+    time: TimeColumn | None = None,
+) -> RawLog:
     """One message "csv" whose fields are the columns that are wanted. Raises LogError with the line for a table that is none.
 
     jsbsim  property names lose a leading /fdm/jsbsim/ and are turned into SI by their suffix
+    time    the column of times, as a map names it; None to recognise it
     """
-    _check_csv(path)
+    written = _check_csv(path)
     with _readable("CSV table", path):
         # All columns, for pandas says nothing of lines that are too long when it is to leave some out.
-        frame = pd.read_csv(path, comment="#", skipinitialspace=True, low_memory=False)
+        frame = pd.read_csv(path, **_options(written, path))
     names = [_plain(name, jsbsim) for name in frame.columns]
-    kept = _kept(names, wanted, path)
-    columns = [(name, frame.iloc[:, k]) for k, name in enumerate(names) if name in kept]
-    return _from_columns(columns, len(frame), path, jsbsim)
+    kept = _kept(names, wanted, time, path)
+    columns = [(name, frame.iloc[:, k]) for k, name in enumerate(names)]
+    first_line = 2 if written is None else written.first_row_line + 1
+    table = _from_columns(
+        columns, len(frame), path, kept=kept, jsbsim=jsbsim, time=time, line=first_line
+    )
+    units = {} if written is None or not written.units else _facts_of_units(names, written.units)
+    return replace(table, facts={**table.facts, "columns": "\n".join(names), **units})
 
 
-def read_parquet(path: Path, wanted: Wanted | None = None, most_bytes: int | None = None) -> RawLog:
+def read_parquet(
+    path: Path,
+    wanted: Wanted | None = None,
+    most_bytes: int | None = None,
+    time: TimeColumn | None = None,
+) -> RawLog:
     """As `read_csv`, for Parquet; `most_bytes` of memory may be asked for."""
     with open_regular(path) as handle:
         file = _opened(handle, path)
         names = [str(name).strip() for name in file.schema_arrow.names]
-        kept = _kept(names, wanted, path)
+        kept = _kept(names, wanted, time, path)
         chosen = [
             (name, column)
             for name, column in zip(names, file.schema_arrow.names, strict=True)
@@ -81,7 +110,44 @@ def read_parquet(path: Path, wanted: Wanted | None = None, most_bytes: int | Non
         ]
         columns = _read_columns(file, [column for _, column in chosen], path, most_bytes)
         named = [(name, values) for (name, _), values in zip(chosen, columns, strict=True)]
-        return _from_columns(named, file.metadata.num_rows, path, False)
+        table = _from_columns(named, file.metadata.num_rows, path, time=time)
+        return replace(table, facts={**table.facts, "columns": "\n".join(names)})
+
+
+def _options(written: TableFormat | None, path: Path) -> dict[str, Any]:
+    """Arguments of pandas' read_csv for a table that is written so."""
+    if written is None:
+        return {"comment": "#", "skipinitialspace": True, "low_memory": False}
+    unit_line = [written.header_line + 1] if written.units else []
+    # A number sign within a name or a cell is no comment; one at the beginning of a later line is.
+    comments = not any("#" in name for name in written.names) and _has_comments(path, written)
+    return {
+        "sep": r"\s+" if written.separator == " " else written.separator,
+        "decimal": written.decimal,
+        "encoding": written.encoding,
+        "skiprows": [*range(written.header_line), *unit_line],
+        "comment": "#" if comments else None,
+        "skipinitialspace": True,
+        "low_memory": False,
+        **({"index_col": False} if written.trailing else {}),
+    }
+
+
+def _has_comments(path: Path, written: TableFormat) -> bool:
+    """Whether a line below the names begins with a number sign."""
+    with open_regular(path) as handle:
+        for _ in range(written.first_row_line):
+            handle.readline(MOST_COMMENT + 1)
+        last = b"\n"
+        while block := handle.read(1 << 20):
+            if b"\n#" in last + block:
+                return True
+            last = block[-1:]
+    return False
+
+
+def _facts_of_units(names: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    return {f"unit {name}": unit for name, unit in zip(names, units, strict=False) if unit}
 
 
 def read_record(path: Path, most_bytes: int | None = None) -> tuple[dict[str, NDArray[Any]], str]:
@@ -104,16 +170,16 @@ def read_small_table(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _record_csv(path: Path) -> tuple[dict[str, NDArray[Any]], str]:
-    _check_csv(path)
+    options = _options(_check_csv(path), path)
     with _readable("flight record", path):
-        with path.open(encoding="utf-8") as handle:
+        with path.open(encoding=options.get("encoding", "utf-8")) as handle:
             first = handle.readline()
         metadata = first.removeprefix(_CSV_MARK).strip() if first.startswith(_CSV_MARK) else ""
-        names = list(pd.read_csv(path, comment="#", nrows=0).columns)
+        names = list(pd.read_csv(path, nrows=0, **options).columns)
         # pandas' own row numbers: DataFrame.to_csv writes them unless told not to.
         numbered = bool(names) and names[0] == "Unnamed: 0"
         _refuse_unknown(names[1:] if numbered else names, path)
-        frame = pd.read_csv(path, comment="#")
+        frame = pd.read_csv(path, **options)
     if numbered:
         if not pd.api.types.is_integer_dtype(frame.iloc[:, 0]):
             _refuse_unknown(names, path)
@@ -144,7 +210,8 @@ def _refuse_unknown(names: Sequence[Any], path: Path) -> None:
     unknown = next((name for name in names if str(name) not in allowed), None)
     if unknown is not None:
         raise LogError(
-            f"unknown column '{str(unknown)[:80]}'; allowed are {sorted(SIGNALS)}, or give a --map",
+            f"unknown column '{str(unknown)[:80]}': a table without a map has columns of the vocabulary alone"
+            f" ({', '.join(SIGNALS)}); {listed(names)}",
             path,
         )
 
@@ -198,9 +265,17 @@ def _readable(kind: str, path: Path) -> Iterator[None]:
         raise LogError(f"not a readable {kind} ({type(error).__name__}: {why})", path) from None
 
 
-def _check_csv(path: Path) -> None:
-    """Refuse a table that is wider, or whose lines are longer, than any flight's, and one whose cells would fill the memory."""
+def _check_csv(path: Path) -> TableFormat | None:
+    """How the table is written, None where it is no table of numbers.
+
+    Raises LogError for a table that is wider, or whose lines are longer, than any flight's, and for one whose cells would fill
+    the memory.
+    """
     with open_regular(path) as handle:
+        written = sniff(handle.read(SNIFFED_BYTES))
+        handle.seek(0)
+        separator = b"," if written is None else written.separator.encode()
+        header = 0 if written is None else written.header_line
         columns = number = rows_seen = 0
         cells: dict[int, int] = {}
         while rows_seen < _ROWS_LOOKED_AT and (line := handle.readline(MOST_COMMENT + 1)):
@@ -214,9 +289,10 @@ def _check_csv(path: Path) -> None:
                 )
             if not line.startswith(b"#") and line.strip():
                 rows_seen += 1
-                columns = max(columns, line.count(b",") + 1)
-                if rows_seen <= 2:
-                    cells[number] = _QUOTED.sub(b"", line).count(b",") + 1
+                columns = max(columns, line.count(separator) + 1)
+                if number > header and len(cells) < 2 and separator != b" ":
+                    line = line.rstrip(b"\r\n" + separator)
+                    cells[number] = _QUOTED.sub(b"", line).count(separator) + 1
         if columns > MOST_COLUMNS:
             raise LogError(f"has {columns} columns; at most {MOST_COLUMNS} are read", path)
         (_, named), (first, found) = [*cells.items(), (0, 0), (0, 0)][:2]
@@ -235,6 +311,7 @@ def _check_csv(path: Path) -> None:
     needed, allowed = 8 * rows * columns, LIMITS["csv"].bytes(size) // 2
     if needed > allowed:
         raise LogError(too_much(f"{rows} lines of {columns} columns", needed, allowed), path)
+    return written
 
 
 def _opened(handle: Any, path: Path) -> pq.ParquetFile:
@@ -308,23 +385,37 @@ def _plain(name: Any, jsbsim: bool) -> str:
     return text.removeprefix("/fdm/jsbsim/") if jsbsim else text
 
 
-def _kept(names: Sequence[str], wanted: Wanted | None, path: Path) -> set[str]:
-    """The names that are to be read. Raises LogError where there is no time."""
-    time_name = _time_name(names, path)
-    return set(names) if wanted is None else {time_name, *wanted.get(_MESSAGE, ())}
+def _kept(
+    names: Sequence[str], wanted: Wanted | None, time: TimeColumn | None, path: Path
+) -> set[str]:
+    """The names that are to be read. Raises LogError where there can be no time."""
+    if time is not None:
+        if time.field not in names:
+            raise LogError(
+                f"no column '{time.field}', which [signals.time_s] names; {listed(names)}", path
+            )
+        times = [time.field]
+    else:
+        times = time_names(names)
+    # Where no name is a time's, its numbers have to show which it is.
+    return set(names) if wanted is None or not times else {*times, *wanted.get(_MESSAGE, ())}
 
 
-def _time_name(names: Sequence[str], path: Path) -> str:
-    found = next((name for name in _TIME_NAMES if name in names), None)
-    if found is None:
-        received = [name[:80] for name in names[:8]]
-        raise LogError(
-            f"no time column; it must be one of {_TIME_NAMES}, received {received}", path
-        )
-    return found
+def _from_columns(
+    columns: Any,
+    rows: int,
+    path: Path,
+    *,
+    kept: set[str] | None = None,
+    jsbsim: bool = False,
+    time: TimeColumn | None = None,
+    line: int = 2,
+) -> RawLog:
+    """The table's columns of numbers and of words, on its times.
 
-
-def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
+    kept  names of the columns that are handed on (all with None); any may hold the times
+    line  of the file that holds the first row
+    """
     if rows < 2:
         raise LogError(f"only {rows} rows; a flight needs at least two", path)
     fields: dict[str, NDArray[Any]] = {}
@@ -332,12 +423,15 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
     for name, series in columns:
         numbers, wrong = _numbers(series)
         bad = int(wrong.sum())
-        if bad == rows or (bad and name not in _TIME_NAMES and bad > rows // 2):
+        if bad == rows or (bad and bad > rows // 2):
             fields[name] = series.astype(str).to_numpy(dtype=object)
             continue
-        if bad:
-            row = int(np.argmax(wrong)) + 2
-            text = f"{bad} cells of column {name} are no numbers (the first in line {row}); they count as dropouts"
+        if bad and (kept is None or name in kept):
+            row = int(np.argmax(wrong)) + line
+            text = (
+                f"{bad} cells of column {name} are no numbers (the first, '{series.iloc[row - line]!s:.40}', in"
+                f" line {row}); they count as dropouts"
+            )
             findings.append(
                 Finding(
                     "damaged-cells",
@@ -348,14 +442,12 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
                 )
             )
         fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
-    time_name = _time_name(list(fields), path)
-    time_s = fields.pop(time_name)
-    if time_s.dtype == object:
-        raise LogError(f"the time column {time_name} holds text", path)
+    column, time_s, about_time = times_of(fields, time, path)
+    del fields[column.field]
     good = np.isfinite(time_s)
     if good.sum() < 2:
-        raise LogError(f"the time column {time_name} holds fewer than two numbers", path)
-    fields = {n: v[good] for n, v in fields.items()}
+        raise LogError(f"the time column {column.field} holds fewer than two numbers", path)
+    fields = {n: v[good] for n, v in fields.items() if kept is None or n in kept}
     dialect = "jsbsim-csv" if jsbsim else "csv"
     table = MessageTable(time_s[good], fields)
     return RawLog(
@@ -363,5 +455,6 @@ def _from_columns(columns: Any, rows: int, path: Path, jsbsim: bool) -> RawLog:
         {(_MESSAGE, 0): table},
         {_MESSAGE: rows},
         vehicle="JSBSim" if jsbsim else "",
-        findings=tuple(findings),
+        findings=(*about_time, *findings),
+        facts={"time column": column.field, "time unit": column.unit},
     )

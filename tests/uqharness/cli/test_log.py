@@ -264,3 +264,27 @@ def test_info_refuses_what_is_no_page(
 ) -> None:
     assert main(["log", "info", str(log), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_proposed_map_is_read_by_info_and_never_overwrites(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = flight(duration_s=30.0)
+    rows = zip(record["time_s"], record["V_mps"], record["theta_rad"], strict=True)
+    lines = ["Time (ms);TAS [kt];Pitch"]
+    lines += [f"{1e3 * t:.0f};{v * 3.6 / 1.852:.6f};{theta:.9f}" for t, v, theta in rows]
+    log, out = tmp_path / "a.csv", tmp_path / "map.toml"
+    log.write_text("\n".join(lines))
+    assert main(["log", "map", str(log), "--out", str(out), "--json"]) == 0
+    signals = json.loads(capsys.readouterr().out)["signals"]
+    assert signals["V_mps"]["scale"] == pytest.approx(1.852 / 3.6)
+    assert set(signals) == {"V_mps", "theta_rad"}
+    main(["log", "info", str(log), "--map", str(out), "--no-cache"])
+    assert "csv.TAS [kt]" in capsys.readouterr().out
+    edited = out.read_text() + "# mine"
+    out.write_text(edited)
+    assert main(["log", "map", str(log), "--out", str(out)]) == 2
+    assert "exists" in capsys.readouterr().err
+    assert out.read_text() == edited
+    log.write_text("time,a,b\n0,1,2\n1,2,3\n2,3,1\n")
+    assert main(["log", "map", str(log), "--out", str(tmp_path / "b.toml")]) == 1
