@@ -150,7 +150,7 @@ def run_campaign(
     ... }
     >>> result = uq.run_campaign(campaign, "results", workers=1)
     >>> len(result.cases), result.statements()["radius_m"].tolist()[:2]
-    (6, [15, 25])
+    (15, [15, 25])
     >>> box = result.pboxes()["speed_median_mps", "0 m/s light"]
     >>> bool((box.lower <= box.upper).all())
     True

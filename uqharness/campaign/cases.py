@@ -19,7 +19,7 @@ from sysid.digests import sha256_hex
 from uqharness.campaign.columns import counted_radii
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
+from uqharness.campaign.spec.samples import NOMINAL, Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -145,7 +145,7 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     excursion_radius_m=radii,
                     rearm_m=float(spec.metrics.rearm_m),
                     levels=sample.driver,
-                    transient=transient,
+                    transient=None if sample.epistemic_id.startswith(NOMINAL) else transient,
                 )
                 yield Case(
                     case_id=case_id(flight, mission, engine),

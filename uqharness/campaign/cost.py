@@ -136,7 +136,7 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
         flights,
         flight_s,
         at_most,
-        spec.epistemic.interior_samples * _draws(spec),
+        spec.interior_samples * _draws(spec),
     )
 
 
@@ -145,13 +145,8 @@ def epistemic_count(spec: CampaignSpec) -> int:
     section = spec.epistemic
     if section.method in SAMPLED:
         return int(section.samples or 0)
-    means = sum(item.mean_interval is not None for item in spec.aleatory.variables.values())
-    moved = 0 if section.method == "none" else len(spec.inputs.coefficients)
-    values = len(section.levels) if section.method == "levels" and section.levels else 2
-    points = values**moved
-    if section.set == "ellipsoid" and moved > 1:
-        points += 2 * moved
-    return int((points * values**means + section.interior_samples) * _draws(spec))
+    points = spec.corner_count + spec.interior_samples + section.flies_nominal
+    return points * _draws(spec)
 
 
 def _draws(spec: CampaignSpec) -> int:
@@ -181,7 +176,13 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
     section = spec.epistemic
     changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
     if section.method in ("corners", "levels"):
-        changes |= {"method": "levels", "levels": (1.0,), "set": "box", "interior": 0}
+        changes |= {
+            "method": "levels",
+            "levels": (1.0,),
+            "set": "box",
+            "interior": 0,
+            "nominal": None,
+        }
     air = spec.aleatory.model_copy(update={"flights": 1})
     return build_cases(
         dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)),

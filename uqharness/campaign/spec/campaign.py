@@ -140,11 +140,11 @@ class CampaignSpec:
         }
         epistemic = found["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
-        # What an older campaign could not say is left out where it says nothing new: its flights are then the same campaign's.
-        epistemic.pop("interior", None)
-        epistemic.pop("transient", None)
-        if self.epistemic.interior_samples or self.epistemic.flies_interior:
-            epistemic["interior"] = self.epistemic.interior_samples
+        for name in ("interior", "nominal", "transient"):
+            epistemic.pop(name, None)
+        if self.epistemic.method == "corners":
+            epistemic["interior"] = self.interior_samples
+            epistemic["nominal"] = self.epistemic.flies_nominal
         if self.inputs.has_parts and self.epistemic.method != "none":
             epistemic["transient"] = bool(self.inputs.transient_rates)
         if self.epistemic.method == "walk":
@@ -152,6 +152,23 @@ class CampaignSpec:
                 name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
             }
         return found
+
+    @property
+    def corner_count(self) -> int:
+        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of uncertain means."""
+        section = self.epistemic
+        means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
+        moved = 0 if section.method == "none" else len(self.inputs.coefficients)
+        values = len(section.levels) if section.method == "levels" and section.levels else 2
+        points: int = values**moved
+        if section.set == "ellipsoid" and moved > 1:
+            points += 2 * moved
+        return int(points * values**means)
+
+    @property
+    def interior_samples(self) -> int:
+        """Number of interior points flown with the corners."""
+        return self.epistemic.interior_samples(self.corner_count)
 
     def with_hours(self, hours: float) -> CampaignSpec:
         """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""

@@ -143,7 +143,7 @@ def test_bad_toml_names_the_line(tmp_path):
     [
         (
             '[stop]\nrule = "decide"\nradius_m = 20\n',
-            ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
+            ":23: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
         ),
         (
             '[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n',
