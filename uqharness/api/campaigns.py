@@ -26,6 +26,7 @@ from uqharness.campaign import (
     Progress,
     band_confidence,
     bounds_notes,
+    noise_notes,
     pboxes,
 )
 from uqharness.campaign import run as running
@@ -63,6 +64,14 @@ class CampaignResult:
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        settings = self.manifest["campaign"]
+        name = Path(settings["campaign"]["aircraft"]).name
+        return (
+            f"CampaignResult({str(self.folder)!r}: {self.manifest['cases']} flights of {name}, "
+            f"epistemic samples by {settings['epistemic']['method']})"
+        )
 
     def _repr_html_(self) -> str:
         # Imported here: a campaign that nobody looks at in a notebook needs no charts.
@@ -179,7 +188,7 @@ def run_campaign(
     command += [] if engine is None else ["--engine", engine]
     # No command goes on with a campaign that stands in no file; the same call does.
     told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
-    notes = tuple(bounds_notes(spec))
+    notes = (*noise_notes(spec), *bounds_notes(spec))
     running.run_campaign(spec, folder, workers, on_progress=on_progress, command=told)
     return CampaignResult(folder, read_complete(folder), notes)
 

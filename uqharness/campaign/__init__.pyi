@@ -1,6 +1,7 @@
 from .aircraft import bounds_notes as bounds_notes
 from .aircraft import make_copy as make_copy
 from .aircraft import needs_copy as needs_copy
+from .aircraft import noise_notes as noise_notes
 from .aircraft import put_bounds as put_bounds
 from .aircraft import system_file as system_file
 from .answers import lines as lines

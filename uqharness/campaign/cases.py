@@ -138,7 +138,7 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     wind_from_deg=float(air.wind_from_deg),
                     turbulence=turbulence,
                     turbulence_source=air.turbulence_source,
-                    sensor_noise=air.sensor_noise,
+                    sensor_noise=air.sensor_noise is not False,
                     seed_turbulence=seed_turbulence,
                     seed_noise=seed_noise,
                     properties=properties | values if values else properties,

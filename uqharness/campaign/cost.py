@@ -57,10 +57,14 @@ class Size:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second."""
+    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second.
+
+    ``startup_s``: what passes before the first flight ends, by starting processes, loading and compiling.
+    """
 
     flight_s: float
     per_second: float
+    startup_s: float = 0.0
 
     def seconds(self, flight_s: float) -> float:
         """Time that a flight of that length takes."""
@@ -90,7 +94,10 @@ class Cost:
         """Expected time for what is missing; None where the pace is not known."""
         if self.pace is None:
             return None
-        return self.missing * self.pace.seconds(self.size.flight_s) / max(self.workers, 1)
+        if self.missing == 0:
+            return 0.0
+        flying = self.missing * self.pace.seconds(self.size.flight_s) / max(self.workers, 1)
+        return self.pace.startup_s + flying
 
     @property
     def least_seconds(self) -> float:

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sysid.model_form.model_form import AircraftReference, read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
-from uqharness.campaign.aircraft import bounds_notes
+from uqharness.campaign.aircraft import bounds_notes, noise_notes, with_own_noise
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
@@ -543,3 +544,22 @@ def test_bounds_need_the_plugin(tmp_path, bounded):
         BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'
     ):
         run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+
+
+def test_noise_defaults_to_what_the_aircraft_has(tmp_path):
+    espaaro = find_aircraft("espaaro")
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    (bare / "bare.xml").write_text("<fdm_config><flight_control/></fdm_config>")
+    text = fakes.CAMPAIGN.replace('"plane"', f'"{espaaro.folder}"')
+    (tmp_path / "campaign.toml").write_text(text)
+    spec = read_campaign(tmp_path / "campaign.toml")
+    assert spec.aleatory.sensor_noise is None
+    assert with_own_noise(spec, espaaro).aleatory.sensor_noise is True
+    without = with_own_noise(spec, SimpleNamespace(folder=bare))
+    assert without.aleatory.sensor_noise is False
+    assert without.as_dict()["aleatory"]["sensor_noise"] is False
+    # What the file says stays, right or wrong for the aircraft.
+    stated = spec.with_sensor_noise(True)
+    assert with_own_noise(stated, SimpleNamespace(folder=bare)).aleatory.sensor_noise is True
+    assert noise_notes(spec) == noise_notes(stated) == []

@@ -86,6 +86,8 @@ def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
     filled = dict(campaign)
     if isinstance(section := campaign.get("campaign"), dict):
         filled["campaign"] = {"engine": "jsbsim", **section}
+    if isinstance(section := campaign.get("aleatory"), dict):
+        filled["aleatory"] = {"sensor_noise": True, **section}
     section = campaign.get("epistemic")
     if isinstance(section, dict) and section.get("method") == "corners":
         filled["epistemic"] = {"interior": 0, "nominal": False, **section}

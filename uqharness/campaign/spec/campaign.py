@@ -38,7 +38,10 @@ class CampaignSection(Section):
 
 
 class AleatorySection(Section):
-    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not."""
+    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not.
+
+    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the campaign is flown.
+    """
 
     flights: int = Field(ge=1, le=1_000_000)
     duration_s: Number = Field(gt=0, le=86_400)
@@ -49,7 +52,7 @@ class AleatorySection(Section):
     wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
     turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(listed)] = ("none",)
     turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
-    sensor_noise: bool = True
+    sensor_noise: bool | None = None
     variables: dict[str, VariableSection] = Field(default_factory=dict)
 
     @field_validator("wind_mps", "turbulence")
@@ -138,6 +141,7 @@ class CampaignSpec:
             for name, section in sections.items()
             if section is not None
         }
+        found["aleatory"].setdefault("sensor_noise", True)
         epistemic = found["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
         for name in ("interior", "nominal", "transient"):
@@ -192,6 +196,12 @@ class CampaignSpec:
         """The same campaign flown in the engine of that name."""
         return dataclasses.replace(
             self, campaign=self.campaign.model_copy(update={"engine": engine})
+        )
+
+    def with_sensor_noise(self, noise: bool) -> CampaignSpec:
+        """The same campaign flown with sensor noise or without."""
+        return dataclasses.replace(
+            self, aleatory=self.aleatory.model_copy(update={"sensor_noise": noise})
         )
 
     def with_flights(self, flights: int) -> CampaignSpec:

@@ -20,6 +20,7 @@ from uqharness.campaign import (
     joint_words,
     make_copy,
     needs_copy,
+    noise_notes,
     points_flown,
     refuse_if_long,
     size_of,
@@ -173,6 +174,8 @@ def failures(statuses: Mapping[str, int]) -> str:
 
 def _check(args: argparse.Namespace) -> int:
     spec = asked_campaign(args)
+    for note in noise_notes(spec):
+        print(f"note: {note}", file=sys.stderr)
     with scratch_folder("check") as scratch:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
@@ -221,7 +224,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
 
 def _run(args: argparse.Namespace) -> int:
     spec = asked_campaign(args)
-    for note in bounds_notes(spec):
+    for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None
     agreed = args.yes or args.hours is not None
