@@ -34,6 +34,7 @@ from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import STATE, Rate, clock, notebook_line
 from uqharness.project_files import find_campaign
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
@@ -105,6 +106,7 @@ class CampaignResult:
         )
 
 
+@notebook_line("run_campaign")
 def run_campaign(
     campaign: AnyPath | CampaignSpec | Mapping[str, Any],
     out: AnyPath,
@@ -189,7 +191,17 @@ def run_campaign(
     # No command goes on with a campaign that stands in no file; the same call does.
     told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
     notes = (*noise_notes(spec), *bounds_notes(spec))
-    running.run_campaign(spec, folder, workers, on_progress=on_progress, command=told)
+    rate = Rate()
+
+    def show(progress: Progress) -> None:
+        done, total = progress.done - progress.done_before, progress.cases - progress.done_before
+        left = rate.seconds_left(done, total)
+        STATE.stage = f"{progress.done} of {progress.cases} flights"
+        STATE.stage += "" if left is None else f", {clock(left)} to go"
+        if on_progress is not None:
+            on_progress(progress)
+
+    running.run_campaign(spec, folder, workers, on_progress=show, command=told)
     return CampaignResult(folder, read_complete(folder), notes)
 
 
