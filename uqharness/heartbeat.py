@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TextIO
 
 from sysid.terminal import drawing, visible
 
@@ -71,6 +71,11 @@ def bar_drawn() -> Iterator[None]:
         yield
     finally:
         STATE.bars -= 1
+
+
+def _write(stream: TextIO, text: str) -> None:
+    stream.write(text)
+    stream.flush()
 
 
 @contextmanager
@@ -136,9 +141,9 @@ def heartbeat(
                     show(line)
                 elif moves:
                     drawn.set()
-                    print(f"\r\x1b[K{line}", end="", file=drawing(stream), flush=True)
+                    _write(drawing(stream), f"\r\x1b[K{line}")
                 else:
-                    print(line, file=stream, flush=True)
+                    _write(stream, f"{line}\n")
             except (OSError, ValueError):  # nobody reads it
                 return
 
@@ -154,7 +159,7 @@ def heartbeat(
         if show is not None and drawn.is_set():
             show("")
         elif drawn.is_set():
-            print("\r\x1b[K", end="", file=drawing(stream), flush=True)
+            _write(drawing(stream), "\r\x1b[K")
 
 
 def clock(seconds: float) -> str:

@@ -307,6 +307,16 @@ def validate_bounds(
     ------
     BadInputError
         For bounds of another aircraft, flights that they were made from, and flights that lack a channel.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> first, second = (
+    ...     uq.fly("espaaro", "flight-bounds", duration_s=40, noise=True, seed=n) for n in (1, 2)
+    ... )
+    >>> made = uq.fit_model_form("espaaro", first, checks=False)
+    >>> sorted(uq.validate_bounds("espaaro", made, second).coverage)
+    ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
     """
     model = carded_aircraft(aircraft)
     if isinstance(form, MadeBounds):

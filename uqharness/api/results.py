@@ -6,8 +6,6 @@ They run the command in a process of its own and return what its ``--json`` prin
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +13,7 @@ from typing import Any, Literal
 from uqharness.api.flights import AnyAircraft, AnyPath
 from uqharness.arguments import one_of, path, whole
 from uqharness.arguments import workers as given_workers
+from uqharness.child_process import run_command
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
 from uqharness.simulator import Aircraft
@@ -55,6 +54,13 @@ def margins(
     ------
     BadInputError
         For an aircraft without an autopilot, and an unknown loop.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> found = uq.margins("espaaro", loop=["elevator"], flight="straight")
+    >>> found["loops"]["elevator"]["phase_deg"] > 30.0
+    True
     """
     words = ["margins", _aircraft(aircraft), "--script", str(script), "--flight", flight]
     words += [word for name in _several(loop) for word in ("--loop", name)]
@@ -113,6 +119,12 @@ def diff(
     ------
     BadInputError
         For unknown aircraft, and where neither a speed nor a script is named.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.diff("espaaro", "espaaro", script="trim")["differ"]
+    False
     """
     words = ["diff", _aircraft(a), _aircraft(b), "--altitude-m", str(altitude_m)]
     speeds = speed_mps if isinstance(speed_mps, Sequence) else [speed_mps]
@@ -152,6 +164,12 @@ def check_campaign(
     ------
     BadInputError
         For mistakes in the campaign, each with its line, and a model that does not fly.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.check_campaign("demo", hours=0.05, engine="jsbsim")["flights"]
+    64
     """
     words = ["campaign", "check", str(path("campaign", campaign))]
     sizes = {"--hours": hours, "--samples": samples, "--engine": engine, "--workers": workers}
@@ -177,6 +195,18 @@ def verify(folder: AnyPath) -> dict[str, Any]:
     ------
     BadInputError
         For a folder that is none of a campaign.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.verify("results")["whole"]
+    True
     """
     return _document(["campaign", "verify", str(path("folder", folder))])
 
@@ -202,6 +232,13 @@ def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[s
     ------
     BadInputError
         For mistakes in the file, each with its line, and a stage that cannot use its input.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.study("missing.toml", "results")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing.toml
     """
     words = ["study", str(path("study", study)), "--out", str(path("out", out))]
     number = given_workers(workers)
@@ -264,6 +301,13 @@ def next_flight(
     ------
     BadInputError
         For a folder that is no finished campaign of corners, and bounds of another aircraft.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.next_flight("missing", "next")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
     """
     words = ["next-flight", str(path("folder", folder)), "--out", str(path("out", out))]
     one_of("turbulence", turbulence, ("none", "light", "moderate", "severe"))
@@ -297,6 +341,18 @@ def report(folder: AnyPath) -> Path:
     ------
     BadInputError
         For a folder of no results, or one that is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.report("results").name
+    'report.html'
     """
     from uqharness.report import write_report
 
@@ -322,6 +378,18 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
     ------
     BadInputError
         For a folder of no results, and a file whose name does not end with .html.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> "sources" in uq.dossier("results")
+    True
     """
     words = ["dossier", str(path("folder", folder))]
     return _document(words + ([] if out is None else ["--out", str(path("out", out))]))
@@ -348,15 +416,12 @@ def _files(**files: AnyPath | None) -> list[str]:
 
 def _document(words: Sequence[str]) -> dict[str, Any]:
     """Run a command in a process of its own, which no aircraft file can end this one through; the document that it prints."""
-    command = [sys.executable, "-m", "uqharness", *words, "--json"]
     with notebook_line(f"uqharness {words[0]}"):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode in (0, 1) and done.stdout.strip():
-        document: dict[str, Any] = json.loads(done.stdout)
+        code, printed, errors = run_command([*words, "--json"])
+    if code in (0, 1) and printed.strip():
+        document: dict[str, Any] = json.loads(printed)
         return document
-    if done.returncode in (130, 143):
+    if code in (130, 143):
         raise TerminatedError
-    lines = done.stderr.strip().splitlines() or [
-        f"uqharness {words[0]} ended with {done.returncode}"
-    ]
+    lines = errors.strip().splitlines() or [f"uqharness {words[0]} ended with {code}"]
     raise BadInputError(lines[-1].removeprefix("uqharness: error: "))

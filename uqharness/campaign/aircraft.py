@@ -28,9 +28,9 @@ from uqharness.simulator import (
     find_aircraft,
     parse_xml,
     read_xml,
+    walk,
     write_steady_start,
 )
-from uqharness.simulator.aircraft_files import walk
 
 SYSTEM = "model-form"
 _COPIED = "aircraft"

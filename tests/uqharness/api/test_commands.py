@@ -82,7 +82,7 @@ def test_functions_that_packages_are_named_after_can_be_called():
     for name in ("report", "study", "dossier", "next_flight"):
         assert "out" in inspect.signature(getattr(uq, name)).parameters or name == "report"
         with pytest.raises(uq.BadInputError):
-            getattr(uq, name)(5, "out") if name != "report" else uq.report(5)
+            getattr(uq, name)(5, out="out") if name != "report" else uq.report(5)
     assert uqharness.report.write_report is not None
 
 
