@@ -45,6 +45,10 @@ def load_mission() -> Callable[..., Any]:
     return load
 
 
+# Lines of progress come after seconds: what a command writes must not depend on the machine's speed.
+os.environ["UQHARNESS_QUIET"] = "1"
+
+
 @pytest.fixture(scope="session")
 def card_path() -> Path:
     return TESTS / "sysid" / "data" / "airframe.toml"

@@ -55,6 +55,8 @@ wind_mps = [0, 3]
 turbulence = "moderate"
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 coefficients = ["CX", "CY", "Cn"]
 bounds = {{ CX = 0.008, CY = 0.010, Cn = 0.0015 }}
 """

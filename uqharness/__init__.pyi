@@ -8,12 +8,22 @@ from .api.campaigns import run_campaign as run_campaign
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
 from .api.flights import fly as fly
+from .api.flights import log_info as log_info
 from .api.flights import propose_map as propose_map
 from .api.flights import read_flights as read_flights
 from .api.identification import compare as compare
 from .api.identification import fit_model_form as fit_model_form
 from .api.identification import identify as identify
+from .api.identification import validate_bounds as validate_bounds
 from .api.refinement import refine as refine
+from .api.results import check_campaign as check_campaign
+from .api.results import diff as diff
+from .api.results import dossier as dossier
+from .api.results import margins as margins
+from .api.results import next_flight as next_flight
+from .api.results import report as report
+from .api.results import study as study
+from .api.results import verify as verify
 from .report.plots import plot_pbox as plot_pbox
 from .simulator.aircraft import find_aircraft as find_aircraft
 

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,3 +154,11 @@ def child_environment() -> dict[str, str]:
     foreign = {"", os.curdir, os.getcwd()}
     places = [here, *(place for place in sys.path if place not in foreign)]
     return os.environ | CHILD_ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(places)}
+
+
+def run_command(words: Sequence[str]) -> tuple[int, str, str]:
+    """Run a command of this program in a process of its own: its exit code, standard output and standard error."""
+    done = subprocess.run(
+        [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout, done.stderr

@@ -90,6 +90,11 @@ def csv_rows(
     if missing:
         raise BadInputError(f"{path}: has no column {missing[0]}; make the table again")
     for line, row in enumerate(rows, start=2):
+        # A row that was cut off lacks its last columns, whether anybody asks for them or not.
+        if None in row or None in row.values():
+            raise BadInputError(
+                f"{path}:{line}: has another number of columns than the first line; make the table again"
+            )
         wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
         if wrong or any(row[name] is None for name in texts):
             name = wrong[0] if wrong else next(name for name in texts if row[name] is None)

@@ -84,6 +84,7 @@ RATES = {
     "dispersion_measured_at": "corners whose ratio was measured in the same air at a smaller radius",
     "dispersion_radius_m": "the smallest radius it was measured at",
     "quiet_hours_needed": "flight hours after which a corner without an excursion gives yes",
+    "bounds_hold_at": "points of the box of bounds that were flown",
     "yes_up_to_dispersion": "the largest dispersion, at every corner alike, with which a yes would still be one",
     "error_rate": "of a wrong yes or no",
 }

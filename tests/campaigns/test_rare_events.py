@@ -41,6 +41,8 @@ sensor_noise = true
 
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
 
 [metrics]

@@ -92,6 +92,7 @@ def _fly(root: Path, deciding: str) -> None:
     root.mkdir(parents=True, exist_ok=True)
     text = fakes.CAMPAIGN.replace("flights = 3", "flights = 24").partition("[epistemic]")[0]
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
+    text += "interior = 0\nnominal = false\n"
     text += "[metrics]\nexcursion_radius_m = 15\n"
     plain, decide = fakes.campaign_file(root, text), root / "decide.toml"
     decide.write_text(

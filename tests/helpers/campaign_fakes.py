@@ -54,6 +54,8 @@ turbulence_source = "jsbsim"
 [epistemic]
 method = "corners"
 bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
+interior = 0
+nominal = false
 """
 
 

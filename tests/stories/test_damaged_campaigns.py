@@ -38,6 +38,8 @@ SMALL = (
     + """
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 coefficients = ["CX", "CY"]
 bounds = { CX = 0.008, CY = 0.010 }
 """

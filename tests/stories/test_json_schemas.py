@@ -36,6 +36,8 @@ burn_in_s = 0
 turbulence = "light"
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 coefficients = ["CX", "CZ"]
 bounds = { CX = 0.008, CZ = 0.05 }
 """

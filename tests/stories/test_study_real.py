@@ -57,6 +57,7 @@ turbulence = "light"
 
 [epistemic]
 method = "corners"
+nominal = false
 coefficients = ["CX", "CY"]
 """
 

@@ -13,6 +13,7 @@ from uqharness.arguments import flag, instance, number, path, require
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
+from uqharness.heartbeat import notebook_line
 from uqharness.identification import MadeBounds
 from uqharness.plugin import Bounds, Instrumented, MassProperties, instrument_aircraft
 from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
@@ -118,6 +119,7 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     return linear.linearise(given_aircraft(aircraft), steady)
 
 
+@notebook_line("instrument")
 def instrument(
     aircraft: AnyAircraft,
     form: ModelForm | MadeBounds | AnyPath | None = None,

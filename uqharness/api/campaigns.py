@@ -26,6 +26,7 @@ from uqharness.campaign import (
     Progress,
     band_confidence,
     bounds_notes,
+    noise_notes,
     pboxes,
 )
 from uqharness.campaign import run as running
@@ -33,6 +34,7 @@ from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import STATE, Rate, clock, notebook_line
 from uqharness.project_files import find_campaign
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
@@ -63,6 +65,14 @@ class CampaignResult:
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        settings = self.manifest["campaign"]
+        name = Path(settings["campaign"]["aircraft"]).name
+        return (
+            f"CampaignResult({str(self.folder)!r}: {self.manifest['cases']} flights of {name}, "
+            f"epistemic samples by {settings['epistemic']['method']})"
+        )
 
     def _repr_html_(self) -> str:
         # Imported here: a campaign that nobody looks at in a notebook needs no charts.
@@ -96,6 +106,7 @@ class CampaignResult:
         )
 
 
+@notebook_line("run_campaign")
 def run_campaign(
     campaign: AnyPath | CampaignSpec | Mapping[str, Any],
     out: AnyPath,
@@ -150,7 +161,7 @@ def run_campaign(
     ... }
     >>> result = uq.run_campaign(campaign, "results", workers=1)
     >>> len(result.cases), result.statements()["radius_m"].tolist()[:2]
-    (6, [15, 25])
+    (15, [15, 25])
     >>> box = result.pboxes()["speed_median_mps", "0 m/s light"]
     >>> bool((box.lower <= box.upper).all())
     True
@@ -179,8 +190,18 @@ def run_campaign(
     command += [] if engine is None else ["--engine", engine]
     # No command goes on with a campaign that stands in no file; the same call does.
     told = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
-    notes = tuple(bounds_notes(spec))
-    running.run_campaign(spec, folder, workers, on_progress=on_progress, command=told)
+    notes = (*noise_notes(spec), *bounds_notes(spec))
+    rate = Rate()
+
+    def show(progress: Progress) -> None:
+        done, total = progress.done - progress.done_before, progress.cases - progress.done_before
+        left = rate.seconds_left(done, total)
+        STATE.stage = f"{progress.done} of {progress.cases} flights"
+        STATE.stage += "" if left is None else f", {clock(left)} to go"
+        if on_progress is not None:
+            on_progress(progress)
+
+    running.run_campaign(spec, folder, workers, on_progress=show, command=told)
     return CampaignResult(folder, read_complete(folder), notes)
 
 

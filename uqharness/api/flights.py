@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from numpy.typing import NDArray
 
 from sysid.digests import file_sha256, sha256_hex
-from sysid.logs import MapProposal, check_units
+from sysid.logs import LogInfo, MapProposal, check_units, import_log
+from sysid.logs import log_info as report_of_log
 from sysid.logs import propose_map as proposed
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
@@ -28,6 +29,7 @@ from uqharness.flight import (
     start_of,
     write_record,
 )
+from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
 from uqharness.replay import in_free_flight, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
@@ -103,6 +105,7 @@ def fly(
     aircraft: AnyAircraft,
     script: AnyPath = "loiter",
     *,
+    mission: AnyPath | None = None,
     duration_s: float | None = None,
     wind_mps: float = 0.0,
     wind_from_deg: float = 270.0,
@@ -121,6 +124,8 @@ def fly(
         Name under aircraft/ or of JSBSim's collection, a folder, or what `find_aircraft` gave.
     script : str or Path
         Run script, a file or a name under scripts/.
+    mission : str or Path, optional
+        The same under the name that campaigns have for it.
     duration_s : float, optional
         Length of the flight [s]; by default until the script's end.
     wind_mps, wind_from_deg : float
@@ -163,6 +168,8 @@ def fly(
     >>> list(table.columns[:4])
     ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
     """
+    if mission is not None:
+        script = argument_path("mission", mission)
     model, run = given_aircraft(aircraft), read_script(find_script(argument_path("script", script)))
     for name, value in (
         ("wind_mps", wind_mps),
@@ -289,6 +296,47 @@ def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposa
     """
     card = None if aircraft is None else carded_aircraft(aircraft).folder
     return proposed(argument_path("log", log), card)
+
+
+def log_info(
+    log: AnyPath,
+    *,
+    aircraft: AnyAircraft | None = None,
+    signal_map: AnyPath | None = None,
+) -> LogInfo:
+    """Read a flight log and say what it holds and what it is good for, as ``uqharness log info`` does.
+
+    Parameters
+    ----------
+    log : str or Path
+        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its content.
+    aircraft : str, Path or Aircraft, optional
+        Whose airframe.toml turns servo outputs into angles.
+    signal_map : str or Path, optional
+        Signal map of your own, TOML (docs/logs.md).
+
+    Returns
+    -------
+    LogInfo
+        ``channels``, ``rates_hz`` [1/s], ``flight_s`` [s], ``manoeuvres``, ``findings`` and ``purposes``; ``as_dict()`` is the
+        document of ``--json``.
+
+    Raises
+    ------
+    LogError
+        For what is no log, or is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=5).write("doublet.parquet")
+    >>> uq.log_info("doublet.parquet").dialect
+    'record'
+    """
+    own_map = None if signal_map is None else argument_path("signal_map", signal_map)
+    card = None if aircraft is None else carded_aircraft(aircraft).folder
+    with notebook_line("log_info"):
+        return report_of_log(import_log(argument_path("log", log), own_map, card))
 
 
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:

@@ -6,18 +6,29 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 from sysid.aerodynamics import Cutoffs
-from sysid.model_form import FitOptions, Outside
-from uqharness.api.flights import AnyAircraft, AnyFlight, Flight, carded_aircraft, given_flights
-from uqharness.arguments import flag, instance, one_of, share, whole
+from sysid.model_form import FitOptions, ModelForm, Outside
+from uqharness.api.flights import (
+    AnyAircraft,
+    AnyFlight,
+    AnyPath,
+    Flight,
+    carded_aircraft,
+    given_flights,
+)
+from uqharness.arguments import flag, instance, one_of, path, share, whole
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import notebook_line
 from uqharness.identification import (
     BoundsOptions,
     Comparison,
     Identification,
     MadeBounds,
+    Validation,
+    load_form,
     parse_channels,
     parse_designs,
+    validate,
 )
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
@@ -29,6 +40,7 @@ from uqharness.simulator import Aircraft
 Servos = Literal["card", "ideal"]
 
 
+@notebook_line("identify")
 def identify(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],
@@ -119,6 +131,7 @@ def identify(
     )
 
 
+@notebook_line("compare")
 def compare(
     aircraft: AnyAircraft,
     flight: AnyFlight,
@@ -184,6 +197,7 @@ def compare(
     )
 
 
+@notebook_line("fit_model_form")
 def fit_model_form(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],
@@ -262,6 +276,65 @@ def fit_model_form(
     return bounding.make_bounds(
         model, [recut(flight, measured) for flight in ready], measured, hashes, options
     )
+
+
+def validate_bounds(
+    aircraft: AnyAircraft,
+    form: ModelForm | MadeBounds | AnyPath,
+    flights: AnyFlight | Iterable[AnyFlight],
+    *,
+    servos: Servos = "card",
+) -> Validation:
+    """Count how much of a new flight lies within bounds from other flights, as ``uqharness validate-bounds`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model that the bounds were made for.
+    form : ModelForm, MadeBounds, str or Path
+        The bounds: what `fit_model_form` gave, or a model-form.json.
+    flights : flight or sequence of flights
+        Flights that the bounds were not made from.
+    servos : {"card", "ideal"}
+        As for `identify`.
+
+    Returns
+    -------
+    Validation
+        ``coverage`` of each coefficient's intervals [-], the ``residuals`` [-], and ``warnings``.
+
+    Raises
+    ------
+    BadInputError
+        For bounds of another aircraft, flights that they were made from, and flights that lack a channel.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> first, second = (
+    ...     uq.fly("espaaro", "flight-bounds", duration_s=40, noise=True, seed=n) for n in (1, 2)
+    ... )
+    >>> made = uq.fit_model_form("espaaro", first, checks=False)
+    >>> sorted(uq.validate_bounds("espaaro", made, second).coverage)
+    ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
+    """
+    model = carded_aircraft(aircraft)
+    if isinstance(form, MadeBounds):
+        form = form.form
+    if not isinstance(form, ModelForm):
+        form = load_form(path("form", form))
+    new = given_flights(flights, model)
+    ready, measured = _prepared(new, model)
+    hashes = [flight.sha256 for flight in new]
+    with notebook_line("validate_bounds"):
+        return validate(
+            model,
+            form,
+            [recut(flight, measured) for flight in ready],
+            measured,
+            hashes,
+            _ideal(servos),
+        )
 
 
 def _prepared(

@@ -1,6 +1,7 @@
 from .aircraft import bounds_notes as bounds_notes
 from .aircraft import make_copy as make_copy
 from .aircraft import needs_copy as needs_copy
+from .aircraft import noise_notes as noise_notes
 from .aircraft import put_bounds as put_bounds
 from .aircraft import system_file as system_file
 from .answers import lines as lines
@@ -31,8 +32,10 @@ from .cost import size_of as size_of
 from .engine_check import TOLERANCE as TOLERANCE
 from .engines import engine_words as engine_words
 from .inputs import read_bounds as read_bounds
+from .joint import corners_only_words as corners_only_words
 from .joint import joint_level as joint_level
 from .joint import joint_words as joint_words
+from .joint import points_flown as points_flown
 from .rounds import band_confidence as band_confidence
 from .run import CampaignSummary as CampaignSummary
 from .run import Progress as Progress

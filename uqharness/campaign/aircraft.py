@@ -28,12 +28,15 @@ from uqharness.simulator import (
     find_aircraft,
     parse_xml,
     read_xml,
+    walk,
     write_steady_start,
 )
 
 SYSTEM = "model-form"
 _COPIED = "aircraft"
 _UNFINISHED = ".aircraft-"
+_SENSOR = b"sensor/V-mps"
+"""Property by which a sensors system is recognised."""
 
 
 def needs_copy(spec: CampaignSpec) -> bool:
@@ -45,6 +48,29 @@ def named_aircraft(spec: CampaignSpec) -> Aircraft:
     """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds it. Raises BadInputError."""
     named = spec.path.resolve().parent / spec.campaign.aircraft
     return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+
+
+def has_sensors(aircraft: Aircraft) -> bool:
+    """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is added to."""
+    paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
+    return any(_SENSOR in path.read_bytes() for path in paths)
+
+
+def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
+    """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft has a sensors system."""
+    if spec.aleatory.sensor_noise is not None:
+        return spec
+    return spec.with_sensor_noise(has_sensors(aircraft))
+
+
+def noise_notes(spec: CampaignSpec) -> list[str]:
+    """That a campaign which says nothing of sensor noise flies without. Raises BadInputError."""
+    aircraft = named_aircraft(spec)
+    if spec.aleatory.sensor_noise is not None or has_sensors(aircraft):
+        return []
+    return [
+        f"aircraft '{aircraft.name}' has no sensors system: it is flown without sensor noise ([aleatory] sensor_noise = false)"
+    ]
 
 
 def bounds_notes(spec: CampaignSpec) -> list[str]:

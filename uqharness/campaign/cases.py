@@ -19,7 +19,7 @@ from sysid.digests import sha256_hex
 from uqharness.campaign.columns import counted_radii
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.samples import Epistemic, epistemic_samples
+from uqharness.campaign.spec.samples import NOMINAL, Epistemic, epistemic_samples
 from uqharness.campaign.spec.variables import VariableSection
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -138,14 +138,14 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     wind_from_deg=float(air.wind_from_deg),
                     turbulence=turbulence,
                     turbulence_source=air.turbulence_source,
-                    sensor_noise=air.sensor_noise,
+                    sensor_noise=air.sensor_noise is not False,
                     seed_turbulence=seed_turbulence,
                     seed_noise=seed_noise,
                     properties=properties | values if values else properties,
                     excursion_radius_m=radii,
                     rearm_m=float(spec.metrics.rearm_m),
                     levels=sample.driver,
-                    transient=transient,
+                    transient=None if sample.epistemic_id.startswith(NOMINAL) else transient,
                 )
                 yield Case(
                     case_id=case_id(flight, mission, engine),

@@ -57,10 +57,14 @@ class Size:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second."""
+    """How fast one process of this machine flies: seconds a flight takes whatever its length, and seconds per flown second.
+
+    ``startup_s``: what passes before the first flight ends, by starting processes, loading and compiling.
+    """
 
     flight_s: float
     per_second: float
+    startup_s: float = 0.0
 
     def seconds(self, flight_s: float) -> float:
         """Time that a flight of that length takes."""
@@ -90,7 +94,10 @@ class Cost:
         """Expected time for what is missing; None where the pace is not known."""
         if self.pace is None:
             return None
-        return self.missing * self.pace.seconds(self.size.flight_s) / max(self.workers, 1)
+        if self.missing == 0:
+            return 0.0
+        flying = self.missing * self.pace.seconds(self.size.flight_s) / max(self.workers, 1)
+        return self.pace.startup_s + flying
 
     @property
     def least_seconds(self) -> float:
@@ -136,7 +143,7 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
         flights,
         flight_s,
         at_most,
-        spec.epistemic.interior_samples * _draws(spec),
+        spec.interior_samples * _draws(spec),
     )
 
 
@@ -145,13 +152,8 @@ def epistemic_count(spec: CampaignSpec) -> int:
     section = spec.epistemic
     if section.method in SAMPLED:
         return int(section.samples or 0)
-    means = sum(item.mean_interval is not None for item in spec.aleatory.variables.values())
-    moved = 0 if section.method == "none" else len(spec.inputs.coefficients)
-    values = len(section.levels) if section.method == "levels" and section.levels else 2
-    points = values**moved
-    if section.set == "ellipsoid" and moved > 1:
-        points += 2 * moved
-    return int((points * values**means + section.interior_samples) * _draws(spec))
+    points = spec.corner_count + spec.interior_samples + section.flies_nominal
+    return points * _draws(spec)
 
 
 def _draws(spec: CampaignSpec) -> int:
@@ -181,7 +183,13 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
     section = spec.epistemic
     changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
     if section.method in ("corners", "levels"):
-        changes |= {"method": "levels", "levels": (1.0,), "set": "box", "interior": 0}
+        changes |= {
+            "method": "levels",
+            "levels": (1.0,),
+            "set": "box",
+            "interior": 0,
+            "nominal": None,
+        }
     air = spec.aleatory.model_copy(update={"flights": 1})
     return build_cases(
         dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)),

@@ -44,6 +44,40 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
     return [said, *_transient(epistemic, bounds["transient"])]
 
 
+def points_flown(epistemic: Mapping[str, Any]) -> str:
+    """Return the points of the box of bounds at which the results hold, ``corners and nominal model``; empty for drawn samples.
+
+    ``epistemic``: that section of a campaign's settings.
+    """
+    method, interior = epistemic["method"], epistemic.get("interior", 0)
+    if method == "levels":
+        return "combinations of levels"
+    if method != "corners":
+        return ""
+    points = ["corners"]
+    points += [f"{interior} interior points"] if interior else []
+    points += ["nominal model"] if epistemic.get("nominal") else []
+    return ", ".join(points[:-1]) + f" and {points[-1]}" if points[1:] else points[0]
+
+
+def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
+    """Return the sentence, without its stop, that no point between the corners was flown; none where interior points were."""
+    points = points_flown(epistemic)
+    if epistemic["method"] != "corners" or epistemic.get("interior"):
+        return []
+    nominal = epistemic.get("nominal")
+    keys = "interior = 0" if nominal else "interior = 0, nominal = false"
+    # The nominal model is one point: it leaves the others between the corners unknown.
+    missing = (
+        "no interior point" if nominal else "neither the nominal model nor a point between them"
+    )
+    text = (
+        f"bounds hold at the {points} only: {missing} was flown ([epistemic] {keys}), "
+        "and a response that is not monotonic may go beyond them there"
+    )
+    return [text]
+
+
 def _transient(epistemic: Mapping[str, Any], moved: list[str]) -> list[str]:
     if moved:
         return [f"transient model error of {', '.join(moved)} walks in every flight"]

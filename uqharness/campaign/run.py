@@ -154,6 +154,7 @@ def run_campaign(
         )
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
+    spec = _with_own_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
     spec = settled.spec
     size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
@@ -228,6 +229,15 @@ def run_campaign(
     return dataclasses.replace(summary, engine=settled.engine)
 
 
+def _with_own_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
+    from uqharness.campaign.aircraft import with_own_noise
+    from uqharness.simulator import find_aircraft
+
+    # A copy of the aircraft may not have been made yet; its sensors are those of its source.
+    source = mission.source if mission.source != Path() else mission.aircraft
+    return with_own_noise(spec, find_aircraft(source))
+
+
 def check_campaign(
     spec: CampaignSpec, mission: Mission, scratch: Path
 ) -> tuple[Settled, Pace | None]:
@@ -236,6 +246,7 @@ def check_campaign(
     Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
     """
     engines = Engines.of(None)
+    spec = _with_own_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, None)
     if settled.engine != BATCH:
         return settled, validate_model(engines.fly, one_case(settled.spec, mission))
@@ -319,9 +330,13 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
 
 def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pace | None:
     """Compare the first seconds of each condition in both engines. Raises EnginesDifferError, and BadInputError as above."""
+    begun = time.monotonic()
     with contextlib.closing(throwaway_process()) as process:
         judge.begin(compare_start(engines, cases, process))
-        return batch_pace(engines, cases, process)
+        # The run starts processes and compiles the same programs once more.
+        startup_s = time.monotonic() - begun
+        pace = batch_pace(engines, cases, process)
+        return None if pace is None else dataclasses.replace(pace, startup_s=startup_s)
 
 
 def _refuse_if_not_flown(outcome: CaseOutcome, brief: FlightSpec) -> None:

@@ -16,7 +16,7 @@ from uqharness.campaign.conditions import Condition, conditions, in_condition
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.spec.samples import INTERIOR_MARK
+from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, MethodResult, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
@@ -238,6 +238,8 @@ def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
     """The corners and levels of a condition, or the ``interior`` points flown beside them. Raises BadInputError."""
     rows = in_condition(flown.frame.reset_index(drop=True), condition)
     rows = rows[rows["epistemic_id"].str.startswith(INTERIOR_MARK) == interior]
+    # The nominal model has no levels: it stands at no place of the box of bounds.
+    rows = rows[~rows["epistemic_id"].str.startswith(NOMINAL)]
     level_names = [f"level_{name}" for name in flown.coefficients]
     ids = np.sort(rows["aleatory_id"].unique())
     keys, places, complete = [], [], []

@@ -28,6 +28,7 @@ from uqharness.campaign.conditions import (
     excursion_cells,
     in_condition,
 )
+from uqharness.campaign.joint import points_flown
 from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
 from uqharness.statistics import (
     NO,
@@ -82,6 +83,7 @@ _COLUMNS = (
     "dispersion_radius_m",
     "quiet_hours_needed",
     "yes_up_to_dispersion",
+    "bounds_hold_at",
 )
 
 
@@ -108,7 +110,7 @@ class Statement:
     flown at a corner without an excursion until it is a yes. A yes would be one up to the dispersion ``yes_up_to_dispersion``,
     NaN for another answer. ``reason`` says why flights that would be a yes are not.
     ``loss_upper_per_h`` bounds aborted flights per hour flown at the worst corner, at half the error; ``aborted`` counts them by
-    kind.
+    kind. ``points``: those of the box of bounds that were flown.
     """
 
     cell: ExcursionCell
@@ -129,6 +131,7 @@ class Statement:
     quiet_hours_needed: float
     yes_up_to_dispersion: float
     reason: str = ""
+    points: str = ""
 
     @property
     def flight_share(self) -> str:
@@ -274,6 +277,7 @@ def _statement(
         quiet_flights(acceptable * hours, largest, side, rule is not None) * hours,
         stands,
         "" if decided else reason,
+        points_flown(campaign["epistemic"]),
     )
 
 
@@ -369,7 +373,7 @@ def statements_csv(found: Sequence[Statement]) -> bytes:
             number(item.dispersion.nearest_m),
             number(item.quiet_hours_needed),
         ]
-        row.append(number(item.yes_up_to_dispersion))
+        row += [number(item.yes_up_to_dispersion), item.points]
         writer.writerow(row)
     return buffer.getvalue().encode()
 

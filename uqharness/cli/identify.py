@@ -38,10 +38,6 @@ _EXAMPLE = """
 Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an AIRCRAFT with the estimates."""
 
 
-_LINES_S = 10.0
-"""Between two lines of progress in a pipe or file."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``identify``."""
     text = "Estimate an aircraft's parameters from flight logs or records by output error (see docs/identification.md)."
@@ -100,7 +96,7 @@ def _run(args: argparse.Namespace) -> int:
         parse_channels(f"--{n}", getattr(args, n)) for n in ("biases", "delays", "outputs")
     )
     check_folder(args.out)
-    with working("identify", lambda: counter["segments"], lines_s=_LINES_S) as stage:
+    with working("identify", lambda: counter["segments"]) as stage:
         stage("reading the flights")
         flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
         found = identify(

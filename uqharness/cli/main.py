@@ -10,6 +10,7 @@ import argparse
 import gc
 import logging
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 
@@ -18,6 +19,7 @@ from sysid.terminal import clean_terminal, drawing
 from uqharness import __version__
 from uqharness.cli.commands import Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
+from uqharness.heartbeat import heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -100,8 +102,22 @@ def run_words(words: Sequence[str] | None) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the process's exit code."""
     gc.set_threshold(*_SELDOM)
-    with clean_terminal():
+    with clean_terminal(), heartbeat(_command_name(sys.argv[1:] if argv is None else argv)):
         return _run(argv)
+
+
+def _command_name(words: Sequence[str]) -> str:
+    """Return ``campaign run`` of a command's words."""
+    names = [word for word in words[:2] if word.replace("-", "").isalpha()]
+    length = 2 if names and names[0] in ("campaign", "log") else 1
+    return " ".join(["uqharness", *names[:length]])
+
+
+def _resumes(words: str) -> bool:
+    """Whether a command goes on where it was interrupted; others keep nothing of what they began."""
+    return words.startswith(
+        ("uqharness campaign run ", "uqharness campaign salvage ", "uqharness study ")
+    )
 
 
 class _Notes(logging.Handler):
@@ -135,6 +151,9 @@ def _run(argv: Sequence[str] | None) -> int:
             "terminated" if isinstance(ended, TerminatedError) else "interrupted",
             file=sys.stderr,
         )
+        words = shlex.join(["uqharness", *(sys.argv[1:] if argv is None else argv)])
+        again = "resumes" if _resumes(words) else "begins anew"
+        print(f"uqharness: this command {again}: {words}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output has left (head, less): that is no error, but flushing at exit would complain.

@@ -1,4 +1,7 @@
-"""What a terminal is told while a command works; a pipe is told warnings, and of long commands a line now and then."""
+"""Progress of a command: a bar on a terminal, a line now and then in a pipe.
+
+`working`, `counting` and `ProgressView` draw on a terminal, and tell `uqharness.heartbeat` the stage, which it writes elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -26,6 +29,7 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from sysid.terminal import drawing, visible
+from uqharness.heartbeat import STATE, Rate, bar_drawn, clock
 
 if TYPE_CHECKING:
     from uqharness.campaign import Progress
@@ -51,7 +55,6 @@ def working(
     unit: str = "segments flown",
     *,
     keep: bool = False,
-    lines_s: float = math.inf,
     console: Console | None = None,
 ) -> Iterator[Callable[[str], None]]:
     """A line that moves while a command works: its stage, the time since the command began, and a count.
@@ -64,8 +67,6 @@ def working(
         Gives a number that grows with the work; None shows none.
     keep
         Whether each finished stage leaves a line with the time that it took.
-    lines_s
-        Seconds between two lines of their own where that is no terminal; by default there are none.
     console
         Where to draw; by default standard error.
 
@@ -73,14 +74,23 @@ def working(
     """
     shown = console or Console(stderr=True, file=drawing(sys.stderr))
     if not shown.is_terminal:
-        yield _Lines(command, lines_s, shown)
+
+        def tell(text: str) -> None:
+            number = 0 if count is None else count()
+            STATE.stage = f"{text}, {number:,} {unit}" if number and text else text
+
+        yield tell
+        STATE.stage = ""
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
     # Other output is not drawn through the bar: it may hold a log's own words, and those pass the terminal's filter alone.
-    with Bar(
-        *columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False
-    ) as bar:
+    with (
+        bar_drawn(),
+        Bar(
+            *columns, console=shown, transient=True, redirect_stdout=False, redirect_stderr=False
+        ) as bar,
+    ):
         task = bar.add_task(command, total=None)
         current, begun = "", time.monotonic()
 
@@ -98,21 +108,6 @@ def working(
 
         yield stage
         stage("")
-
-
-class _Lines:
-    """Told each stage, writes a line when the last is ``seconds`` old: the time since the command began, and the stage."""
-
-    def __init__(self, command: str, seconds: float, console: Console) -> None:
-        self._command, self._seconds, self._console = command, seconds, console
-        self._begun = self._last = time.monotonic()
-
-    def __call__(self, text: str) -> None:
-        now = time.monotonic()
-        if now - self._last >= self._seconds:
-            self._last = now
-            line = f"{self._command}: {clock(now - self._begun)}, {visible(text)}"
-            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _without_numbers(text: str) -> str:
@@ -137,25 +132,21 @@ def say_warnings(warnings: Iterable[str]) -> None:
 @contextmanager
 def counting(what: str) -> Iterator[Callable[[float, int], None]]:
     """A counter with an estimate of the time to go: call it with how many are done, parts included, and how many there are."""
-    terminal = sys.stderr.isatty()
-    begun = time.monotonic()
+    terminal, rate = sys.stderr.isatty(), Rate()
 
     def update(done: float, total: int) -> None:
+        left = rate.seconds_left(done, total)
+        text = f"{visible(what)}: {math.floor(done)} of {total}"
+        text += "" if left is None else f", {clock(left)} to go"
+        STATE.stage = text
         if terminal:
-            left = time_left(time.monotonic() - begun, done, total)
-            text = f"\r\x1b[K{visible(what)}: {math.floor(done)} of {total}" + (
-                f", {left}" if left else ""
-            )
-            print(text, end="", file=drawing(sys.stderr), flush=True)
+            print(f"\r\x1b[K{text}", end="", file=drawing(sys.stderr), flush=True)
 
-    yield update
+    with bar_drawn() if terminal else nullcontext():
+        yield update
+    STATE.stage = ""
     if terminal:
         print(file=sys.stderr)
-
-
-def time_left(elapsed_s: float, done: float, total: int) -> str:
-    """``0:12 to go`` if the rest goes as fast as what is done; empty before anything and after everything is done."""
-    return f"{clock(elapsed_s * (total - done) / done)} to go" if 0.0 < done < total else ""
 
 
 class ProgressView:
@@ -166,8 +157,10 @@ class ProgressView:
         self._console = console or Console(stderr=True, file=drawing(sys.stderr))
         self._bar: Bar | None = None
         self._task: TaskID | None = None
+        self._rate = Rate()
 
     def __enter__(self) -> ProgressView:
+        STATE.stage = "checking the model"
         if self._console.is_terminal:
             self._bar = Bar(
                 TextColumn("flights"),
@@ -177,15 +170,20 @@ class ProgressView:
                 console=self._console,
             )
             self._bar.start()
+            STATE.bars += 1
             self._task = self._bar.add_task("flights", total=None, note="checking the model")
         return self
 
     def update(self, progress: Progress) -> None:
         """Show a state; counts only what is on the disk."""
+        left = self._rate.seconds_left(
+            progress.done - progress.done_before, progress.cases - progress.done_before
+        )
+        note = describe(progress, left)
+        ready = "; writing the tables" if progress.done == progress.cases else ""
+        STATE.stage = f"{progress.done} of {progress.cases} flights, {note}{ready}"
         if self._bar is not None and self._task is not None:
-            self._bar.update(
-                self._task, total=progress.cases, completed=progress.done, note=describe(progress)
-            )
+            self._bar.update(self._task, total=progress.cases, completed=progress.done, note=note)
 
     def __exit__(
         self,
@@ -193,23 +191,17 @@ class ProgressView:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        STATE.stage = ""
         if self._bar is not None:
+            STATE.bars -= 1
             self._bar.stop()
 
 
-def describe(progress: Progress) -> str:
-    """What stands beside the bar."""
-    eta = progress.eta_s
-    parts = ["" if eta is None else f"{clock(eta)} to go"]
+def describe(progress: Progress, eta: float | None = None) -> str:
+    """What stands beside the bar; ``eta`` is the time to go [s], by default at the mean rate of the run."""
+    eta = progress.eta_s if eta is None else eta
+    parts = ["" if eta is None or progress.done == progress.cases else f"{clock(eta)} to go"]
     if progress.flown_s > 0:
         parts.append(f"{progress.hours_per_core_hour:.0f} flight h per core h")
     parts.append(f"{progress.failed} failed" if progress.failed else "none failed")
     return ", ".join(part for part in parts if part)
-
-
-def clock(seconds: float) -> str:
-    """``h:mm:ss`` or ``m:ss``."""
-    whole = round(seconds)
-    hours, rest = divmod(whole, 3600)
-    minutes, second = divmod(rest, 60)
-    return f"{hours}:{minutes:02d}:{second:02d}" if hours else f"{minutes}:{second:02d}"

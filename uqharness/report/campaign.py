@@ -16,6 +16,7 @@ from uqharness.campaign import (
     Condition,
     Statement,
     band_confidence,
+    corners_only_words,
     hardest_of,
     in_condition,
     joint_words,
@@ -116,6 +117,10 @@ def read_found(folder: Path) -> CampaignFound:
         [
             _asked(frame, campaign),
             *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest)),
+            *(
+                f"{words[0].upper()}{words[1:]}."
+                for words in corners_only_words(campaign["epistemic"])
+            ),
         ]
     )
     return CampaignFound(folder, manifest, frame, findings, signed, asked, verdict, check)

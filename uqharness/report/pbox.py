@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from sysid.distributions import normal_tail
+from uqharness.campaign.spec import NOMINAL
 from uqharness.report.parts import Figure, shown
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.statistics import PBox, Sample, envelope
@@ -215,7 +216,8 @@ def corner_words(frame: pd.DataFrame) -> dict[str, str]:
         words = " ".join(
             f"{c}{'−' if v == 0.0 else '+' if v == 1.0 else f'={v:.3g}'}" for c, v in levels.items()
         )
-        out[str(row["epistemic_id"])] = words or f"sample {row['epistemic_id']}"
+        name = str(row["epistemic_id"])
+        out[name] = words or ("nominal model" if name == NOMINAL else f"sample {name}")
     return out
 
 

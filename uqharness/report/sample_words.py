@@ -16,7 +16,7 @@ NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk"
 def kind_of(epistemic: Mapping[str, Any]) -> str:
     """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
     mixed = epistemic["method"] == "corners" and (
-        epistemic.get("interior") or epistemic["set"] != "box"
+        epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
     )
     return "samples" if mixed else str(epistemic["method"])
 

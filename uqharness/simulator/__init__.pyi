@@ -17,6 +17,7 @@ from .aircraft_files import copy_beside as copy_beside
 from .aircraft_files import copy_folder as copy_folder
 from .aircraft_files import opened as opened
 from .aircraft_files import read_xml as read_xml
+from .aircraft_files import walk as walk
 from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card

@@ -12,8 +12,8 @@ from tests.helpers.docstrings import example_of, public_functions
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
-SLOW = {"refine"}
-"""Examples that take minutes."""
+SLOW = {"refine", "check_campaign", "dossier", "margins", "report", "validate_bounds", "verify"}
+"""Examples that take minutes, or start processes of their own."""
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 

@@ -78,7 +78,10 @@ def test_corners_and_their_order(spec):
 
 
 def test_certain_coefficients_have_no_delta(tmp_path):
-    text = CAMPAIGN.partition("bounds =")[0] + 'coefficients = ["Cm", "CX"]\n'
+    text = (
+        CAMPAIGN.partition("bounds =")[0]
+        + 'coefficients = ["Cm", "CX"]\ninterior = 0\nnominal = false\n'
+    )
     spec = read_campaign(campaign_file(tmp_path, text))
     samples = epistemic_samples(spec)
     assert [sample.epistemic_id for sample in samples] == ["0---0-", "0---1-", "1---0-", "1---1-"]

@@ -31,7 +31,8 @@ CORNERS = 'method = "corners"'
 LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
 METHODS = [
     CORNERS,
-    f"{CORNERS}\ninterior = 5",
+    f"{CORNERS}\ninterior = 5\nnominal = true",
+    f"{CORNERS}\nset_default",
     LEVELS,
     'method = "lhs"\nsamples = 7',
     'method = "white"\nsamples = 3',
@@ -44,7 +45,9 @@ METHODS = [
 def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [1, 3]")
     bare = text.partition("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
-    text = bare if method == "none" else text.replace(CORNERS, method)
+    if "\n" in method:
+        text = text.replace("interior = 0\nnominal = false\n", "")
+    text = bare if method == "none" else text.replace(CORNERS, method.replace("\nset_default", ""))
     spec = read_campaign(fakes.campaign_file(tmp_path, text + mean))
     mission = find_mission(spec)
     size = cost.size_of(spec)
@@ -64,9 +67,9 @@ def test_a_model_forms_points_are_counted_too(tmp_path):
     made_up_form().write(tmp_path / "model-form.json")
     head = fakes.CAMPAIGN.partition("bounds =")[0] + 'bounds = "model-form.json"\n'
     for more, samples, interior in (
-        ("", 80, 16),
-        ("interior = 0\n", 64, 0),
-        ('set = "ellipsoid"\n', 92, 16),
+        ("", 81, 16),
+        ("interior = 0\n", 65, 0),
+        ('set = "ellipsoid"\n', 93, 16),
     ):
         spec = read_campaign(fakes.campaign_file(tmp_path, head + more))
         size = cost.size_of(spec)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sysid.model_form.model_form import AircraftReference, read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
-from uqharness.campaign.aircraft import bounds_notes
+from uqharness.campaign.aircraft import bounds_notes, noise_notes, with_own_noise
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
@@ -145,15 +146,20 @@ def test_transient_error_flies_where_the_form_has_it_the_same_at_every_corner(tm
     spec = campaign(tmp_path, CORNERS)
     rate = np.sqrt(2.0) / (np.pi * np.sqrt(0.5))
     cases = build_cases(spec, mission(tmp_path))
-    assert len(cases) == 3 * (4 + 16)
-    for case in cases:
+    assert len(cases) == 3 * (4 + 16 + 1)
+    nominal = [case for case in cases if case.epistemic_id == "nominal"]
+    assert [case.flight.transient for case in nominal] == [None] * 3
+    for case in (case for case in cases if case not in nominal):
         # CZ has such a part, and is certain in this campaign.
         assert case.flight.transient == TransientDriver(
             7, case.aleatory_id, ("Cm",), (pytest.approx(rate),)
         )
     still = build_cases(campaign(tmp_path, CORNERS + "transient = false\n"), mission(tmp_path))
     assert all(case.flight.transient is None for case in still)
-    assert {case.case_id for case in still}.isdisjoint(case.case_id for case in cases)
+    # The nominal model has no model error, transient or not: it is the same flight in both.
+    assert {case.case_id for case in still} & {case.case_id for case in cases} == {
+        case.case_id for case in nominal
+    }
     said = [
         campaign(tmp_path, CORNERS + more).as_dict()["epistemic"]["transient"]
         for more in ("", "transient = false\n")
@@ -270,7 +276,7 @@ def test_parameters_multiply_corners_and_join_walks(tmp_path):
     write(tmp_path / "fit.json", FIT)
     corners = campaign(tmp_path, f'method = "corners"\nsamples = 3\n{BOUNDS}{PARAMETERS}')
     samples = epistemic_samples(corners)
-    assert len(samples) == 64 * 3
+    assert len(samples) == (64 + 16 + 1) * 3
     assert [item.epistemic_id for item in samples[:4]] == [
         "000000+p000000",
         "000000+p000001",
@@ -353,7 +359,7 @@ def test_a_variable_is_drawn_per_flight_and_common_to_corners(tmp_path):
 def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
     spec = campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("[19, 22]"))
     cases = build_cases(spec, mission(tmp_path))
-    assert len(cases) == 3 * 128
+    assert len(cases) == 3 * (128 + 16 + 1)
     low, high = cases[0], cases[1]
     assert (low.epistemic_id, high.epistemic_id) == ("000000+0", "000000+1")
     assert high.flight.properties["load/kg"] - low.flight.properties["load/kg"] == pytest.approx(
@@ -484,7 +490,7 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
         read_model_form(tmp_path / "model-form.json"), find_aircraft(tmp_path / "plane")
     )
     frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
-    assert list(frame.index) == ["0-----", "1-----"]
+    assert list(frame.index) == ["0-----", "1-----", "nominal"]
     assert frame["extrapolated_share"].between(0.0, 1.0).all()
     # The bounds act, CX alone moves, and the source was not touched.
     signals = {f"{name}_delta": Source(f"uq/{name}/delta") for name in COEFFICIENTS}
@@ -496,7 +502,7 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     assert (tmp_path / "plane" / "Systems" / "model-form.xml").read_bytes() == source.read_bytes()
     # The same command finds everything done; half a copy is mended; a changed model form is another campaign.
     (copy / "Systems" / "model-form.xml").unlink()
-    assert run_campaign(bounded, out, executor=executor, fly=spy).done_before == 2
+    assert run_campaign(bounded, out, executor=executor, fly=spy).done_before == 3
     assert (copy / "Systems" / "model-form.xml").read_bytes() == written
     model_form(tmp_path / "model-form.json", confidence=0.68)
     with pytest.raises(BadInputError, match="content of the file named as bounds"):
@@ -538,3 +544,22 @@ def test_bounds_need_the_plugin(tmp_path, bounded):
         BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'
     ):
         run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+
+
+def test_noise_defaults_to_what_the_aircraft_has(tmp_path):
+    espaaro = find_aircraft("espaaro")
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    (bare / "bare.xml").write_text("<fdm_config><flight_control/></fdm_config>")
+    text = fakes.CAMPAIGN.replace('"plane"', f'"{espaaro.folder}"')
+    (tmp_path / "campaign.toml").write_text(text)
+    spec = read_campaign(tmp_path / "campaign.toml")
+    assert spec.aleatory.sensor_noise is None
+    assert with_own_noise(spec, espaaro).aleatory.sensor_noise is True
+    without = with_own_noise(spec, SimpleNamespace(folder=bare))
+    assert without.aleatory.sensor_noise is False
+    assert without.as_dict()["aleatory"]["sensor_noise"] is False
+    # What the file says stays, right or wrong for the aircraft.
+    stated = spec.with_sensor_noise(True)
+    assert with_own_noise(stated, SimpleNamespace(folder=bare)).aleatory.sensor_noise is True
+    assert noise_notes(spec) == noise_notes(stated) == []

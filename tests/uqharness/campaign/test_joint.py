@@ -4,18 +4,49 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.campaign.joint import joint_level, joint_words
+from uqharness.campaign.joint import corners_only_words, joint_level, joint_words, points_flown
 from uqharness.flight.spec import COEFFICIENTS
 
 
 def manifest(confidence=0.95, transient=(), **epistemic):
-    section = {"method": "corners", "set": "box", "coefficients": list(COEFFICIENTS), **epistemic}
+    section = {
+        "method": "corners",
+        "set": "box",
+        "coefficients": list(COEFFICIENTS),
+        "interior": 16,
+        "nominal": True,
+        **epistemic,
+    }
     bounds = (
         {}
         if confidence is None
         else {"bounds": {"confidence": confidence, "transient": list(transient)}}
     )
     return {"campaign": {"epistemic": section}, **bounds}
+
+
+@pytest.mark.parametrize(
+    ("interior", "nominal", "points", "remark"),
+    [
+        (16, True, "corners, 16 interior points and nominal model", ""),
+        (16, False, "corners and 16 interior points", ""),
+        (0, False, "corners", "bounds hold at the corners only: neither the nominal model"),
+        (0, True, "corners and nominal model", "at the corners and nominal model only"),
+    ],
+)
+def test_bounds_without_points_between_the_corners_are_remarked_on(
+    interior, nominal, points, remark
+):
+    document = manifest(None, interior=interior, nominal=nominal)
+    epistemic = document["campaign"]["epistemic"]
+    assert points_flown(epistemic) == points
+    remarks = corners_only_words(epistemic)
+    assert (remark in remarks[0]) if remark else remarks == []
+
+
+def test_only_corners_leave_points_out():
+    assert corners_only_words({"method": "walk", "samples": 3}) == []
+    assert points_flown({"method": "lhs"}) == ""
 
 
 def test_six_intervals_of_95_percent_hold_together_at_74():

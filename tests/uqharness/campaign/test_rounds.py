@@ -36,6 +36,8 @@ turbulence = "severe"
 
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 coefficients = ["CX", "CY"]
 bounds = { CX = 0.008, CY = 0.010 }
 

@@ -7,6 +7,7 @@ import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
@@ -36,7 +37,7 @@ FLIGHTS = 12
 
 def known_effects(spec):
     """Cross track: additive. Altitude: CX matters at high CY only. Speed: every corner the same. Chance is the air's alone."""
-    level = {name: spec.properties[f"uq/{name}/level"] for name in SLOPES}
+    level = {name: spec.properties.get(f"uq/{name}/level", 0.5) for name in SLOPES}
     draw = np.random.default_rng(spec.seed_turbulence)
     chance = float(draw.gamma(4.0))
     metrics = dict.fromkeys(fakes.ERROR_METRICS, 1.0) | dict.fromkeys(fakes.EXCURSIONS, 0.0)
@@ -62,9 +63,17 @@ def steeper(spec):
     return with_bump(spec, 12.0)
 
 
+def dip(spec):
+    """Least in the middle of CX."""
+    level = spec.properties.get("uq/CX/level", 0.5)
+    result = fakes.steady(spec)
+    metrics = dict(result.metrics) | {"cross_track_median_m": 2.0 + 8.0 * abs(level - 0.5)}
+    return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
+
+
 def with_bump(spec, size):
     result = known_effects(spec)
-    level = spec.properties["uq/CX/level"]
+    level = spec.properties.get("uq/CX/level", 0.5)
     result.metrics["cross_track_median_m"] += size * level * (1.0 - level)
     return result
 
@@ -81,7 +90,7 @@ def one_fails(spec):
 def interior_fails(spec):
     """The first interior point crashes in every air."""
     result = known_effects(spec)
-    level = spec.properties["uq/CX/level"]
+    level = spec.properties.get("uq/CX/level", 0.5)
     if level not in (0.0, 1.0) and level < 1.0 / 3.0:
         return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
     return result
@@ -310,7 +319,7 @@ def test_ranking_needs_a_lead_to_be_certain():
 
 
 def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
-    text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 9')
+    text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false", "interior = 9")
     beside = analyse_campaign(
         read_corner_campaign(fly(tmp_path / "i", known_effects, text=text)),
         metrics=["cross_track_median_m"],
@@ -326,8 +335,28 @@ def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
     assert bumped[0].result.details["interior_outside"] > 0.02
 
 
+def test_the_p_box_holds_the_nominal_model_and_the_points_between_corners(tmp_path):
+    """The error is least between the bounds: corners alone exclude the nominal model's distribution."""
+    text = fakes.CAMPAIGN.partition("bounds =")[0] + "bounds = { CX = 0.02 }\n"
+    text += 'coefficients = ["CX"]\n'
+    boxes = {}
+    for name, keys in (("all", ""), ("corners", "interior = 0\nnominal = false\n")):
+        folder = fly(tmp_path, dip, name, text + keys)
+        frame = pd.read_parquet(folder / "cases.parquet")
+        box = pd.read_parquet(folder / "pbox.parquet")
+        boxes[name] = box[box["metric"] == "cross_track_median_m"]
+        if name == "all":
+            nominal = frame.loc[frame["epistemic_id"] == "nominal", "cross_track_median_m"].median()
+            assert frame["epistemic_id"].nunique() == 2 + 2 + 1
+
+    def smallest_median(box):
+        return box.loc[box["upper"] >= 0.5, "value"].min()
+
+    assert smallest_median(boxes["all"]) <= nominal < smallest_median(boxes["corners"])
+
+
 def test_a_failed_interior_flight_leaves_no_air_out(tmp_path):
-    text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "corners"\ninterior = 3')
+    text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false", "interior = 3")
     (found,) = analyse_campaign(
         read_corner_campaign(fly(tmp_path, interior_fails, text=text)),
         metrics=["cross_track_median_m"],

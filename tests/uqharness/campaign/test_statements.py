@@ -19,6 +19,7 @@ def campaign(acceptable=4.0, rule="flights") -> dict:
     return {
         "stop": {"rule": rule},
         "aleatory": air,
+        "epistemic": {"method": "corners", "interior": 0, "nominal": False},
         "metrics": {
             "excursion_radius_m": [15.0],
             "acceptable_per_h": acceptable,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+import threading
 
 import pytest
 from rich.console import Console
@@ -17,9 +18,9 @@ from uqharness.cli.progress import (
     describe,
     say_line,
     say_warnings,
-    time_left,
     working,
 )
+from uqharness.heartbeat import Rate, heartbeat
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -52,9 +53,39 @@ def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal
         assert "repeats: 1 of 2" in said
 
 
-def test_the_time_to_go_is_in_proportion_to_what_is_left():
-    assert time_left(30.0, 1.5, 4) == "0:50 to go"
-    assert time_left(30.0, 0.0, 4) == time_left(30.0, 4.0, 4) == ""
+def test_the_time_to_go_follows_recent_work_and_counts_down():
+    """Ten units at one a second after a start of 100 s, in which one unit was done: 10 s to go, not 100."""
+    clock_s = [0.0]
+    rate = Rate(lambda: clock_s[0])
+    assert rate.seconds_left(0, 21) is None
+    for done in range(1, 12):
+        clock_s[0] = 100.0 + done
+        left = rate.seconds_left(done, 21)
+    assert left == pytest.approx(10.0)
+    clock_s[0] += 3.0
+    assert rate.seconds_left(11, 21) == pytest.approx(7.0)
+    assert rate.seconds_left(21, 21) is None
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_command_in_a_pipe_says_that_it_is_at_work(monkeypatch, quiet):
+    monkeypatch.setenv("UQHARNESS_QUIET", "1" if quiet else "")
+    written = threading.Event()
+
+    class Pipe(io.StringIO):
+        def write(self, text):
+            written.set()
+            return super().write(text)
+
+    pipe = Pipe()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    with heartbeat("uqharness refine", first_s=0.01, every_s=0.01), working("refine") as stage:
+        stage("round 1")
+        if not quiet:
+            written.clear()
+            assert written.wait(60.0)
+    assert ("uqharness refine: 0:0" in pipe.getvalue()) is not quiet
+    assert ("round 1" in pipe.getvalue()) is not quiet
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -89,31 +120,3 @@ def test_warnings_are_told_in_a_pipe_too(capsys):
     assert (
         capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
     )
-
-
-def test_a_long_command_writes_a_line_now_and_then_where_there_is_no_terminal(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr("uqharness.cli.progress.time.monotonic", lambda: now[0])
-
-    def written(lines_s):
-        drawn = io.StringIO()
-        with working(
-            "identify", lines_s=lines_s, console=Console(file=drawn, force_terminal=False)
-        ) as stage:
-            for seconds, text in (
-                (4.0, "reading"),
-                (11.0, "iteration 3, about 20 s left"),
-                (15.0, "iteration 4"),
-                (75.0, "\x1b[2Jreport"),
-            ):
-                now[0] = 100.0 + seconds
-                stage(text)
-        return drawn.getvalue().splitlines()
-
-    lines = written(10.0)
-    assert lines[0] == "identify: 0:11, iteration 3, about 20 s left"
-    assert len(lines) == 2
-    assert lines[1].startswith("identify: 1:15, ")
-    assert "\x1b" not in lines[1]
-    assert written(1000.0) == []
-    assert written(float("inf")) == []

@@ -48,6 +48,8 @@ turbulence = "light"
 
 [epistemic]
 method = "corners"
+interior = 0
+nominal = false
 bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
 """
 SLOPES = {"CX": 1.0, "CY": 4.0, "CZ": 0.5, "Cl": 0.25, "Cm": 0.1, "Cn": 0.05}

@@ -64,6 +64,7 @@ duration_s = 150
 
 [epistemic]
 method = "corners"
+nominal = false
 """
 
 

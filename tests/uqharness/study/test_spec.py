@@ -58,6 +58,7 @@ turbulence = "moderate"
 
 [epistemic]
 method = "corners"
+nominal = false
 """
 
 

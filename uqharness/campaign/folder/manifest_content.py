@@ -82,17 +82,15 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _as_it_was(campaign: dict[str, Any]) -> dict[str, Any]:
-    """Flights from before there was another engine are JSBSim's; those from before there were interior points are corners alone."""
+    """Fill in what older versions flew: JSBSim as the engine, and corners without interior points or the nominal model."""
     filled = dict(campaign)
     if isinstance(section := campaign.get("campaign"), dict):
         filled["campaign"] = {"engine": "jsbsim", **section}
+    if isinstance(section := campaign.get("aleatory"), dict):
+        filled["aleatory"] = {"sensor_noise": True, **section}
     section = campaign.get("epistemic")
-    if (
-        isinstance(section, dict)
-        and section.get("method") == "corners"
-        and isinstance(section.get("bounds"), str)
-    ):
-        filled["epistemic"] = {"interior": 0, **section}
+    if isinstance(section, dict) and section.get("method") == "corners":
+        filled["epistemic"] = {"interior": 0, "nominal": False, **section}
     return filled
 
 

@@ -38,7 +38,10 @@ class CampaignSection(Section):
 
 
 class AleatorySection(Section):
-    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not."""
+    """Chance: flights per corner and condition, each ``duration_s`` scored after ``burn_in_s`` that is not.
+
+    ``sensor_noise`` absent: on where the aircraft has a sensors system, which is settled before the campaign is flown.
+    """
 
     flights: int = Field(ge=1, le=1_000_000)
     duration_s: Number = Field(gt=0, le=86_400)
@@ -49,7 +52,7 @@ class AleatorySection(Section):
     wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
     turbulence: Annotated[tuple[Turbulence, ...], BeforeValidator(listed)] = ("none",)
     turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
-    sensor_noise: bool = True
+    sensor_noise: bool | None = None
     variables: dict[str, VariableSection] = Field(default_factory=dict)
 
     @field_validator("wind_mps", "turbulence")
@@ -138,13 +141,14 @@ class CampaignSpec:
             for name, section in sections.items()
             if section is not None
         }
+        found["aleatory"].setdefault("sensor_noise", True)
         epistemic = found["epistemic"]
         epistemic["coefficients"] = list(self.inputs.coefficients)
-        # What an older campaign could not say is left out where it says nothing new: its flights are then the same campaign's.
-        epistemic.pop("interior", None)
-        epistemic.pop("transient", None)
-        if self.epistemic.interior_samples or self.epistemic.flies_interior:
-            epistemic["interior"] = self.epistemic.interior_samples
+        for name in ("interior", "nominal", "transient"):
+            epistemic.pop(name, None)
+        if self.epistemic.method == "corners":
+            epistemic["interior"] = self.interior_samples
+            epistemic["nominal"] = self.epistemic.flies_nominal
         if self.inputs.has_parts and self.epistemic.method != "none":
             epistemic["transient"] = bool(self.inputs.transient_rates)
         if self.epistemic.method == "walk":
@@ -152,6 +156,23 @@ class CampaignSpec:
                 name: self.inputs.walk_rates[name] for name in self.inputs.coefficients
             }
         return found
+
+    @property
+    def corner_count(self) -> int:
+        """Number of combinations that ``method`` lists: of bounds (or levels) and of the ends of uncertain means."""
+        section = self.epistemic
+        means = sum(item.mean_interval is not None for item in self.aleatory.variables.values())
+        moved = 0 if section.method == "none" else len(self.inputs.coefficients)
+        values = len(section.levels) if section.method == "levels" and section.levels else 2
+        points: int = values**moved
+        if section.set == "ellipsoid" and moved > 1:
+            points += 2 * moved
+        return int(points * values**means)
+
+    @property
+    def interior_samples(self) -> int:
+        """Number of interior points flown with the corners."""
+        return self.epistemic.interior_samples(self.corner_count)
 
     def with_hours(self, hours: float) -> CampaignSpec:
         """The same campaign with as many flights as give ``hours`` of scored flight per corner and condition."""
@@ -175,6 +196,12 @@ class CampaignSpec:
         """The same campaign flown in the engine of that name."""
         return dataclasses.replace(
             self, campaign=self.campaign.model_copy(update={"engine": engine})
+        )
+
+    def with_sensor_noise(self, noise: bool) -> CampaignSpec:
+        """The same campaign flown with sensor noise or without."""
+        return dataclasses.replace(
+            self, aleatory=self.aleatory.model_copy(update={"sensor_noise": noise})
         )
 
     def with_flights(self, flights: int) -> CampaignSpec:

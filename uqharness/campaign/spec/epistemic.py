@@ -17,7 +17,7 @@ SAMPLED = ("lhs", "white", "walk")
 MOST_SAMPLES = 1_000_000
 
 INTERIOR = 16
-"""Points between the corners that are flown beside those of a model form, unless told."""
+"""Most interior points by default: so many with a model form, at most one per corner with constant bounds."""
 
 PUBLISHED_WALK_RATE_PER_SQRT_S = 0.0017 * 50.0**0.5
 """0.17 % of the interval a sample (Hale 2016, Fig 3.3, CZ), the record taken as 50 Hz: what a walk moves at unless told."""
@@ -57,7 +57,8 @@ class EpistemicSection(Section):
 
     ``bounds`` per coefficient, or the name of a model-form.json; absent = the aircraft's own. ``set``: the intervals' box, or the
     ellipsoid of their joint confidence. ``transient``: the model form's transient error flies as well; absent = where there
-    is such a part. ``interior``: points of a Latin hypercube beside the corners.
+    is such a part. ``interior``: points of a Latin hypercube flown with the corners. ``nominal``: the model with all deltas zero is
+    flown with the corners as well (absent = true).
     """
 
     method: Literal["none", "corners", "levels", "lhs", "white", "walk"]
@@ -69,6 +70,7 @@ class EpistemicSection(Section):
     transient: bool | None = None
     set: Literal["box", "ellipsoid"] = "box"
     interior: int | None = Field(default=None, ge=0, le=MOST_SAMPLES)
+    nominal: bool | None = None
     parameters: ParametersSection | None = None
 
     @field_validator("coefficients")
@@ -125,17 +127,18 @@ class EpistemicSection(Section):
         self._check_set()
         return self
 
-    @property
-    def interior_samples(self) -> int:
-        """Interior points flown."""
+    def interior_samples(self, corners: int) -> int:
+        """Return the number of interior points flown with so many corners."""
         if self.interior is not None:
             return self.interior
-        return INTERIOR if self.flies_interior else 0
+        if self.method != "corners":
+            return 0
+        return INTERIOR if isinstance(self.bounds, str) else min(INTERIOR, corners)
 
     @property
-    def flies_interior(self) -> bool:
-        """Whether interior points fly unless told otherwise: corners of a model form."""
-        return self.method == "corners" and isinstance(self.bounds, str)
+    def flies_nominal(self) -> bool:
+        """Whether the model without deltas flies with the corners."""
+        return self.method == "corners" and self.nominal is not False
 
     def _check_bounds(self) -> None:
         if not isinstance(self.bounds, dict):
@@ -183,6 +186,11 @@ class EpistemicSection(Section):
         if self.interior and self.method != "corners":
             raise ValueError(
                 f'interior = {self.interior}: interior points are flown beside corners, not with method = "{self.method}"'
+            )
+        if self.nominal and self.method != "corners":
+            raise ValueError(
+                f'nominal = true: the nominal model is flown with corners, not with method = "{self.method}"; method = "none" '
+                "flies it alone"
             )
         if self.transient and self.method == "none":
             raise ValueError('transient = true: method = "none" flies no model error')

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 INTERIOR_MARK = "lhs-"
 """How ids of points of a Latin hypercube begin."""
+NOMINAL = "nominal"
+"""Id of the model with all deltas zero."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     A corner's id has one digit per coefficient in the order CX CY CZ Cl Cm Cn (``-`` for one that is not uncertain), then, after a
     ``+``, one per uncertain mean; a draw of parameters adds ``+p`` and its number. Drawn samples are numbered: ``walk-000007``, and
     the points between corners as those of a Latin hypercube. Of an ellipsoid, ``e010011`` is the point in a corner's direction,
-    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval.
+    ``a..1...`` the end of an axis, with ``.`` for a coefficient in the middle of its interval. ``nominal`` is the model with all
+    deltas zero and uncertain means in the middle of their intervals.
     """
     means = [
         name for name, item in spec.aleatory.variables.items() if item.mean_interval is not None
@@ -60,7 +63,9 @@ def epistemic_samples(spec: CampaignSpec) -> tuple[Epistemic, ...]:
     draws = _parameter_draws(spec)
     if spec.epistemic.method in SAMPLED:
         return tuple(_drawn(spec, means, draws))
-    points = (*_combined(spec, means), *_interior(spec, means))
+    points = [*_combined(spec, means), *_interior(spec, means)]
+    if spec.epistemic.flies_nominal:
+        points.append(Epistemic(NOMINAL, {}, None, dict.fromkeys(means, 0.5)))
     return tuple(_with_draws(points, draws))
 
 
@@ -93,7 +98,7 @@ def _combined(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
         ]
     for (name, levels), combination in itertools.product(points, _product(values, len(means))):
         mean_levels = dict(zip(means, combination, strict=True))
-        name = name if moved else "nominal"
+        name = name if moved else NOMINAL
         if means:
             name += "+" + separator.join(f"{level:.17g}" for level in mean_levels.values())
         yield Epistemic(name, levels, None, mean_levels)
@@ -138,7 +143,7 @@ def _reach(spec: CampaignSpec) -> float:
 
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
     """Points of a Latin hypercube over the same set."""
-    number = spec.epistemic.interior_samples
+    number = spec.interior_samples
     columns = {
         name: latin_column(spec.campaign.seed, name, number)
         for name in (*spec.inputs.coefficients, *means)

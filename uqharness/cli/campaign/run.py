@@ -15,10 +15,13 @@ from uqharness.campaign import (
     CampaignSummary,
     Cost,
     bounds_notes,
+    corners_only_words,
     joint_level,
     joint_words,
     make_copy,
     needs_copy,
+    noise_notes,
+    points_flown,
     refuse_if_long,
     size_of,
 )
@@ -48,7 +51,8 @@ _RUN_EXAMPLE = """
 
 The same command resumes a run that was interrupted, killed or cut off: only missing flights are flown.
 
-With bounds = "model-form.json" 16 points between the corners fly as well ([epistemic] interior = N), and transient model error
+With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points between the corners fly as well:
+16 with bounds = "model-form.json", else as many as corners, at most 16 (interior = N). Transient model error flies
 if the file has such a part (transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
 
 
@@ -170,6 +174,8 @@ def failures(statuses: Mapping[str, int]) -> str:
 
 def _check(args: argparse.Namespace) -> int:
     spec = asked_campaign(args)
+    for note in noise_notes(spec):
+        print(f"note: {note}", file=sys.stderr)
     with scratch_folder("check") as scratch:
         mission = campaign_run.find_mission(spec, scratch.path)
         if needs_copy(spec):
@@ -178,6 +184,7 @@ def _check(args: argparse.Namespace) -> int:
     cost = Cost(size_of(spec), 0, pace, args.workers or usable_cores(), settled.engine)
     described = describe_campaign(settled.spec, mission, cost.size.flights, "")
     joint = joint_words(described)
+    remarks = corners_only_words(described["campaign"]["epistemic"])
     asked = (
         "; more than a day of this machine: `campaign run` needs --yes or --hours"
         if cost.is_long
@@ -189,10 +196,11 @@ def _check(args: argparse.Namespace) -> int:
             "engine_why": list(settled.why),
             "joint_level": joint_level(described),
             "joint": joint,
+            "bounds_hold_at": points_flown(described["campaign"]["epistemic"]),
         }
         print(json.dumps(_cost_json(cost) | found))
     else:
-        told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint]
+        told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
         print("\n".join(f"{args.campaign}: {line}" for line in told))
     return 0
 
@@ -216,7 +224,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
 
 def _run(args: argparse.Namespace) -> int:
     spec = asked_campaign(args)
-    for note in bounds_notes(spec):
+    for note in (*noise_notes(spec), *bounds_notes(spec)):
         print(f"note: {note}", file=sys.stderr)
     shard = parse_shard(args.shard) if args.shard is not None else None
     agreed = args.yes or args.hours is not None
@@ -255,7 +263,15 @@ def _run(args: argparse.Namespace) -> int:
         )
         raise
     say_rewritten(summary.folder, summary.rewritten)
-    print(json.dumps(_summary_json(summary)) if args.json else _sentence(summary))
+    epistemic = spec.as_dict()["epistemic"]
+    if args.json:
+        print(json.dumps(_summary_json(summary) | {"bounds_hold_at": points_flown(epistemic)}))
+    else:
+        lines = [
+            _sentence(summary),
+            *(f"{summary.folder}: {x}" for x in corners_only_words(epistemic)),
+        ]
+        print("\n".join(lines))
     return 0
 
 

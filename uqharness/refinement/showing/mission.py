@@ -89,7 +89,7 @@ def specification(data: Mapping[str, Any], aircraft: Aircraft, form: Path) -> Ca
     """The campaign with an aircraft and its intervals' file, beside which relative names are looked for. Raises BadInputError."""
     campaign = {**data["campaign"], "aircraft": str(aircraft.folder)}
     # Corners alone unless the campaign says otherwise: what is compared is the same set of samples before and after.
-    epistemic = {"interior": 0, **data["epistemic"], "bounds": form.name}
+    epistemic = {"interior": 0, "nominal": False, **data["epistemic"], "bounds": form.name}
     return campaign_from(
         {**data, "campaign": campaign, "epistemic": epistemic}, form.with_suffix(".toml")
     )

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import pandas as pd
 
 from sysid.units import percent
-from uqharness.campaign import CONFIDENCE, Condition, ExcursionCell, Statement
+from uqharness.campaign import (
+    CONFIDENCE,
+    Condition,
+    ExcursionCell,
+    Statement,
+    corners_only_words,
+)
 from uqharness.campaign.conditions import conditions
 from uqharness.report import statements as report_statements
 from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
@@ -53,7 +60,12 @@ def campaign_page(
     kind = kind_of(found.campaign["epistemic"])
     sections = [called(grid_section(found.signed), kind)]
     if is_wanted(PBOXES, only):
-        sections.append(called(pbox_section(found, prefix), kind))
+        section = called(pbox_section(found, prefix), kind)
+        remarks = tuple(
+            Words(f"{text[0].upper()}{text[1:]}.")
+            for text in corners_only_words(found.campaign["epistemic"])
+        )
+        sections.append(replace(section, blocks=(*remarks, *section.blocks)))
     sections += track_section(found.folder, found.frame, prefix)
     sections += sensitivity_section(found.folder, found.manifest, prefix)
     sections += [*(called(s, kind) for s in rate_sections(found)), failure_section(found.frame)]

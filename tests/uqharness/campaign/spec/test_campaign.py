@@ -26,7 +26,7 @@ def test_reads_a_campaign_and_fills_in_defaults(tmp_path):
     assert spec.campaign.seed == 7
     assert spec.aleatory.wind_mps == (3.0,)
     assert spec.aleatory.turbulence == ("moderate",)
-    assert spec.aleatory.sensor_noise is True
+    assert spec.aleatory.sensor_noise is None
     assert spec.epistemic.bounds["CZ"] == (-0.05, 0.05)
     assert spec.metrics.excursion_radius_m == (15.0, 25.0)
     assert spec.stop.rule == "flights"
@@ -143,7 +143,7 @@ def test_bad_toml_names_the_line(tmp_path):
     [
         (
             '[stop]\nrule = "decide"\nradius_m = 20\n',
-            ":21: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
+            ":23: [stop] radius_m = 20: must be among [metrics] excursion_radius_m",
         ),
         (
             '[stop]\nrule = "decide"\nindifference_per_h = [0.2, 0.3]\n',

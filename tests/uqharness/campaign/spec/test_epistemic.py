@@ -73,6 +73,7 @@ def test_one_rate_is_everyones():
             "belongs to the methods corners and lhs",
         ),
         ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "interior": 4}, "flown beside corners"),
+        ({"method": "lhs", "samples": 5, "bounds": BOUNDS, "nominal": True}, "flies it alone"),
         ({"method": "corners", "bounds": BOUNDS, "interior": -1}, "interior"),
         ({"method": "corners", "bounds": BOUNDS, "set": "ball"}, "set"),
         ({"method": "none", "transient": True}, 'method = "none" flies no model error'),
@@ -98,8 +99,16 @@ def test_a_confidence_belongs_to_a_box():
 
 
 def test_interior_points_fly_beside_the_corners_of_a_model_form():
-    assert made(method="corners", bounds="model-form.json").interior_samples == 16
-    assert made(method="corners", bounds="model-form.json", interior=0).interior_samples == 0
-    assert made(method="corners", bounds=BOUNDS).interior_samples == 0
-    assert made(method="corners", bounds=BOUNDS, interior=3).interior_samples == 3
-    assert made(method="lhs", samples=5, bounds="model-form.json").interior_samples == 0
+    assert made(method="corners", bounds="model-form.json").interior_samples(4) == 16
+    assert made(method="corners", bounds="model-form.json", interior=0).interior_samples(4) == 0
+    assert made(method="lhs", samples=5, bounds="model-form.json").interior_samples(4) == 0
+
+
+def test_interior_points_and_the_nominal_model_fly_beside_corners_of_constant_bounds():
+    corners = made(method="corners", bounds=BOUNDS)
+    assert [corners.interior_samples(n) for n in (2, 8, 64)] == [2, 8, 16]
+    assert corners.flies_nominal
+    assert made(method="corners", bounds=BOUNDS, interior=3).interior_samples(64) == 3
+    assert made(method="corners", bounds=BOUNDS, interior=0).interior_samples(64) == 0
+    assert not made(method="corners", bounds=BOUNDS, nominal=False).flies_nominal
+    assert not made(method="none").flies_nominal

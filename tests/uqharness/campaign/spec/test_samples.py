@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy import stats
 
 from uqharness.campaign.inputs import Estimates
+from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import EpistemicSection, ParametersSection
 from uqharness.campaign.spec.samples import epistemic_samples, latin_column, parameter_draws
 from uqharness.campaign.spec.variables import VariableSection
@@ -22,7 +24,15 @@ ESTIMATES = Estimates(
 
 def spec(variables=None, moved=("CX", "Cm"), estimates=None, **section):
     section = EpistemicSection.model_validate({"coefficients": moved, **section})
-    return SimpleNamespace(
+    # By default corners alone: tests of the other points ask for them.
+    section = section.model_copy(
+        update={"interior": section.interior_samples(0), "nominal": bool(section.nominal)}
+    )
+    return CampaignSpec(
+        Path(),
+        "",
+        metrics=None,
+        stop=None,
         epistemic=section,
         inputs=SimpleNamespace(
             coefficients=moved,
@@ -45,6 +55,13 @@ def test_corners_in_order_with_means_fastest():
     ]
     assert found[3].levels == {"CX": 0.0, "Cm": 1.0}
     assert found[3].means == {"load/kg": 1.0}
+
+
+def test_the_nominal_model_flies_last_with_means_in_the_middle():
+    *corners, nominal = epistemic_samples(spec(LOAD, method="corners", bounds=BOUNDS, nominal=True))
+    assert len(corners) == 8
+    assert (nominal.epistemic_id, nominal.levels) == ("nominal", {})
+    assert nominal.means == {"load/kg": 0.5}
 
 
 def test_levels_and_none():

@@ -22,14 +22,28 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     assert call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
-    (cost,) = captured.err.splitlines()
+    note, cost = captured.err.splitlines()
+    assert "no sensors system: it is flown without sensor noise" in note
     assert "192 flights (64 epistemic samples, 1 condition, 3 each), 11.2 flight h" in cost
-    (line,) = captured.out.splitlines()
+    line, remark = captured.out.splitlines()
+    assert "bounds hold at the corners only" in remark
     assert "192 flights done, none failed" in line
     assert "flight h per core h" in line
     manifest = read_manifest(tmp_path / "out")
     assert manifest["command"].startswith("uqharness campaign run ")
     assert "--serial" not in manifest["command"]
+
+
+def test_a_run_that_flies_between_the_corners_claims_the_box(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false\n", "")
+    path = fakes.campaign_file(tmp_path, text.replace("flights = 3", "flights = 1"))
+    assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
+    captured = capsys.readouterr()
+    assert "81 flights (81 epistemic samples, 16 of them between the corners" in captured.err
+    assert "corners only" not in captured.out
+    statements = (tmp_path / "out" / "statements.csv").read_text().splitlines()
+    assert statements[1].endswith(',"corners, 16 interior points and nominal model"')
 
 
 def test_run_again_resumes_and_speaks_json(flown, capsys):

@@ -1,0 +1,427 @@
+"""Commands in Python whose result is a document: margins, differences, campaigns checked, studies, pages, dossiers.
+
+They run the command in a process of its own and return what its ``--json`` prints.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from uqharness.api.flights import AnyAircraft, AnyPath
+from uqharness.arguments import one_of, path, whole
+from uqharness.arguments import workers as given_workers
+from uqharness.child_process import run_command
+from uqharness.errors import BadInputError, TerminatedError
+from uqharness.heartbeat import notebook_line
+from uqharness.simulator import Aircraft
+
+
+def margins(
+    aircraft: AnyAircraft,
+    *,
+    script: AnyPath = "loiter",
+    loop: Sequence[str] = (),
+    flight: Literal["loiter", "straight"] = "loiter",
+    autopilot: AnyPath | None = None,
+    out: AnyPath | None = None,
+) -> dict[str, Any]:
+    """Measure the autopilot's stability margins in flight, as ``uqharness margins`` does.
+
+    Parameters
+    ----------
+    aircraft : str, Path or Aircraft
+        The model.
+    script : str or Path
+        Run script that engages the autopilot.
+    loop : sequence of str
+        Actuators whose loops are measured, such as ``["elevator"]``; by default all.
+    flight : {"loiter", "straight"}
+        On the circle, or straight.
+    autopilot : str or Path, optional
+        ArduPlane parameter file with gains, in place of the aircraft's own.
+    out : str or Path, optional
+        FILE.html for a page with the charts.
+
+    Returns
+    -------
+    dict
+        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s] and the modulus margin [-].
+
+    Raises
+    ------
+    BadInputError
+        For an aircraft without an autopilot, and an unknown loop.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> found = uq.margins("espaaro", loop=["elevator"], flight="straight")
+    >>> found["loops"]["elevator"]["phase_deg"] > 30.0
+    True
+    """
+    words = ["margins", _aircraft(aircraft), "--script", str(script), "--flight", flight]
+    words += [word for name in _several(loop) for word in ("--loop", name)]
+    return _document(words + _files(autopilot=autopilot, out=out))
+
+
+def diff(
+    a: AnyAircraft,
+    b: AnyAircraft,
+    *,
+    speed_mps: float | Sequence[float] = (),
+    altitude_m: float = 200.0,
+    script: AnyPath | Sequence[AnyPath] = (),
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
+    seed: int = 0,
+    properties: Sequence[str] = (),
+    tolerance: float | None = None,
+    repeats: int = 0,
+    bounds: bool = False,
+    python_b: AnyPath | None = None,
+    out: AnyPath | None = None,
+) -> dict[str, Any]:
+    """Fly two models side by side and list their differences, as ``uqharness diff`` does.
+
+    Parameters
+    ----------
+    a, b : str, Path or Aircraft
+        The models; a str may be REVISION:FOLDER of a git repository.
+    speed_mps : float or sequence of float
+        True airspeeds at which A is trimmed and its manoeuvres are flown [m/s].
+    altitude_m : float
+        Height of the manoeuvres above sea level [m].
+    script : path or sequence of paths
+        Run scripts that both fly too.
+    turbulence, seed
+        The same air for both.
+    properties : sequence of str
+        JSBSim properties that are compared too.
+    tolerance : float, optional
+        Share of a channel's range up to which differences count as equal [-]; by default rounding.
+    repeats : int
+        Flights of A in other turbulence, whose differences count as equal.
+    bounds : bool
+        Whether differences within A's model-form bounds count as equal.
+    python_b : str or Path, optional
+        Interpreter that flies B.
+    out : str or Path, optional
+        FILE.html for a page.
+
+    Returns
+    -------
+    dict
+        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML that differ, ``flights``.
+
+    Raises
+    ------
+    BadInputError
+        For unknown aircraft, and where neither a speed nor a script is named.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.diff("espaaro", "espaaro", script="trim")["differ"]
+    False
+    """
+    words = ["diff", _aircraft(a), _aircraft(b), "--altitude-m", str(altitude_m)]
+    speeds = speed_mps if isinstance(speed_mps, Sequence) else [speed_mps]
+    words += [word for value in speeds for word in ("--speed-mps", str(value))]
+    words += [word for value in _several(script) for word in ("--script", str(value))]
+    words += [word for value in _several(properties) for word in ("--property", str(value))]
+    words += ["--turbulence", turbulence, "--seed", str(whole("seed", seed))]
+    words += ["--repeats", str(whole("repeats", repeats))]
+    words += [] if tolerance is None else ["--tolerance", str(tolerance)]
+    words += ["--bounds"] if bounds else []
+    return _document(words + _files(python_b=python_b, out=out))
+
+
+def check_campaign(
+    campaign: AnyPath,
+    *,
+    hours: float | None = None,
+    samples: int | None = None,
+    engine: Literal["auto", "batch", "jsbsim"] | None = None,
+    workers: int | None = None,
+) -> dict[str, Any]:
+    """Work out what a campaign costs before it is flown, as ``uqharness campaign check`` does.
+
+    Parameters
+    ----------
+    campaign : str or Path
+        A campaign.toml, or the name of a folder under campaigns/.
+    hours, samples, engine, workers
+        As for `run_campaign`.
+
+    Returns
+    -------
+    dict
+        ``flights``, ``flight_hours`` [h], ``expected_s`` [s], ``disk_bytes``, ``engine`` and why, ``bounds_hold_at``.
+
+    Raises
+    ------
+    BadInputError
+        For mistakes in the campaign, each with its line, and a model that does not fly.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.check_campaign("demo", hours=0.05, engine="jsbsim")["flights"]
+    64
+    """
+    words = ["campaign", "check", str(path("campaign", campaign))]
+    sizes = {"--hours": hours, "--samples": samples, "--engine": engine, "--workers": workers}
+    return _document(
+        words + [str(w) for pair in sizes.items() if pair[1] is not None for w in pair]
+    )
+
+
+def verify(folder: AnyPath) -> dict[str, Any]:
+    """Check a folder of results against its digests, as ``uqharness campaign verify`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a campaign.
+
+    Returns
+    -------
+    dict
+        ``whole``, ``complete``, and of each file its ``state``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.verify("results")["whole"]
+    True
+    """
+    return _document(["campaign", "verify", str(path("folder", folder))])
+
+
+def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[str, Any]:
+    """Run a study file stage by stage, or resume it, as ``uqharness study`` does.
+
+    Parameters
+    ----------
+    study : str or Path
+        The study file (docs/study.md), or the name of a folder under campaigns/.
+    out : str or Path
+        Folder for the results.
+    workers : int, optional
+        Processes; by default one a core.
+
+    Returns
+    -------
+    dict
+        The content of study.json: ``question``, ``answer``, ``stages`` with their exit codes, and ``report``, the page's path.
+
+    Raises
+    ------
+    BadInputError
+        For mistakes in the file, each with its line, and a stage that cannot use its input.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.study("missing.toml", "results")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing.toml
+    """
+    words = ["study", str(path("study", study)), "--out", str(path("out", out))]
+    number = given_workers(workers)
+    words += [] if workers is None else ["--workers", str(number)]
+    return _document(words)
+
+
+def next_flight(
+    folder: AnyPath,
+    out: AnyPath,
+    *,
+    bounds: AnyPath | None = None,
+    metric: str | None = None,
+    coefficient: str | None = None,
+    minutes: float = 5.0,
+    speeds: Sequence[float] = (),
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
+    cases: int = 6,
+    occupancy: Sequence[AnyPath] = (),
+    flights: Sequence[AnyPath] = (),
+    redone: AnyPath | None = None,
+    seed: int = 1,
+    figures: bool = True,
+) -> dict[str, Any]:
+    """Plan the test flight that most narrows the p-box, as ``uqharness next-flight`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a finished campaign of corners.
+    out : str or Path
+        Folder for the run script, the table of test points and the page.
+    bounds : str or Path, optional
+        model-form.json; by default the bounds that the campaign flew.
+    metric, coefficient : str, optional
+        Column of the campaign's table, and coefficient; by default the one to which the metric is most sensitive.
+    minutes : float
+        Length of the flight at most [min].
+    speeds : sequence of float
+        True airspeeds of the test points [m/s]; by default those of the mission.
+    turbulence : {"none", "light", "moderate", "severe"}
+        Of the simulated test flight.
+    cases : int
+        Campaign flights that are repeated to record the mission's flight states.
+    occupancy, flights : sequence of paths
+        Records of the mission in place of campaign flights; flights that the bounds were made from.
+    redone : str or Path, optional
+        Bounds that include the new flight: they are compared with the old ones and nothing is planned.
+    seed : int
+        Of the simulated flights.
+    figures : bool
+        Whether figures are drawn.
+
+    Returns
+    -------
+    dict
+        The content of next-flight.json; with ``redone`` the narrowing of each coefficient.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is no finished campaign of corners, and bounds of another aircraft.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.next_flight("missing", "next")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    words = ["next-flight", str(path("folder", folder)), "--out", str(path("out", out))]
+    one_of("turbulence", turbulence, ("none", "light", "moderate", "severe"))
+    for option, file in (("--bounds", bounds), ("--redone", redone)):
+        words += [] if file is None else [option, str(path(option[2:], file))]
+    for option, text in (("--metric", metric), ("--coefficient", coefficient)):
+        words += [] if text is None else [option, text]
+    words += ["--minutes", str(minutes), "--turbulence", turbulence]
+    words += ["--cases", str(whole("cases", cases, 1)), "--seed", str(whole("seed", seed))]
+    words += ["--speeds", ",".join(map(str, speeds))] if speeds else []
+    for option, files in (("--occupancy", occupancy), ("--flight", flights)):
+        words += [option, *(str(path(option[2:], file)) for file in files)] if files else []
+    words += [] if figures else ["--no-figures"]
+    return _document(words)
+
+
+def report(folder: AnyPath) -> Path:
+    """Write the page of a folder of results from its files, as ``uqharness report`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The ``--out`` of another command, or the ``out`` of a function.
+
+    Returns
+    -------
+    Path
+        report.html, one file that needs no network.
+
+    Raises
+    ------
+    BadInputError
+        For a folder of no results, or one that is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.report("results").name
+    'report.html'
+    """
+    from uqharness.report import write_report
+
+    return write_report(path("folder", folder)).path
+
+
+def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
+    """Write the evidence of a folder of results as one document, as ``uqharness dossier`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Results of study, refine, run_campaign, identify or compare, or a folder with several of them.
+    out : str or Path, optional
+        File to write; by default dossier.html in the folder.
+
+    Returns
+    -------
+    dict
+        ``dossier``, the page's path; ``missing``, what the folder lacks; ``tests``, ``not_in_the_data`` and ``sources``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder of no results, and a file whose name does not end with .html.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> "sources" in uq.dossier("results")
+    True
+    """
+    words = ["dossier", str(path("folder", folder))]
+    return _document(words + ([] if out is None else ["--out", str(path("out", out))]))
+
+
+def _aircraft(aircraft: AnyAircraft) -> str:
+    return str(aircraft.folder if isinstance(aircraft, Aircraft) else path("aircraft", aircraft))
+
+
+def _several(values: Any) -> list[Any]:
+    """One value or several."""
+    return [values] if isinstance(values, str | Path) else list(values)
+
+
+def _files(**files: AnyPath | None) -> list[str]:
+    """Options that name files."""
+    pairs = {
+        f"--{name.replace('_', '-')}": file for name, file in files.items() if file is not None
+    }
+    return [
+        word for option, file in pairs.items() for word in (option, str(path(option[2:], file)))
+    ]
+
+
+def _document(words: Sequence[str]) -> dict[str, Any]:
+    """Run a command in a process of its own, which no aircraft file can end this one through; the document that it prints."""
+    with notebook_line(f"uqharness {words[0]}"):
+        code, printed, errors = run_command([*words, "--json"])
+    if code in (0, 1) and printed.strip():
+        document: dict[str, Any] = json.loads(printed)
+        return document
+    if code in (130, 143):
+        raise TerminatedError
+    lines = errors.strip().splitlines() or [f"uqharness {words[0]} ended with {code}"]
+    raise BadInputError(lines[-1].removeprefix("uqharness: error: "))
