@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sysid.logs.card import AirframeCard
     from sysid.record import FlightRecord
 
-_FORMAT = "3"  # raise it when importing the same log gives another record
+_FORMAT = "4"  # raise it when importing the same log gives another record
 
 
 def default_cache() -> Path:
