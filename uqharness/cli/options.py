@@ -154,6 +154,16 @@ def add_map(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_flight_number(parser: argparse.ArgumentParser) -> None:
+    """``--flight-number``; None where the longest flight is read."""
+    parser.add_argument(
+        "--flight-number",
+        type=whole("--flight-number", 1),
+        metavar="N",
+        help="which flight of a log that holds several boots of the autopilot (default: the longest)",
+    )
+
+
 def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
     """``--manoeuvres``."""
     text = (
