@@ -42,9 +42,11 @@ def assemble(
     card: AirframeCard | None,
     source: str = "",
     sha256: str = "",
+    checked: bool = True,
 ) -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
+    checked  False leaves the checks of the finished record out; `with_checks` makes up for it
     Raises LogError when the log has none of the channels a record is made of.
     """
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
@@ -113,9 +115,16 @@ def assemble(
             {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
         ),
         *findings,
-        *check_record(record, phase.free_s),
     ]
-    return FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+    record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+    return with_checks(record) if checked else record
+
+
+def with_checks(record: FlightRecord) -> FlightRecord:
+    """Add what the checks find in a record of `assemble`."""
+    meta = record.metadata
+    fresh = check_record(record, next(iter(meta.free_flight_s), None))
+    return FlightRecord(record.columns, replace(meta, findings=(*meta.findings, *fresh)))
 
 
 def _in_flight(finding: Finding, free_s: tuple[float, float] | None) -> bool:

@@ -85,7 +85,11 @@ def _restarts(time_s: FloatArray) -> list[int]:
         earlier = np.flatnonzero(level[begin:k] <= after)
         if len(earlier):
             last = begin + int(earlier[-1])
-            if level[last + 1] - level[last] > RESTART_S and after - level[last] <= RESTART_S:
+            lasted = before - level[last + 1]
+            if (
+                level[last + 1] - level[last] > RESTART_S
+                and after - level[last] <= RESTART_S + lasted
+            ):
                 continue
         # A block that was written late ends with a jump to where the clock had been.
         later = np.flatnonzero(level[k + 1 :] >= before - 0.5 * RESTART_S)

@@ -11,7 +11,7 @@ from sysid.digests import file_sha256
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
-from sysid.logs.assemble import assemble
+from sysid.logs.assemble import assemble, with_checks
 from sysid.logs.boots import split
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
@@ -126,7 +126,7 @@ def _chosen(
         start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
         free_s: tuple[float, float] | None = None
         try:
-            record = assemble(boot, signal_map, card, path.name, digest)
+            record = assemble(boot, signal_map, card, path.name, digest, checked=False)
         except LogError as error:
             problems[number] = str(error)
         else:
@@ -141,7 +141,7 @@ def _chosen(
         raise LogError(
             f"flight {number} of {count} in this file cannot be read: {problems[number]}"
         )
-    chosen = listed[best_number - 1]
+    best, chosen = with_checks(best), listed[best_number - 1]
     return replace(
         best,
         metadata=replace(

@@ -26,7 +26,11 @@ _HEALTH = ("present", "enabled", "health")
 
 @dataclass(frozen=True)
 class _Instance:
-    """One instance's usable rows in order of time; ``in_use`` is None where the log does not mark the sensor in use."""
+    """One instance's usable rows in order of time.
+
+    in_use   (n,) True where the row itself says that the instance is used; None where rows do not say so
+    primary  times and numbers of the instance in use, as any message says it; the instance's own is ``primary_number``
+    """
 
     number: int
     key: tuple[str, int]
@@ -35,7 +39,25 @@ class _Instance:
     step_s: float
     valid: BoolArray
     in_use: BoolArray | None
+    primary: tuple[FloatArray, FloatArray] | None
+    primary_number: int
     reason: str
+
+    @property
+    def says_use(self) -> bool:
+        """Whether the log marks the instance in use at all."""
+        return self.primary is not None or self.in_use is not None
+
+    def used_at(self, at_s: FloatArray) -> BoolArray:
+        """Whether the autopilot used the instance at some times."""
+        if self.primary is not None:
+            time_s, numbers = self.primary
+            at = np.searchsorted(time_s, at_s + SAME_S, side="right") - 1
+            # Before the first word of it nothing is known, and every instance may be the one.
+            return (at < 0) | (numbers[np.maximum(at, 0)] == self.primary_number)
+        if self.in_use is not None:
+            return _state_at(self, self.in_use, at_s)
+        return np.ones(len(at_s), dtype=bool)
 
     @property
     def name(self) -> str:
@@ -49,10 +71,10 @@ class Sensors:
     def __init__(self, raw: RawLog, rules: Sequence[SensorRule]) -> None:
         self._raw = raw
         self._rules = tuple(rules)
-        self._entries: dict[
-            tuple[int, int | None], tuple[tuple[str, int], str, Finding | None]
-        ] = {}
-        self._used: dict[tuple[int, int | None], Finding] = {}
+        # Rule, binding instance and carriers -> table to read, its name in labels, what there is to say.
+        self._entries: dict[tuple[object, ...], tuple[tuple[str, int], str, Finding | None]] = {}
+        self._carriers: dict[tuple[int, tuple[str, ...]], tuple[tuple[str, int], ...]] = {}
+        self._used: dict[tuple[str, int], Finding] = {}
 
     def resolve(self, entry: Entry) -> Entry:
         """The entry with the table to read: its message, the instance or the key of a composed table, and its label."""
@@ -62,7 +84,7 @@ class Sensors:
                 logged = [i for m, i in self._raw.messages if m == entry.message and i >= 0]
                 return replace(entry, instance=min(logged, default=0))
             return entry
-        cache_key = (number, entry.instance)
+        cache_key = self._cache_key(number, entry)
         if cache_key not in self._entries:
             self._entries[cache_key] = self._select(number, entry)
         (message, instance), source, _ = self._entries[cache_key]
@@ -71,11 +93,24 @@ class Sensors:
     def note_use(self, entry: Entry) -> None:
         """Keep the finding about the sensor of a map entry that became a channel."""
         number = next((k for k, rule in enumerate(self._rules) if rule.covers(entry)), None)
-        if number is None or (number, entry.instance) not in self._entries:
+        if number is None:
             return
-        finding = self._entries[(number, entry.instance)][2]
+        _, source, finding = self._entries[self._cache_key(number, entry)]
         if finding is not None:
-            self._used[(number, entry.instance)] = finding
+            self._used[source, number] = finding
+
+    def _cache_key(self, number: int, entry: Entry) -> tuple[object, ...]:
+        """What a selection depends on: the rule, a binding instance, and the instances that have the fields."""
+        messages = (self._rules[number].message, *self._rules[number].also)
+        if self._carriers.get((number, entry.fields)) is None:
+            self._carriers[number, entry.fields] = tuple(
+                sorted(
+                    key
+                    for key, table in self._raw.messages.items()
+                    if key[0] in messages and key[1] >= 0 and {*entry.fields} <= {*table.fields}
+                )
+            )
+        return (number, entry.message, entry.instance, self._carriers[number, entry.fields])
 
     def findings(self) -> list[Finding]:
         """What was chosen and why, at most one finding of each severity."""
@@ -108,7 +143,7 @@ class Sensors:
         read = [i for i, rows in zip(instances, chosen, strict=True) if rows.any()]
         if not read:
             # A key that no table has: the next candidate of the map is taken.
-            self._used[(number, entry.instance)] = finding
+            self._used[first.name, number] = finding
             return (entry.message, -1000 - number), first.name, finding
         if len(read) == 1 and read[0].valid.all():
             return read[0].key, read[0].name, finding
@@ -176,40 +211,57 @@ class Sensors:
                 )
                 text = f"bit {rule.bits[number]} of {message}.{prefix}_health must be set"
                 require(~(present & enabled) | healthy, text)
-        in_use, rejected = self._in_use(rule, number, table, keep, time_s)
-        if rejected is not None:
-            require(~rejected, "the autopilot uses no sensor of this kind then")
-        return _Instance(
-            number, key, keep, time_s, cleaned.step_s, valid, in_use, ", ".join(reasons)
+        primary = self._primary(rule)
+        in_use = None if primary is not None else self._in_use(rule, table, keep, time_s)
+        instance = _Instance(
+            number,
+            key,
+            keep,
+            time_s,
+            cleaned.step_s,
+            valid,
+            in_use,
+            primary,
+            number + rule.primary_first,
+            "",
         )
+        if primary is not None:
+            at = np.searchsorted(primary[0], time_s + SAME_S, side="right") - 1
+            rejected = (at >= 0) & (primary[1][np.maximum(at, 0)] < rule.primary_first)
+            require(~rejected, "the autopilot uses no sensor of this kind then")
+        return replace(instance, valid=valid, reason=", ".join(reasons))
+
+    def _primary(self, rule: SensorRule) -> tuple[FloatArray, FloatArray] | None:
+        """Times and numbers of the instance in use, by the first of the rule's fields that the log has."""
+        for message, name in rule.primary:
+            names = (message, *rule.also) if message == rule.message else (message,)
+            own = message == rule.message
+            times, numbers = [], []
+            for (logged, instance), table in self._raw.messages.items():
+                values = _numbers(table, name) if logged in names and instance >= 0 else None
+                if values is None or (not own and instance != 0):
+                    continue
+                keep = clean(table.time_s).keep & np.isfinite(values)
+                times.append(table.time_s[keep])
+                numbers.append(values[keep])
+            if times and sum(map(len, times)):
+                time_s = np.concatenate(times)
+                order = np.argsort(time_s, kind="stable")
+                return time_s[order], np.concatenate(numbers)[order]
+        return None
 
     def _in_use(
-        self,
-        rule: SensorRule,
-        number: int,
-        table: MessageTable,
-        keep: BoolArray,
-        time_s: FloatArray,
-    ) -> tuple[BoolArray | None, BoolArray | None]:
-        """Rows at which the log marks the instance as the one in use, and rows at which it rejects all of them."""
-        for message, name in rule.primary:
-            if message == rule.message:
-                values = _numbers(table, name)
-                values = None if values is None else values[keep]
-            else:
-                values = self._held(message, name, time_s)
-            if values is not None:
-                first = rule.primary_first
-                rejected = values < first if message != rule.message else None
-                return np.isnan(values) | (values == number + first), rejected
+        self, rule: SensorRule, table: MessageTable, keep: BoolArray, time_s: FloatArray
+    ) -> BoolArray | None:
+        """Rows of an instance that say that it is the one in use."""
         if rule.selected is not None:
             own, message, name = rule.selected
-            values, wanted = _numbers(table, own), self._held(message, name, time_s)
-            if values is not None and wanted is not None:
-                return values[keep] == wanted, None
+            values, selected = _numbers(table, own), self._held(message, name, time_s)
+            if values is not None and selected is not None:
+                return values[keep] == selected
         if rule.in_use and (values := _numbers(table, rule.in_use)) is not None:
-            return values[keep] > 0, None
-        return None, None
+            return values[keep] > 0
+        return None
 
     def _held(self, message: str, name: str, at_s: FloatArray) -> FloatArray | None:
         """A state that another message logs, held from row to row; NaN before its first row, None where it is not logged."""
@@ -280,8 +332,7 @@ def _chosen(instances: Sequence[_Instance]) -> list[BoolArray]:
         for k, other in enumerate(instances):
             valid = _state_at(other, other.valid, instance.time_s)
             rank[k] = np.where(valid, 0.0, 2.0)
-            if other.in_use is not None:
-                rank[k] += np.where(_state_at(other, other.in_use, instance.time_s), 0.0, 1.0)
+            rank[k] += np.where(other.used_at(instance.time_s), 0.0, 1.0)
         best = np.argmin(rank, axis=0)  # the first of equals
         out.append((best == own) & instance.valid)
     return out
@@ -310,8 +361,8 @@ def _describe(
         parts.append(f"{names[read[0]]} is read because the map names it")
     elif len(read) == 1:
         k = read[0]
-        use = instances[k].in_use
-        if use is not None and use[chosen[k]].mean() > 0.5:
+        used = instances[k].used_at(instances[k].time_s[chosen[k]])
+        if instances[k].says_use and used.mean() > 0.5:
             why = f"the autopilot used it ({marked})" if marked else "the autopilot used it"
         elif invalid and instances[k].valid.all():
             why = "it is valid throughout"
@@ -321,7 +372,7 @@ def _describe(
     else:
         why = (
             f"the one in use ({marked})"
-            if marked and any(i.in_use is not None for i in instances)
+            if marked and any(i.says_use for i in instances)
             else "the valid one"
         )
         if len(spans) <= _MOST_SPANS:

@@ -102,7 +102,9 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     with working("identify", lambda: counter["segments"], lines_s=_LINES_S) as stage:
         stage("reading the flights")
-        flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        flights, measured = read_flights(
+            args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
+        )
         found = identify(
             aircraft,
             flights,

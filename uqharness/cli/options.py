@@ -133,8 +133,17 @@ def add_flights(
 
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """How flights are read and how commands reach the surfaces: ``--map``, ``--manoeuvres``, ``--servos``."""
+    """How flights are read and how commands reach the surfaces: ``--map``, ``--flight-number``, ``--manoeuvres``, ``--servos``."""
     add_map(parser)
+    parser.add_argument(
+        "--flight-number",
+        type=whole("--flight-number", 1),
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="N",
+        help="which flight of logs that hold several boots of the autopilot: one number, or one a file (default: the longest)",
+    )
     add_manoeuvres(parser)
     parser.add_argument(
         "--servos",
