@@ -42,11 +42,11 @@ def assemble(
     card: AirframeCard | None,
     source: str = "",
     sha256: str = "",
-    checked: bool = True,
+    judged: bool = True,
 ) -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
-    checked  False leaves the checks of the finished record out; `with_checks` makes up for it
+    judged  False leaves the checks of the finished record out; `with_checks` makes up for it
     Raises LogError when the log has none of the channels a record is made of.
     """
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
@@ -117,7 +117,7 @@ def assemble(
         *findings,
     ]
     record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
-    return with_checks(record) if checked else record
+    return with_checks(record) if judged else record
 
 
 def with_checks(record: FlightRecord) -> FlightRecord:

@@ -126,7 +126,7 @@ def _chosen(
         start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
         free_s: tuple[float, float] | None = None
         try:
-            record = assemble(boot, signal_map, card, path.name, digest, checked=False)
+            record = assemble(boot, signal_map, card, path.name, digest, judged=False)
         except LogError as error:
             problems[number] = str(error)
         else:

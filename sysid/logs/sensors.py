@@ -282,7 +282,8 @@ class Sensors:
         counts = [int(rows.sum()) for rows in chosen]
         filler = int(np.argmax(counts))
         names = set.intersection(*(set(self._raw.messages[i.key].fields) for i in read))
-        times, columns = [], {name: [] for name in names}
+        times: list[FloatArray] = []
+        columns: dict[str, list[FloatArray]] = {name: [] for name in names}
         for k, (instance, rows) in enumerate(zip(instances, chosen, strict=True)):
             missing = _none_valid(instances, instance.time_s) & (k == filler)
             emitted = rows | missing

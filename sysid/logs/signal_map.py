@@ -272,18 +272,28 @@ def _sensor_rules(data: Any, name: str) -> tuple[SensorRule, ...]:
                         (str(m), str(f), float(low), float(high))
                         for m, f, low, high in _list(row, "needs")
                     ),
-                    health=tuple(map(str, row["health"])) if "health" in row else None,
+                    health=_pair(row["health"]) if "health" in row else None,
                     bits=tuple(int(bit) for bit in _list(row, "bits")),
                     in_use=str(row.get("in_use", "")),
                     primary=tuple((str(m), str(f)) for m, f in _list(row, "primary")),
                     primary_first=int(row.get("primary_first", 0)),
-                    selected=tuple(map(str, row["selected"])) if "selected" in row else None,
+                    selected=_triple(row["selected"]) if "selected" in row else None,
                 )
             )
         except (TypeError, ValueError):
             text = f"a value is not of the form that docs/logs.md shows; received {row}"
             raise LogError(text, name, "[[sensors]]") from None
     return tuple(rules)
+
+
+def _pair(value: Any) -> tuple[str, str]:
+    first, second = value
+    return str(first), str(second)
+
+
+def _triple(value: Any) -> tuple[str, str, str]:
+    first, second, third = value
+    return str(first), str(second), str(third)
 
 
 def _list(row: Mapping[str, Any], key: str) -> list[Any]:

@@ -115,8 +115,8 @@ def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, num
         key = (str(data.name), int(data.multi_id))
         time_s = data.data["timestamp"].astype(np.float64) * 1e-6
         order = places.get(key)
-        good = order is not None and len(order) == len(time_s)
-        messages[key] = MessageTable(time_s, fields, base + order if good else None)
+        place = base + order if order is not None and len(order) == len(time_s) else None
+        messages[key] = MessageTable(time_s, fields, place)
     if not places and messages:
         # Each topic is in order, and so are all together.
         ranks = np.argsort(np.argsort(np.concatenate([t.time_s for t in messages.values()])))
@@ -172,7 +172,7 @@ def _steps_back(timestamp: NDArray[Any]) -> bool:
     )
 
 
-class _OrderedULog(ULog):  # type: ignore[misc]
+class _OrderedULog(ULog):
     """A log that also says in which order the records of all topics stand in the file."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -180,7 +180,7 @@ class _OrderedULog(ULog):  # type: ignore[misc]
         self.records = 0
         super().__init__(*args, **options)
 
-    class _MessageData(ULog._MessageData):  # type: ignore[misc, name-defined]
+    class _MessageData(ULog._MessageData):
         def initialize(
             self, data: bytes, header: Any, subscriptions: dict[int, Any], ulog_object: Any
         ) -> bool:

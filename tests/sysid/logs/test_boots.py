@@ -185,3 +185,16 @@ def test_the_boots_stay_with_a_record_and_its_cache(
     again = FlightRecord.read(tmp_path / "one.parquet")
     assert again.metadata.flights == record.metadata.flights
     assert again.metadata.flight_number == 1
+
+
+def test_findings_are_those_of_the_chosen_boot(
+    tmp_path: Path,
+    brief: FlightRecord,
+    card: AirframeCard,
+    card_path: Path,
+) -> None:
+    path = logs("dataflash-text", early(brief), brief, tmp_path, card)
+    codes = [f.code for f in import_log(path, None, card_path).metadata.findings]
+    path.write_bytes((tmp_path / "1.part").read_bytes())
+    alone = [f.code for f in import_log(path, None, card_path).metadata.findings]
+    assert codes == ["clock-restart", *alone]

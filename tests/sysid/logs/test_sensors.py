@@ -35,7 +35,7 @@ def read(
     }[dialect]
     messages = {(rates[0], 0): table(**dict.fromkeys(rates[1], 0.1 * np.cos(T))), **messages}
     return assemble(
-        RawLog(dialect, messages, facts={"mav_type": 1.0}), signal_map, None, checked=False
+        RawLog(dialect, messages, facts={"mav_type": 1.0}), signal_map, None, judged=False
     )
 
 
