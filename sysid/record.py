@@ -43,6 +43,21 @@ class Loiter:
 
 
 @dataclass(frozen=True)
+class Boot:
+    """One of several boots of the autopilot in a log, on its own clock; ``free_flight_s`` is None where it holds no flight."""
+
+    number: int
+    start_s: float
+    end_s: float
+    free_flight_s: tuple[float, float] | None
+
+    @property
+    def flight_s(self) -> float:
+        """Length of its free flight, s."""
+        return 0.0 if self.free_flight_s is None else self.free_flight_s[1] - self.free_flight_s[0]
+
+
+@dataclass(frozen=True)
 class Metadata:
     """Where a record comes from and what is known to be wrong with it.
 
@@ -57,6 +72,7 @@ class Metadata:
     free_flight_s  stretches [start, end] of free flight
     loiters      circles that the autopilot was told to fly
     findings     everything the checks had to say
+    flights      the boots of a log that holds several; empty for one      flight_number  the one that the record is of
     """
 
     source: str = ""
@@ -72,6 +88,8 @@ class Metadata:
     free_flight_s: tuple[tuple[float, float], ...] = ()
     findings: tuple[Finding, ...] = ()
     loiters: tuple[Loiter, ...] = ()
+    flights: tuple[Boot, ...] = ()
+    flight_number: int = 1
 
     @property
     def warnings(self) -> list[str]:
@@ -95,6 +113,11 @@ class Metadata:
             "loiters": [asdict(loiter) for loiter in self.loiters],
             "findings": [f.as_dict() for f in self.findings],
         }
+        if self.flights:
+            data |= {
+                "flights": [asdict(boot) for boot in self.flights],
+                "flight_number": self.flight_number,
+            }
         return json.dumps(data, sort_keys=True)
 
     @classmethod
@@ -115,7 +138,15 @@ class Metadata:
             free_flight_s=tuple((float(a), float(b)) for a, b in d.get("free_flight_s", ())),
             findings=tuple(finding_from_dict(f) for f in d.get("findings", ())),
             loiters=tuple(_loiter_from_dict(x) for x in d.get("loiters", ())),
+            flights=tuple(_boot_from_dict(x) for x in d.get("flights", ())),
+            flight_number=int(d.get("flight_number", 1)),
         )
+
+
+def _boot_from_dict(d: Mapping[str, Any]) -> Boot:
+    span = d["free_flight_s"]
+    free_s = None if span is None else (float(span[0]), float(span[1]))
+    return Boot(int(d["number"]), float(d["start_s"]), float(d["end_s"]), free_s)
 
 
 def _loiter_from_dict(d: Mapping[str, Any]) -> Loiter:

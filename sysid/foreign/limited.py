@@ -56,8 +56,9 @@ def read_raw(
     about: dict[str, Any] = {}
     for kind, *content in _ask(path, dialect, order, progress):
         if kind == "table":
-            name, instance, time_s, fields = content
-            messages[name, instance] = MessageTable(time_s, fields)
+            name, instance, time_s, fields, place = content
+            order = place if len(place) else None
+            messages[name, instance] = MessageTable(time_s, fields, order)
         else:
             (about,) = content
     return RawLog(
@@ -69,6 +70,16 @@ def read_raw(
         vehicle=about["vehicle"],
         facts=about["facts"],
         findings=tuple(finding_from_dict(row) for row in about["findings"]),
+        headers=tuple(about["headers"].tolist()),
+        parameter_log=tuple(
+            zip(
+                about["logged_at"].tolist(),
+                about["logged"].tolist(),
+                about["logged_values"].tolist(),
+                strict=True,
+            )
+        ),
+        text_places=tuple(about["said_at"].tolist()),
     )
 
 

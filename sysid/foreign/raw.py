@@ -20,10 +20,12 @@ class MessageTable:
 
     time_s  (n,) log time of each record, s, as logged (it may repeat or run backwards: `time_base.clean` deals with it)
     fields  name -> (n,) array, in the log's own units with the format's own multipliers applied
+    place   (n,) position of each record in the file, in any unit that orders all records of the log; None where it is not known
     """
 
     time_s: NDArray[np.float64]
     fields: Mapping[str, NDArray[Any]]
+    place: NDArray[np.integer[Any]] | None = None
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class RawLog:
     vehicle     what the log calls itself, "" when it does not say
     facts       anything else the checks need (e.g. "mav_type")
     findings    damage met while reading
+    headers     places at which the header of a log stands again: several logs in one file
+    parameter_log  (place, name, value) of every parameter logged, and `text_places` the place of each of `texts`, by which
+                boots are told apart; empty where the dialect does not know them
     """
 
     dialect: str
@@ -48,6 +53,9 @@ class RawLog:
     vehicle: str = ""
     facts: Mapping[str, float | str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    headers: tuple[int, ...] = ()
+    parameter_log: tuple[tuple[int, str, float], ...] = ()
+    text_places: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

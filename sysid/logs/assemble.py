@@ -28,8 +28,9 @@ from sysid.logs.checking.checks import (
 )
 from sysid.logs.importers.table_format import listed
 from sysid.logs.loiters import found_loiters, loiter_commands
+from sysid.logs.sensors import Sensors
 from sysid.logs.servo import Control, controls, deflection, elevator_channel
-from sysid.logs.signal_map import ServoOutputs, SignalMap
+from sysid.logs.signal_map import Entry, ServoOutputs, SignalMap
 from sysid.logs.time_base import JUMP_S, hold, interpolate, time_unit_finding
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import COMMANDS, SIGNALS
@@ -46,18 +47,21 @@ def assemble(
     card: AirframeCard | None,
     source: str = "",
     sha256: str = "",
+    judged: bool = True,
 ) -> FlightRecord:
     """Build the record of a whole log, with everything the checks found in its metadata.
 
+    judged  False leaves the checks of the finished record out; `with_checks` makes up for it
     Raises LogError when the log has none of the channels a record is made of.
     """
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
-    start = _start(raw)
+    sensors = Sensors(raw, signal_map.sensors)
+    start = _start(raw, sensors)
     loiters = loiter_commands(raw, start)
     times = Times(raw)
     servos, wanted, findings = _servo_channels(raw, signal_map.servos, card, times)
     sources: dict[str, Callable[[], Channel | None]] = {
-        name: partial(resolve, raw, name, candidates, times)
+        name: partial(resolve, raw, name, candidates, times, sensors)
         for name, candidates in signal_map.entries.items()
     }
     for name, make in servos.items():
@@ -107,6 +111,7 @@ def assemble(
         loiters=found_loiters(columns, loiters),
     )
     record = FlightRecord(columns, meta)
+    findings += sensors.findings()
     findings = [f for f in findings if f.code != "stuck" or _in_flight(f, phase.free_s)]
     findings = [
         *raw.findings,
@@ -118,9 +123,16 @@ def assemble(
             {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
         ),
         *findings,
-        *check_record(record, phase.free_s),
     ]
-    findings = one_per_cause(findings)
+    record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
+    return with_checks(record) if judged else record
+
+
+def with_checks(record: FlightRecord) -> FlightRecord:
+    """Add what the checks find in a record of `assemble`."""
+    meta = record.metadata
+    fresh = check_record(record, next(iter(meta.free_flight_s), None))
+    findings = one_per_cause([*meta.findings, *fresh])
     estimates = estimated_channels(meta.estimates, findings)
     return FlightRecord(
         record.columns, replace(meta, findings=tuple(findings), estimates=estimates)
@@ -152,6 +164,9 @@ def _last_use(signal_map: SignalMap) -> dict[str, list[str]]:
             last[entry.message] = name
             if entry.times is not None:
                 last[entry.times[0]] = name
+            for rule in signal_map.sensors:
+                if rule.covers(entry):
+                    last.update(dict.fromkeys((rule.message, *rule.also), name))
     if signal_map.servos is not None:
         last.pop(signal_map.servos.message, None)
     out: dict[str, list[str]] = {}
@@ -382,13 +397,14 @@ def _manoeuvres(raw: RawLog, grid: FloatArray) -> NDArray[Any] | None:
     return names[np.searchsorted(np.array([t for t, _ in marks]), grid + half, side="right")]
 
 
-def _start(raw: RawLog) -> dict[str, float]:
+def _start(raw: RawLog, sensors: Sensors) -> dict[str, float]:
     for message, lat, lon, alt, scale in (
         ("GPS", "Lat", "Lng", "Alt", 1.0),
         ("GLOBAL_POSITION_INT", "lat", "lon", "alt", 1e-7),
         ("vehicle_gps_position", "lat", "lon", "alt", 1e-7),
     ):
-        table = raw.messages.get((message, 0))
+        entry = sensors.resolve(Entry(message, None, (lat, lon)))
+        table = raw.messages.get((entry.message, entry.instance or 0))
         if table is None or lat not in table.fields or lon not in table.fields:
             continue
         fix = np.flatnonzero(np.abs(table.fields[lat].astype(float)) > 0)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sysid.logs.card import AirframeCard
     from sysid.record import FlightRecord
 
-_FORMAT = "4"  # raise it when importing the same log gives another record
+_FORMAT = "5"  # raise it when importing the same log gives another record
 
 
 def default_cache() -> Path:
@@ -31,9 +31,16 @@ def default_cache() -> Path:
     return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "uqharness"
 
 
-def cached_file(cache: Path, digest: str, map_path: Path | None, card: AirframeCard | None) -> Path:
+def cached_file(
+    cache: Path,
+    digest: str,
+    map_path: Path | None,
+    card: AirframeCard | None,
+    flight_number: int | None = None,
+) -> Path:
     """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and card. Raises OSError."""
     parts = [_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
+    parts += [] if flight_number is None else [str(flight_number)]
     name = sha256_hex("\0".join(parts).encode())[:32]
     return cache / f"{name}.parquet"
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sysid.errors import LogError
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.air_velocity import alpha_of, beta_of, speed_of
+from sysid.logs.sensors import Sensors
 from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Entry
 from sysid.logs.time_base import CleanTime, clean
@@ -54,10 +55,13 @@ class Times:
         return self._known[key]
 
 
-def resolve(raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times) -> Channel | None:
+def resolve(
+    raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times, sensors: Sensors
+) -> Channel | None:
     """The first candidate that the log carries with two or more usable samples, None when there is none."""
-    for entry in candidates:
-        key = (entry.message, entry.instance)
+    for candidate in candidates:
+        entry = sensors.resolve(candidate)
+        key = (entry.message, entry.instance or 0)
         table = raw.messages.get(key)
         if table is None or not all(f in table.fields for f in entry.fields):
             continue
@@ -71,6 +75,7 @@ def resolve(raw: RawLog, name: str, candidates: tuple[Entry, ...], times: Times)
             values = values * _factor(raw, entry.times, times, time_s)
         if not np.any(np.isfinite(values)):
             continue
+        sensors.note_use(candidate)
         raw_values = fields[0] if len(fields) == 1 else None
         return Channel(name, entry.label, time_s, values, cleaned, entry.estimate, raw_values)
     return None
@@ -129,7 +134,8 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 return offset + scale * beta_of(*fields)
             case "above_start":
                 y = offset + scale * x
-                return y - float(np.nanmedian(y[time_s <= time_s[0] + 1.0]))
+                first = y[time_s <= time_s[np.argmax(np.isfinite(y))] + 1.0]
+                return y - (float(np.nanmedian(first)) if np.isfinite(first).any() else 0.0)
             case "north_of_start" | "east_of_start":
                 return local(scale * x, scale * fields[1])[
                     0 if entry.function == "north_of_start" else 1

@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.errors import Finding
 from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres
-from sysid.record import FlightRecord, Loiter
+from sysid.record import Boot, FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 
 IDENTIFICATION_MIN_HZ = (
@@ -53,6 +53,8 @@ class LogInfo:
     purposes: tuple[Purpose, ...]
     manoeuvres: tuple[Manoeuvre, ...] = ()
     loiters: tuple[Loiter, ...] = ()
+    flights: tuple[Boot, ...] = ()
+    flight_number: int = 1
 
     @property
     def serves(self) -> bool:
@@ -65,6 +67,8 @@ class LogInfo:
             "source": self.source,
             "dialect": self.dialect,
             "vehicle": self.vehicle,
+            "flights": [asdict(boot) for boot in self.flights],
+            "flight_number": self.flight_number,
             "duration_s": self.duration_s,
             "start_s": self.start_s,
             "free_flight_s": None if self.flight_s is None else list(self.flight_s),
@@ -109,6 +113,8 @@ def log_info(record: FlightRecord) -> LogInfo:
         findings=meta.findings,
         purposes=tuple(purposes),
         loiters=meta.loiters,
+        flights=meta.flights,
+        flight_number=meta.flight_number,
         manoeuvres=() if obstacle else found_manoeuvres(flight),
     )
 

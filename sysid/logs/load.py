@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from sysid.digests import file_sha256
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
-from sysid.logs.assemble import assemble
+from sysid.logs.assemble import assemble, with_checks
+from sysid.logs.boots import split
 from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
@@ -18,7 +21,7 @@ from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
-from sysid.record import FlightRecord
+from sysid.record import Boot, FlightRecord
 from sysid.vocabulary import SIGNALS
 
 
@@ -27,10 +30,14 @@ def import_log(
     map_path: Path | None = None,
     card_path: Path | None = None,
     *,
+    flight_number: int | None = None,
     cache: Path | None = None,
     progress: Progress | None = None,
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
+
+    A log may hold several boots of the autopilot, whose clocks each begin anew. One of them is read: `flight_number`,
+    counted from 1, or the one with the longest free flight.
 
     map_path   a user's signal map, laid over the dialect's own
     card_path  airframe.toml or the folder that holds it; turns PWM into angles
@@ -43,9 +50,9 @@ def import_log(
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
     if dialect in ("csv", "parquet") and user_map is None:
-        return _record_file(path)
+        return _of_flight(_record_file(path), flight_number, path)
     digest = file_sha256(path)
-    stored = None if cache is None else cached_file(cache, digest, map_path, card)
+    stored = None if cache is None else cached_file(cache, digest, map_path, card, flight_number)
     if stored is not None and stored.is_file():
         try:
             record = FlightRecord.read(stored)
@@ -55,7 +62,7 @@ def import_log(
             return _as_known_today(
                 replace(record, metadata=replace(record.metadata, source=path.name))
             )
-    record = _assemble(path, dialect, user_map, card, digest, progress)
+    record = _assemble(path, dialect, user_map, card, digest, flight_number, progress)
     if stored is not None:
         keep(record, stored)
     return record
@@ -67,15 +74,19 @@ def _assemble(
     user_map: SignalMap | None,
     card: AirframeCard | None,
     digest: str,
+    flight_number: int | None,
     progress: Progress | None,
 ) -> FlightRecord:
     base = map_of_dialect(dialect)
     signal_map = base if user_map is None else base.overlaid(user_map)
     try:
         # Handed over, not kept: the messages are dropped one by one as the record grows.
-        record = assemble(
-            read_raw(path, dialect, signal_map, progress), signal_map, card, path.name, digest
-        )
+        boots = split(read_raw(path, dialect, signal_map, progress))
+        if len(boots) == 1:
+            record = assemble(boots.pop(), signal_map, card, path.name, digest)
+            record = _of_flight(record, flight_number, path)
+        else:
+            record = _chosen(boots, signal_map, card, path, digest, flight_number)
     except LogError as e:
         if str(path) in str(e):
             raise
@@ -97,6 +108,85 @@ def _not_in_log(signal: str, candidates: tuple[Entry, ...]) -> Finding:
     text = f"the map makes {signal} of {labels}, which this log does not have"
     mend = f"in the map, [signals.{signal}]: the name of a field that the log has (`uqharness log map` lists them)"
     return Finding("not-in-log", signal, "warning", text, {}, "", mend)
+
+
+def _of_flight(record: FlightRecord, flight_number: int | None, path: Path) -> FlightRecord:
+    """The record; LogError where another flight than the one it holds is asked for."""
+    if flight_number not in (None, record.metadata.flight_number):
+        raise LogError(
+            f"--flight-number {flight_number}: the file holds one flight, number"
+            f" {record.metadata.flight_number}; leave the option out",
+            path,
+        )
+    return record
+
+
+def _chosen(
+    boots: list[RawLog],
+    signal_map: SignalMap,
+    card: AirframeCard | None,
+    path: Path,
+    digest: str,
+    flight_number: int | None,
+) -> FlightRecord:
+    """The record of one of several boots, with all of them listed in its metadata."""
+    count = len(boots)
+    if flight_number is not None and not 1 <= flight_number <= count:
+        raise LogError(
+            f"--flight-number {flight_number}: the file holds flights 1 to {count}; choose one of them"
+        )
+    listed: list[Boot] = []
+    best: FlightRecord | None = None
+    best_number, best_size = 0, (-1.0, -1.0)
+    problems: dict[int, str] = {}
+    for number, boot in enumerate(boots, start=1):
+        times = np.concatenate([t.time_s[np.isfinite(t.time_s)] for t in boot.messages.values()])
+        # Quantiles, since a single stamp may be wrong.
+        start_s, end_s = np.quantile(times, [0.001, 0.999]).tolist() if len(times) else (0.0, 0.0)
+        free_s: tuple[float, float] | None = None
+        try:
+            record = assemble(boot, signal_map, card, path.name, digest, judged=False)
+        except LogError as error:
+            problems[number] = str(error)
+        else:
+            start_s, end_s = float(record["time_s"][0]), float(record["time_s"][-1])
+            free_s = next(iter(record.metadata.free_flight_s), None)
+            size = (0.0 if free_s is None else free_s[1] - free_s[0], end_s - start_s)
+            if number == flight_number or (flight_number is None and size > best_size):
+                best, best_number, best_size = record, number, size
+        listed.append(Boot(number, start_s, end_s, free_s))
+    if best is None:
+        number = flight_number or next(iter(problems))
+        raise LogError(
+            f"flight {number} of {count} in this file cannot be read: {problems[number]}"
+        )
+    best, chosen = with_checks(best), listed[best_number - 1]
+    return replace(
+        best,
+        metadata=replace(
+            best.metadata,
+            flights=tuple(listed),
+            flight_number=chosen.number,
+            findings=(_restart_finding(listed, chosen, flight_number), *best.metadata.findings),
+        ),
+    )
+
+
+def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None) -> Finding:
+    """Which flights the file holds and which one is read; a warning where nobody chose it."""
+    how = "as asked" if flight_number else "the longest"
+    flights = ", ".join(
+        f"{boot.number} ({boot.start_s:.1f} to {boot.end_s:.1f} s, "
+        + ("no free flight" if boot.free_flight_s is None else f"{boot.flight_s:.0f} s in flight")
+        + ")"
+        for boot in listed
+    )
+    text = (
+        f"the clock begins again {len(listed) - 1} time(s): the file holds flights {flights};"
+        f" flight {chosen.number} is read ({how}), --flight-number reads another"
+    )
+    numbers = {"flights": float(len(listed)), "flight_number": float(chosen.number)}
+    return Finding("clock-restart", "", "info" if flight_number else "warning", text, numbers)
 
 
 _MAP_OF = {

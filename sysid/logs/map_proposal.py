@@ -24,6 +24,7 @@ from sysid.logs.channels import Times, resolve
 from sysid.logs.checking.physics import heard
 from sysid.logs.importers.detect import detect
 from sysid.logs.load import map_of_dialect, read_raw
+from sysid.logs.sensors import Sensors
 from sysid.logs.signal_map import Entry, SignalMap
 from sysid.record import FlightRecord
 from sysid.units import FT_M, G0_MPS2, KT_MPS, LBF_N, SLUG_FT3_KGPM3
@@ -256,12 +257,12 @@ def _time_of(raw: RawLog) -> TimeColumn | None:
 
 def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
     """The entries of the dialect's own map for which the log has the fields."""
-    times, out = Times(raw), {}
+    times, sensors, out = Times(raw), Sensors(raw, base.sensors), {}
     for signal, candidates in base.entries.items():
         if signal in LABELS:
             continue
         for entry in candidates:
-            if resolve(raw, signal, (entry,), times) is not None:
+            if resolve(raw, signal, (entry,), times, sensors) is not None:
                 out[signal] = Proposal(signal, entry, (f"{entry.label}: the dialect's own field",))
                 break
     return out

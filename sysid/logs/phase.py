@@ -55,7 +55,8 @@ def find(
         text = f"it never flew: the speed stays below {usual:.1f} m/s for 90 % of the time (at least {MIN_SPEED_MPS:.0f})"
         return FlightPhase(None, None, None, text)
     flying = smooth > max(0.5 * usual, 5.0)
-    begins_at_rest = bool(np.nanmedian(smooth[: max(1, round(1.0 / step))]) < 3.0)
+    first = int(np.argmax(np.isfinite(smooth)))  # the speed may come later than the first row
+    begins_at_rest = bool(np.nanmedian(smooth[first : first + max(1, round(1.0 / step))]) < 3.0)
     if height is not None and begins_at_rest and np.isfinite(height).any():
         lifted = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M
         if not lifted.any():

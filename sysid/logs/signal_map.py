@@ -55,12 +55,13 @@ _KEYS = {
 class Entry:
     """One way to obtain one signal: y = table or offset + scale * function(fields), times another message's field.
 
+    instance  None lets the log decide by the map's sensor rules; a number is binding
     table  pairs (x, y), linear between and beyond its ends held; takes the place of scale and offset
     times  (message, field) that multiplies the result, interpolated; the factor is 1 where that message is absent
     """
 
     message: str
-    instance: int
+    instance: int | None
     fields: tuple[str, ...]
     scale: float = 1.0
     offset: float = 0.0
@@ -68,13 +69,64 @@ class Entry:
     function: str = "value"
     estimate: bool = False
     times: tuple[str, str] | None = None
+    source: str = ""
 
     @property
     def label(self) -> str:
-        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs"."""
+        """Short name, e.g. "IMU.GyrY", "RCOU.C2", "GPS.Spd+GCrs", "ARSP[0,1].Airspeed" where the sensor changes."""
         instance = f"[{self.instance}]" if self.instance else ""
         extra = f" x {self.times[0]}.{self.times[1]}" if self.times else ""
-        return f"{self.message}{instance}.{'+'.join(self.fields)}{extra}"
+        return f"{self.source or self.message + instance}.{'+'.join(self.fields)}{extra}"
+
+
+@dataclass(frozen=True)
+class SensorRule:
+    """How a log marks which instance of a sensor is in use and which of its rows are data.
+
+    also      names that further instances have as messages of their own: IMU2 is instance 1 of IMU
+    fields    the measurements that the rule is about; empty for all of the message
+    valid     field of the message -> (least, most) of a valid row; a field that is not logged demands nothing
+    needs     (message, field, least, most): one of these states must hold
+    health    (message, prefix of its fields present, enabled, health), with one of `bits` an instance
+    in_use    flag of the message: this instance is used
+    primary   (message, field) that numbers the instance in use, `primary_first` for the first; the first pair logged counts
+    selected  (field, message, field): the instance whose field equals the other message's is in use
+    """
+
+    message: str
+    also: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    valid: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    needs: tuple[tuple[str, str, float, float], ...] = ()
+    health: tuple[str, str] | None = None
+    bits: tuple[int, ...] = ()
+    in_use: str = ""
+    primary: tuple[tuple[str, str], ...] = ()
+    primary_first: int = 0
+    selected: tuple[str, str, str] | None = None
+
+    def covers(self, entry: Entry) -> bool:
+        """Whether the rule is about the sensor that an entry reads."""
+        named = entry.message == self.message or entry.message in self.also
+        return named and (not self.fields or any(f in self.fields for f in entry.fields))
+
+    def wanted(self) -> dict[str, set[str]]:
+        """message -> fields that the rule looks at."""
+        own = {*self.valid, self.in_use} - {""}
+        out: dict[str, set[str]] = {}
+        pairs = [*self.primary, *((m, f) for m, f, _, _ in self.needs)]
+        if self.selected is not None:
+            own.add(self.selected[0])
+            pairs.append(self.selected[1:])
+        if self.health is not None:
+            pairs += [
+                (self.health[0], f"{self.health[1]}_{p}") for p in ("present", "enabled", "health")
+            ]
+        for message, name in pairs:
+            out.setdefault(message, set()).add(name)
+        for message in (self.message, *self.also):
+            out.setdefault(message, set()).update(own)
+        return out
 
 
 @dataclass(frozen=True)
@@ -99,6 +151,7 @@ class SignalMap:
     servos: ServoOutputs | None = None
     needs: Mapping[str, frozenset[str]] = field(default_factory=dict)
     time: TimeColumn | None = None
+    sensors: tuple[SensorRule, ...] = ()
 
     def wanted(self) -> dict[str, frozenset[str]]:
         """message -> fields, for the importers."""
@@ -108,6 +161,14 @@ class SignalMap:
                 out.setdefault(entry.message, set()).update(entry.fields)
                 if entry.times:
                     out.setdefault(entry.times[0], set()).add(entry.times[1])
+        for rule in self.sensors:
+            if rule.message not in out and not any(name in out for name in rule.also):
+                continue
+            measured = out.get(rule.message, set()).copy()
+            for message, names in rule.wanted().items():
+                out.setdefault(message, set()).update(names)
+            for message in rule.also:
+                out[message].update(measured)
         if self.servos is not None:
             channels = {field for n in range(17) for field in self.servos.fields_of(n)}
             out.setdefault(self.servos.message, set()).update(channels)
@@ -121,6 +182,7 @@ class SignalMap:
             other.servos or self.servos,
             {**self.needs, **other.needs},
             other.time or self.time,
+            (*other.sensors, *self.sensors),
         )
 
 
@@ -163,10 +225,11 @@ def parse_map(source: str, name: str) -> SignalMap:
         data = parse_toml(source)
     except ParseError as e:
         raise LogError(str(e), name) from None
-    unknown = sorted(set(data) - {"signals", "servos", "needs"})
+    unknown = sorted(set(data) - {"signals", "servos", "needs", "sensors"})
     if unknown:
         raise LogError(
-            f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs]", name
+            f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs], [[sensors]]",
+            name,
         )
     signals = data.get("signals", {})
     if not isinstance(signals, dict):
@@ -186,7 +249,12 @@ def parse_map(source: str, name: str) -> SignalMap:
         rows = value if isinstance(value, list) else [value]
         entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
     return SignalMap(
-        name, entries, _servos(data.get("servos"), name), _needs(data.get("needs", {}), name), time
+        name,
+        entries,
+        _servos(data.get("servos"), name),
+        _needs(data.get("needs", {}), name),
+        time,
+        _sensor_rules(data.get("sensors", []), name),
     )
 
 
@@ -217,6 +285,62 @@ def _time(row: Any, name: str) -> TimeColumn:
             where,
         )
     return TimeColumn(column, unit)
+
+
+def _sensor_rules(data: Any, name: str) -> tuple[SensorRule, ...]:
+    """The rules [[sensors]] of a map."""
+    if not isinstance(data, list):
+        raise LogError('must hold tables such as message = "ARSP"', name, "[[sensors]]")
+    rules = []
+    for row in data:
+        allowed = sorted(SensorRule.__dataclass_fields__)
+        if not isinstance(row, dict) or not isinstance(row.get("message"), str):
+            raise LogError('message = "..." is missing', name, "[[sensors]]")
+        if unknown := sorted(set(row) - set(allowed)):
+            raise LogError(f"unknown keys {unknown}; allowed are {allowed}", name, "[[sensors]]")
+        try:
+            rules.append(
+                SensorRule(
+                    message=row["message"],
+                    also=tuple(str(n) for n in _list(row, "also")),
+                    fields=tuple(str(n) for n in _list(row, "fields")),
+                    valid={
+                        str(n): (float(low), float(high))
+                        for n, (low, high) in dict(row.get("valid", {})).items()
+                    },
+                    needs=tuple(
+                        (str(m), str(f), float(low), float(high))
+                        for m, f, low, high in _list(row, "needs")
+                    ),
+                    health=_pair(row["health"]) if "health" in row else None,
+                    bits=tuple(int(bit) for bit in _list(row, "bits")),
+                    in_use=str(row.get("in_use", "")),
+                    primary=tuple((str(m), str(f)) for m, f in _list(row, "primary")),
+                    primary_first=int(row.get("primary_first", 0)),
+                    selected=_triple(row["selected"]) if "selected" in row else None,
+                )
+            )
+        except (TypeError, ValueError):
+            text = f"a value is not of the form that docs/logs.md shows; received {row}"
+            raise LogError(text, name, "[[sensors]]") from None
+    return tuple(rules)
+
+
+def _pair(value: Any) -> tuple[str, str]:
+    first, second = value
+    return str(first), str(second)
+
+
+def _triple(value: Any) -> tuple[str, str, str]:
+    first, second, third = value
+    return str(first), str(second), str(third)
+
+
+def _list(row: Mapping[str, Any], key: str) -> list[Any]:
+    value = row.get(key, [])
+    if not isinstance(value, list):
+        raise TypeError(key)
+    return value
 
 
 def _needs(data: Any, name: str) -> dict[str, frozenset[str]]:
@@ -274,7 +398,7 @@ def _entry(row: Any, where: str, name: str) -> Entry:
         raise LogError('times must be ["MESSAGE", "field"]', name, where)
     return Entry(
         message=row["message"],
-        instance=_integer(row.get("instance", 0), name, where),
+        instance=_integer(row["instance"], name, where) if "instance" in row else None,
         fields=tuple(fields),
         scale=_number(row.get("scale", 1.0), name, where),
         offset=_number(row.get("offset", 0.0), name, where),

@@ -31,7 +31,7 @@ from uqharness.flight import (
 )
 from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
-from uqharness.replay import in_free_flight, read_flight, refuse_twice
+from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
 from uqharness.text_tables import Tabled
 
@@ -215,6 +215,7 @@ def read_flights(
     *,
     manoeuvres: AnyPath | None = None,
     signal_map: AnyPath | None = None,
+    flight_number: int | Sequence[int] | None = None,
 ) -> list[Flight]:
     """Read flight logs or records, the part that is free flight.
 
@@ -228,6 +229,8 @@ def read_flights(
         CSV table that labels the flights: columns manoeuvre, start_s, end_s (and flight).
     signal_map : str or Path, optional
         Signal map of your own, TOML (docs/logs.md).
+    flight_number : int or sequence of int, optional
+        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a file. Default: the longest.
 
     Returns
     -------
@@ -254,7 +257,12 @@ def read_flights(
     ]
     table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
-    records = [read_flight(path, model, table, own_map) for path in files]
+    chosen = () if flight_number is None else flight_number
+    numbers = numbers_of_files([chosen] if isinstance(chosen, int) else chosen, len(files))
+    records = [
+        read_flight(path, model, table, own_map, number)
+        for path, number in zip(files, numbers, strict=True)
+    ]
     hashes = [file_sha256(path) for path in files]
     refuse_twice(files, hashes)
     return [

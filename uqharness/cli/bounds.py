@@ -164,7 +164,9 @@ def _run(args: argparse.Namespace) -> int:
     options = _options(args)
     with working("bounds") as stage:
         stage("reading the flights")
-        flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        flights, measured = read_bounds_flights(
+            args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
+        )
         found = make_bounds(
             aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
         )

@@ -58,7 +58,12 @@ def _run(args: argparse.Namespace) -> int:
     with working("compare", lambda: counter["segments"]) as stage:
         stage("reading the flight")
         flights, measured = read_flights(
-            [args.flight], aircraft, args.manoeuvres, args.map, align=False
+            [args.flight],
+            aircraft,
+            args.manoeuvres,
+            args.map,
+            align=False,
+            flight_numbers=args.flight_number,
         )
         found = compare(
             aircraft,

@@ -98,7 +98,9 @@ def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
     with working("identify", lambda: counter["segments"]) as stage:
         stage("reading the flights")
-        flights, measured = read_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        flights, measured = read_flights(
+            args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
+        )
         found = identify(
             aircraft,
             flights,

@@ -14,6 +14,7 @@ from sysid.logs import default_cache
 from sysid.terminal import drawing, visible
 from uqharness.cli.commands import Table, add_commands
 from uqharness.cli.options import (
+    add_flight_number,
     add_manoeuvres,
     add_map,
     add_page,
@@ -27,9 +28,10 @@ from uqharness.files import check_page, finite, write_text
 if TYPE_CHECKING:
     from sysid.foreign.raw import Progress
     from sysid.logs import LogInfo
-    from sysid.record import FlightRecord, Loiter
+    from sysid.record import Boot, FlightRecord, Loiter
 
 _LOG_HELP = "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet or CSV"
+_IMPORT_NOTES = ("servo-table", "sensor-choice", "clock-restart")
 VERBS: Table = {
     "info": ("log:add_info", "contents and findings of a log, and the purposes it serves"),
     "map": ("log:add_map_proposal", "propose a signal map for a log"),
@@ -136,6 +138,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 def _add_log(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
     add_map(parser)
+    add_flight_number(parser)
     parser.add_argument(
         "--aircraft", metavar="AIRCRAFT", help="name under aircraft/, folder, or airframe.toml"
     )
@@ -219,7 +222,14 @@ def _read(args: argparse.Namespace) -> FlightRecord:
     card = _card_of(args)
     cache = None if args.no_cache else (args.cache or default_cache())
     with _ProgressLine(args.log.name) as progress:
-        return import_log(args.log, args.map, card, cache=cache, progress=progress)
+        return import_log(
+            args.log,
+            args.map,
+            card,
+            flight_number=args.flight_number,
+            cache=cache,
+            progress=progress,
+        )
 
 
 def _card_of(args: argparse.Namespace) -> Path | None:
@@ -260,9 +270,11 @@ def _info_text(info: LogInfo) -> str:
         f"vehicle      {info.vehicle or 'not said'}",
         f"duration     {info.duration_s:.1f} s from {info.start_s:.1f} s, grid {info.grid_hz:.1f} Hz",
         f"free flight  {flight}",
-        "",
-        "channels",
     ]
+    if info.flights:
+        lines += ["", "flights in this file (each a boot of the autopilot, on its own clock)"]
+        lines += [f"  {_boot_text(boot, info.flight_number)}" for boot in info.flights]
+    lines += ["", "channels"]
     lines += [
         f"  {n:18} {info.rates_hz.get(n, float('nan')):7.1f} Hz  {label}"
         for n, label in info.channels.items()
@@ -283,6 +295,13 @@ def _info_text(info: LogInfo) -> str:
     return "\n".join(lines)
 
 
+def _boot_text(boot: Boot, read: int) -> str:
+    span = boot.free_flight_s
+    flight = "no free flight" if span is None else f"free flight {span[0]:.1f} to {span[1]:.1f} s"
+    mark = "  <- read here" if boot.number == read else ""
+    return f"{boot.number}  {boot.start_s:.1f} to {boot.end_s:.1f} s, {flight}{mark}"
+
+
 def _loiter_text(loiter: Loiter) -> str:
     sense = "clockwise" if loiter.clockwise else "anticlockwise"
     return (
@@ -299,7 +318,7 @@ def _import_text(
         f"{out}: {len(record)} rows at {record.metadata.grid_hz:g} Hz, {span}",
         f"columns: {', '.join(record.columns)}",
     ]
-    told = [f for f in record.metadata.findings if f.severity != "info" or f.code == "servo-table"]
+    told = [f for f in record.metadata.findings if f.severity != "info" or f.code in _IMPORT_NOTES]
     return "\n".join(lines + _condensed(told))
 
 

@@ -8,7 +8,15 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from uqharness.cli.options import FLIGHT_FILE, add_map, add_out, describe, number, results_folder
+from uqharness.cli.options import (
+    FLIGHT_FILE,
+    add_flight_number,
+    add_map,
+    add_out,
+    describe,
+    number,
+    results_folder,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_text
 from uqharness.flight import playback_rows
@@ -42,6 +50,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     )
     add_out(parser)
     add_map(parser)
+    add_flight_number(parser)
     for option, what, most in (("--lat-deg", "latitude", 90.0), ("--lon-deg", "longitude", 180.0)):
         parser.add_argument(
             option,
@@ -66,7 +75,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     check_folder(args.out)
-    record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map)
+    record = read_flight(args.log, find_aircraft(args.aircraft), None, args.map, args.flight_number)
     rows = playback_rows(record, _start(args, record.metadata.start), args.rate_hz)
     out = results_folder(args.out)
     write_text(

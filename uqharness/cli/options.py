@@ -133,8 +133,17 @@ def add_flights(
 
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """How flights are read and how commands reach the surfaces: ``--map``, ``--manoeuvres``, ``--servos``."""
+    """How flights are read and how commands reach the surfaces: ``--map``, ``--flight-number``, ``--manoeuvres``, ``--servos``."""
     add_map(parser)
+    parser.add_argument(
+        "--flight-number",
+        type=whole("--flight-number", 1),
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="N",
+        help="which flight of logs that hold several boots of the autopilot: one number, or one a file (default: the longest)",
+    )
     add_manoeuvres(parser)
     parser.add_argument(
         "--servos",
@@ -151,6 +160,16 @@ def add_map(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="MAP.toml",
         help="signal map of your own; its lines replace those of the log's format",
+    )
+
+
+def add_flight_number(parser: argparse.ArgumentParser) -> None:
+    """``--flight-number``; None where the longest flight is read."""
+    parser.add_argument(
+        "--flight-number",
+        type=whole("--flight-number", 1),
+        metavar="N",
+        help="which flight of a log that holds several boots of the autopilot (default: the longest)",
     )
 
 

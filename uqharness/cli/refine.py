@@ -96,6 +96,7 @@ def _run(args: argparse.Namespace) -> int:
         not args.no_pbox,
         args.campaign,
         args.bake,
+        tuple(args.flight_number),
     )
     with working("refine", lambda: counter["segments"], keep=True) as stage:
         done = refine(request, stage)

@@ -51,7 +51,9 @@ def _run(args: argparse.Namespace) -> int:
     form = load_form(args.form)
     with working("validate-bounds") as stage:
         stage("reading the flights")
-        flights, measured = read_bounds_flights(args.flight, aircraft, args.manoeuvres, args.map)
+        flights, measured = read_bounds_flights(
+            args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
+        )
         hashes = [file_sha256(p) for p in args.flight]
         stage("residual coefficients")
         found = validate(aircraft, form, flights, measured, hashes, args.servos == "ideal")

@@ -44,7 +44,7 @@ from uqharness.refinement.timing import later
 from uqharness.refinement.types import Side
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
 from uqharness.refinement.writing.effects import Written
-from uqharness.replay import CONTROLS, read_flights, renamed
+from uqharness.replay import CONTROLS, numbers_of_files, read_flights, renamed
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
@@ -78,6 +78,7 @@ class Request:
     pbox: bool = True
     campaign: Path | None = None
     bake: bool = False
+    flight_numbers: tuple[int, ...] = ()  # one for all files, or one for each of train and test
 
 
 @dataclass(frozen=True)
@@ -182,8 +183,16 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
 
 def _read(request: Request, paths: Sequence[Path]) -> FlightSet:
+    files = (*request.train, *request.test)
+    numbers = numbers_of_files(request.flight_numbers, len(files))
+    first = files.index(paths[0])
     flights, measured = read_flights(
-        paths, request.aircraft, request.manoeuvres, request.map_path, align=False
+        paths,
+        request.aircraft,
+        request.manoeuvres,
+        request.map_path,
+        align=False,
+        flight_numbers=[n for n in numbers[first : first + len(paths)] if n is not None],
     )
     ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
     return FlightSet(tuple(flights), tuple(measured), tuple(file_hash(p) for p in paths), ideal)
@@ -206,6 +215,7 @@ def _identity(request: Request) -> list[str]:
         repr(request.extra),
         str(request.ideal_servos),
         str(request.manoeuvres),
+        str(request.flight_numbers),
     ]
 
 

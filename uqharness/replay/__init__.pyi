@@ -4,6 +4,7 @@ from .channel_units import with_shown_names as with_shown_names
 from .flights import Flight as Flight
 from .flights import in_free_flight as in_free_flight
 from .flights import measured_outputs as measured_outputs
+from .flights import numbers_of_files as numbers_of_files
 from .flights import read_flight as read_flight
 from .flights import read_flights as read_flights
 from .flights import refuse_twice as refuse_twice

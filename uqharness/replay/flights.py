@@ -139,12 +139,21 @@ class Flight:
 
 
 def read_flight(
-    path: Path, aircraft: Aircraft, manoeuvres: Path | None = None, map_path: Path | None = None
+    path: Path,
+    aircraft: Aircraft,
+    manoeuvres: Path | None = None,
+    map_path: Path | None = None,
+    flight_number: int | None = None,
 ) -> FlightRecord:
-    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError."""
+    """The record of a log or record file, free flight alone, manoeuvres labelled if a table is given. Raises BadInputError.
+
+    flight_number: which boot of a log that holds several, from 1; the one with the longest flight by default.
+    """
     try:
         card = aircraft.folder if (aircraft.folder / "airframe.toml").is_file() else None
-        record = import_log(path, map_path, card, cache=default_cache())
+        record = import_log(
+            path, map_path, card, flight_number=flight_number, cache=default_cache()
+        )
         if refused := no_aeroplane(record):
             raise BadInputError(f"{path}: {refused}; give the log of an aeroplane")
         if manoeuvres is not None:
@@ -475,12 +484,31 @@ def read_flights(
     min_s: float = MIN_S,
     max_s: float = MAX_S,
     align: bool = True,
+    flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
     """Flights ready for replay, and the surfaces whose measured positions are used; align: as `prepare` has it. Raises
-    BadInputError."""
+    BadInputError.
+
+    flight_numbers: which boot of each file is read, one number for all files or one a file; the longest flight by default.
+    """
+    numbers = numbers_of_files(flight_numbers, len(paths))
     refuse_twice(paths, [file_sha256(path) if path.is_file() else str(path) for path in paths])
-    records = [read_flight(path, aircraft, manoeuvres, map_path) for path in paths]
+    records = [
+        read_flight(path, aircraft, manoeuvres, map_path, number)
+        for path, number in zip(paths, numbers, strict=True)
+    ]
     return prepare_together([path.stem for path in paths], records, aircraft, min_s, max_s, align)
+
+
+def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | None]:
+    """``--flight-number`` of each file. Raises BadInputError where there are neither one nor as many numbers as files."""
+    if not flight_numbers:
+        return [None] * files
+    if len(flight_numbers) not in (1, files):
+        raise BadInputError(
+            f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one, or one a file"
+        )
+    return [*flight_numbers] * (files if len(flight_numbers) == 1 else 1)
 
 
 def refuse_twice(names: Sequence[object], hashes: Sequence[str]) -> None:
@@ -508,10 +536,20 @@ def prepare_together(
     flights = []
     for name, (record, said) in zip(renamed(names), placed, strict=True):
         driven, how = with_throttle(record, aircraft, name)
+        choices = [
+            f"{name}: {f.message}"
+            for f in record.metadata.findings
+            if f.code == "clock-restart" or (f.code == "sensor-choice" and f.severity != "info")
+        ]
         flight = prepare(name, driven, measured, min_s, max_s, align)
         flights.append(
             replace(
-                flight, notes=(*(f"{name}: {text}" for text in (said, how) if text), *flight.notes)
+                flight,
+                notes=(
+                    *choices,
+                    *(f"{name}: {text}" for text in (said, how) if text),
+                    *flight.notes,
+                ),
             )
         )
     return flights, measured

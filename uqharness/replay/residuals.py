@@ -252,9 +252,12 @@ def read_bounds_flights(
     aircraft: Aircraft,
     manoeuvres: Path | None = None,
     map_path: Path | None = None,
+    flight_numbers: Sequence[int] = (),
 ) -> tuple[list[Flight], tuple[str, ...]]:
     """Flights cut where every channel of NEEDED is there, and the surfaces with measured positions. Raises BadInputError."""
-    flights, measured = read_flights(paths, aircraft, manoeuvres, map_path)
+    flights, measured = read_flights(
+        paths, aircraft, manoeuvres, map_path, flight_numbers=flight_numbers
+    )
     return [recut(f, measured) for f in flights], measured
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from sysid.logs.signal_map import shipped_dialects, shipped_map
 from sysid.record import Metadata
 from sysid.vocabulary import SURFACES
@@ -41,8 +43,12 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
         else None
     )
     entries = () if shipped is None else shipped.entries.get(channel, ())
+    # A label such as "ARSP[1].Airspeed" names the instance that was read, "ARSP[0,1]" those read in turn.
+    name = re.match(r"(\w+)\[([\d,]+)\](\..*)", label)
+    shipped_label = label if name is None else name[1] + name[3]
+    instance = name[2] if name is not None and "," not in name[2] else ""
     for entry in entries:
-        if entry.label == label:
+        if shipped_label == entry.label:
             fields = (
                 f'field = "{entry.fields[0]}"'
                 if len(entry.fields) == 1
@@ -50,7 +56,7 @@ def mend(channel: str, factor: float, meta: Metadata) -> str:
             )
             extra = "" if entry.function == "value" else f'\nfunction = "{entry.function}"'
             extra += "" if entry.times is None else f"\ntimes = {_listed(entry.times)}"
-            extra += f"\ninstance = {entry.instance}" if entry.instance else ""
+            extra += f"\ninstance = {instance}" if instance else ""
             return f'[signals.{channel}]\nmessage = "{entry.message}"\n{fields}\nscale = {factor * entry.scale:.6g}{extra}'
     if not label or label == "column":
         return f'[signals.{channel}]\nmessage = "csv"\nfield = "{channel}"\nscale = {factor:.6g}'

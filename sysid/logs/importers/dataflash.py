@@ -49,6 +49,10 @@ class _Walker:
         self.collected: dict[str, dict[str, bytearray]] = defaultdict(
             lambda: defaultdict(bytearray)
         )
+        # File offset of each record that was kept, by message.
+        self.places: dict[str, bytearray] = defaultdict(bytearray)
+        self.headers: list[int] = []
+        self.base = 0
         # The format that a message's columns were collected by.
         self.kept: dict[str, Format] = {}
         self.counts: dict[str, int] = defaultdict(int)
@@ -59,6 +63,7 @@ class _Walker:
 
     def block(self, data: bytes, base: int, last: bool) -> int:
         """Decode the whole records of `data` (file offset `base`); return the number of bytes used."""
+        self.base = base
         offsets: list[list[int]] = [[] for _ in range(256)]
         lengths = self.lengths
         size = len(data)
@@ -71,6 +76,9 @@ class _Walker:
                     break
                 kind = data[pos + 2]
                 if kind == FMT_TYPE:
+                    # The header of a log begins with the format of FMT itself.
+                    if data[pos + 3] == FMT_TYPE and base + pos > 0:
+                        self.headers.append(base + pos)
                     self._learn(data[pos:end], offsets, data)
                 offsets[kind].append(pos)
                 pos = end
@@ -132,9 +140,11 @@ class _Walker:
         known = self.kept.setdefault(fmt.name, fmt)
         if (known.characters, known.columns) != (fmt.characters, fmt.columns):
             columns.clear()  # the format changed: an array of one field must not fall out of step with the others
+            self.places[fmt.name].clear()
         self.kept[fmt.name] = fmt
         buffer = np.frombuffer(data, dtype=np.uint8)
         starts = np.asarray(found, dtype=np.int64) + 3
+        self.places[fmt.name] += (starts + self.base).astype("<i8").tobytes()
         for column in keep:
             base, offset = fmt.dtype.fields[column][:2]  # type: ignore[index]
             columns[column] += buffer[
@@ -218,6 +228,8 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         walker.counts,
         walker.findings(size),
         path,
+        {name: np.frombuffer(data, dtype="<i8") for name, data in walker.places.items()},
+        tuple(walker.headers),
     )
 
 

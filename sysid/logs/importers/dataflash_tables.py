@@ -48,8 +48,14 @@ def assemble(
     counts: Mapping[str, int],
     findings: list[Finding],
     path: Path,
+    places: Mapping[str, NDArray[np.int64]] | None = None,
+    headers: tuple[int, ...] = (),
 ) -> RawLog:
-    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing carries a time."""
+    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing carries a time.
+
+    places   position in the file of each record, by message      headers  positions of further headers of a log
+    """
+    places = places or {}
     messages: dict[tuple[str, int], MessageTable] = {}
     for name in list(columns):
         fmt = formats[name]
@@ -62,7 +68,9 @@ def assemble(
             fields = {
                 c: v[rows] for c, v in table.items() if c not in (stamp[0], fmt.instance_column)
             }
-            messages[(name, instance)] = MessageTable(time_s[rows], fields)
+            place = places.get(name)
+            order = place[rows] if place is not None and len(place) == len(time_s) else None
+            messages[(name, instance)] = MessageTable(time_s[rows], fields, order)
         if name not in ALWAYS:
             del columns[name]  # the messages hold what is needed; a big log must not be there twice
     if not messages:
@@ -71,7 +79,19 @@ def assemble(
             path,
         )
     texts, parameters = _texts(messages), _parameters(columns)
+    said = messages.get(("MSG", 0))
+    set_at = places.get("PARM")
     return RawLog(
+        headers=headers,
+        text_places=() if said is None or said.place is None else tuple(said.place.tolist()),
+        parameter_log=()
+        if set_at is None or not parameters
+        else tuple(
+            (int(at), str(n), float(v))
+            for at, n, v in zip(
+                set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+            )
+        ),
         dialect=dialect,
         messages=messages,
         counts=dict(counts),

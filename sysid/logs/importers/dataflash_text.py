@@ -28,8 +28,9 @@ class _Collector:
         self.whole = [fmt.characters[i] in _WHOLE for i in self.where]
         self.keep = keep
         self.values: list[Any] = [[] if text else array("d") for text in self.text]
+        self.place = array("q")
 
-    def add(self, cells: list[str]) -> bool:
+    def add(self, cells: list[str], place: int) -> bool:
         """Append one record; False, and nothing appended, when a number cannot be read."""
         row: list[Any] = []
         try:
@@ -42,6 +43,7 @@ class _Collector:
             return False
         for store, value in zip(self.values, row, strict=True):
             store.append(value)
+        self.place.append(place)
         return True
 
     def columns(self) -> Columns:
@@ -57,6 +59,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     formats: dict[str, Format] = {}
     collectors: dict[str, _Collector | None] = {}
     counts: dict[str, int] = defaultdict(int)
+    headers: list[int] = []
     bad_lines, first_bad, done, line_number = 0, 0, 0, 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
@@ -72,6 +75,8 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
             name = name.strip()
             if name == "FMT":
                 fmt = _format(rest)
+                if fmt is not None and fmt.name == "FMT" and counts:
+                    headers.append(line_number)
                 if fmt is not None and fmt.name not in formats and len(formats) >= _MOST_FORMATS:
                     fmt = None
                 if fmt is not None and formats.get(fmt.name) != fmt:
@@ -83,7 +88,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
                 collector = collectors[name]
                 # The last column takes what is left: a text message may hold commas.
                 cells = rest.split(",", len(formats[name].columns) - 1)
-                good = collector is None or collector.add(cells)
+                good = collector is None or collector.add(cells, line_number)
             else:
                 good = False
             if good:
@@ -105,7 +110,14 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
     columns = {
         name: c.columns() for name, c in collectors.items() if c is not None and counts[name]
     }
-    return assemble("dataflash-text", columns, formats, dict(counts), findings, path)
+    places = {
+        name: np.frombuffer(c.place, dtype=np.int64)
+        for name, c in collectors.items()
+        if c is not None and counts[name]
+    }
+    return assemble(
+        "dataflash-text", columns, formats, dict(counts), findings, path, places, tuple(headers)
+    )
 
 
 def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:

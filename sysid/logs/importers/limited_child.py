@@ -148,7 +148,8 @@ def _time(order: Mapping[str, Any]) -> TimeColumn | None:
 
 def _log_parts(raw: RawLog) -> Parts:
     for (name, instance), table in raw.messages.items():
-        yield "table", name, instance, table.time_s, dict(table.fields)
+        place = np.zeros(0, dtype=np.int64) if table.place is None else table.place
+        yield "table", name, instance, table.time_s, dict(table.fields), place
     yield (
         "about",
         {
@@ -159,6 +160,11 @@ def _log_parts(raw: RawLog) -> Parts:
             "values": np.array(list(raw.parameters.values()), dtype=np.float64),
             "said_s": np.array([t for t, _ in raw.texts], dtype=np.float64),
             "said": _texts(text for _, text in raw.texts),
+            "said_at": np.array(raw.text_places, dtype=np.int64),
+            "logged_at": np.array([at for at, _, _ in raw.parameter_log], dtype=np.int64),
+            "logged": _texts(name for _, name, _ in raw.parameter_log),
+            "logged_values": np.array([v for _, _, v in raw.parameter_log], dtype=np.float64),
+            "headers": np.array(raw.headers, dtype=np.int64),
             "vehicle": raw.vehicle,
             "facts": dict(raw.facts),
             "findings": [finding.as_dict() for finding in raw.findings],

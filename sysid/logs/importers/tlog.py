@@ -6,10 +6,12 @@ Each packet from another system than the first autopilot heard is left out.
 
 from __future__ import annotations
 
+import itertools
 import os
 from array import array
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
+from sysid.logs.boots import boundaries
 from sysid.logs.importers.detect import frame_length, frame_time
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +53,7 @@ _NOT_VEHICLES = {
     27,
     30,
 }  # antenna tracker, ground station, onboard controller, gimbal, ADSB, camera
+_BOOT_CLOCKS = ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2")
 _BOOT_FIELDS = (("time_boot_ms", 1e-3), ("time_usec", 1e-6), ("time_us", 1e-6))
 
 
@@ -74,8 +78,8 @@ class _Tlog:
             lambda: defaultdict(lambda: array("d"))
         )
         self.counts: dict[str, int] = defaultdict(int)
-        self.texts: list[tuple[float, str]] = []
-        self.parameters: dict[str, float] = {}
+        self.texts: list[tuple[int, float, str]] = []
+        self.parameters: list[tuple[int, str, float]] = []
         self.system: int | None = None
         self.vehicle_type: int | None = None
         self.bad_packets = 0
@@ -129,10 +133,10 @@ class _Tlog:
         if self.system is not None and system != self.system:
             return
         if name == "STATUSTEXT":
-            self.texts.append((receipt_s, str(message.text)))
+            self.texts.append((self.kept, receipt_s, str(message.text)))
             return
         if name == "PARAM_VALUE":
-            self.parameters[str(message.param_id)] = float(message.param_value)
+            self.parameters.append((self.kept, str(message.param_id), float(message.param_value)))
             return
         if name == "HEARTBEAT" and message.type in _NOT_VEHICLES:
             return
@@ -175,44 +179,99 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
             f" ({state.bad_packets} packets failed their checksum); record the telemetry again",
             path,
         )
-    offset = _clock_offset(state)
-    clock = _vehicle_clock(state, offset)
-    messages = {}
-    for name, receipt in state.receipt.items():
-        arrived = np.frombuffer(receipt, dtype=np.float64) - offset
-        boot = np.frombuffer(state.boot[name], dtype=np.float64)
-        # Some senders put the date into time_usec; it is then as good as the time of receipt.
-        on_clock = np.isfinite(boot) & (np.abs(boot - arrived) < 3600.0)
-        time_s = np.where(
-            on_clock, boot, clock(np.frombuffer(state.place[name], dtype=np.float64), arrived)
+    streams = {
+        name: _Stream(
+            np.frombuffer(state.place[name], dtype=np.float64).astype(np.int64),
+            np.frombuffer(receipt, dtype=np.float64),
+            np.frombuffer(state.boot[name], dtype=np.float64),
         )
+        for name, receipt in state.receipt.items()
+    }
+    begins = _boots(streams)
+    times, offsets = _times(streams, begins)
+    messages = {}
+    for name, stream in streams.items():
         fields = {f: np.frombuffer(v, dtype=np.float64) for f, v in state.values[name].items()}
         messages[(name, 0)] = MessageTable(
-            time_s, {f: v for f, v in fields.items() if len(v) == len(time_s)}
+            times[name],
+            {f: v for f, v in fields.items() if len(v) == len(times[name])},
+            stream.place,
         )
     kind = state.vehicle_type
     return RawLog(
         dialect="tlog",
         messages=messages,
         counts=dict(state.counts),
-        parameters=state.parameters,
-        texts=tuple((t - offset, text) for t, text in state.texts),
+        parameters={name: value for _, name, value in state.parameters},
+        texts=tuple(
+            (t - offsets[int(np.searchsorted(begins, at, side="right"))], text)
+            for at, t, text in state.texts
+        ),
+        headers=tuple(begins),
+        parameter_log=tuple(state.parameters),
+        text_places=tuple(at for at, _, _ in state.texts),
         vehicle="" if kind is None else _AUTOPILOT_TYPES.get(kind, f"MAV_TYPE {kind}"),
         facts={} if kind is None else {"mav_type": float(kind)},
         findings=tuple(_findings(state, size)),
     )
 
 
-def _vehicle_clock(state: _Tlog, offset: float) -> Callable[[FloatArray, FloatArray], FloatArray]:
+@dataclass(frozen=True)
+class _Stream:
+    """Packets of one kind: order in the file, time of receipt and stamp of the vehicle's clock (NaN without one), each (n,)."""
+
+    place: NDArray[np.int64]
+    receipt_s: FloatArray
+    boot_s: FloatArray
+
+    def rows(self, keep: NDArray[np.bool_]) -> _Stream:
+        """Some of the packets."""
+        return _Stream(self.place[keep], self.receipt_s[keep], self.boot_s[keep])
+
+
+def _boots(streams: dict[str, _Stream]) -> list[int]:
+    """Places at which the vehicle's clock begins again, by the messages whose stamp is always its time since boot."""
+    stamped = [streams[name] for name in _BOOT_CLOCKS if name in streams]
+    if not stamped:
+        return []
+    return boundaries(
+        np.concatenate([s.place for s in stamped]), np.concatenate([s.boot_s for s in stamped])
+    )
+
+
+def _times(
+    streams: dict[str, _Stream], begins: list[int]
+) -> tuple[dict[str, FloatArray], list[float]]:
+    """Times of all packets on the clock of their boot, and each boot's time of receipt minus its clock."""
+    times = {name: np.full(len(s.place), np.nan) for name, s in streams.items()}
+    edges = [-1, *begins, np.iinfo(np.int64).max]
+    offsets = []
+    for low, high in itertools.pairwise(edges):
+        rows = {n: (s.place >= low) & (s.place < high) for n, s in streams.items()}
+        part = {n: s.rows(rows[n]) for n, s in streams.items() if rows[n].any()}
+        offset = _clock_offset(part) if part else 0.0
+        offsets.append(offset)
+        clock = _vehicle_clock(part, offset) if part else None
+        for name, s in part.items():
+            assert clock is not None
+            arrived = s.receipt_s - offset
+            # Some senders put the date into time_usec; it is then as good as the time of receipt.
+            on_clock = np.isfinite(s.boot_s) & (np.abs(s.boot_s - arrived) < 3600.0)
+            times[name][rows[name]] = np.where(
+                on_clock, s.boot_s, clock(s.place.astype(np.float64), arrived)
+            )
+    return times, offsets
+
+
+def _vehicle_clock(
+    streams: dict[str, _Stream], offset: float
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """(places in the file, times of receipt on the vehicle's clock) -> times, by the stamped messages around."""
     place, stamp = [], []
-    for name, receipt in state.receipt.items():
-        boot = np.frombuffer(state.boot[name], dtype=np.float64)
-        good = np.isfinite(boot) & (
-            np.abs(boot - (np.frombuffer(receipt, dtype=np.float64) - offset)) < _SAME_CLOCK_S
-        )
-        place.append(np.frombuffer(state.place[name], dtype=np.float64)[good])
-        stamp.append(boot[good])
+    for s in streams.values():
+        good = np.isfinite(s.boot_s) & (np.abs(s.boot_s - (s.receipt_s - offset)) < _SAME_CLOCK_S)
+        place.append(s.place[good].astype(np.float64))
+        stamp.append(s.boot_s[good])
     at, when = np.concatenate(place), np.concatenate(stamp)
     order = np.argsort(at, kind="stable")
     at, when = at[order], np.maximum.accumulate(when[order]) if len(when) else when
@@ -226,22 +285,20 @@ def _vehicle_clock(state: _Tlog, offset: float) -> Callable[[FloatArray, FloatAr
     return clock
 
 
-def _clock_offset(state: _Tlog) -> float:
+def _clock_offset(streams: dict[str, _Stream]) -> float:
     """Receipt time minus boot time: the smallest difference seen, i.e. the packet that was least delayed.
 
     The boot clock of ATTITUDE and GLOBAL_POSITION_INT counts; without either, time zero is the first packet.
     """
     best = []
-    for name in ("ATTITUDE", "GLOBAL_POSITION_INT", "SYSTEM_TIME", "SCALED_IMU2"):
-        if name in state.receipt:
-            late = np.frombuffer(state.receipt[name], dtype=np.float64) - np.frombuffer(
-                state.boot[name], dtype=np.float64
-            )
+    for name in _BOOT_CLOCKS:
+        if name in streams:
+            late = streams[name].receipt_s - streams[name].boot_s
             late = late[np.isfinite(late)]
             if len(late):
                 # 5 % quantile, not the minimum: one packet with a damaged time must not move the clock.
                 best.append(float(np.quantile(late, 0.05)))
-    return min(best) if best else min(float(r[0]) for r in state.receipt.values())
+    return min(best) if best else min(float(s.receipt_s[0]) for s in streams.values())
 
 
 def _findings(state: _Tlog, size: int) -> list[Finding]:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 from pyulog import ULog
 
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
+from sysid.logs.boots import RESTART_S
 
 # PX4's MAV_TYPE parameter and vehicle_status.vehicle_type.
 _MAV_TYPES = {
@@ -29,20 +34,69 @@ _MAV_TYPES = {
 _VEHICLE_TYPES = {1: "rotary wing", 2: "fixed wing", 3: "rover", 4: "airship"}
 
 
+_MAGIC = b"ULog\x01\x12\x35"
+_HEADER_BYTES = 16
+_BLOCK_BYTES = 4 << 20
+_PART = 1 << 40  # places of one part of a file with several logs; no log has as many records
+
+
 def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
     """Read a ULog file. Raises LogError when pyulog cannot make sense of it or nothing useful is inside."""
+    with open_regular(path) as handle:
+        starts = _headers(handle)
+        if len(starts) > 1:
+            handle.seek(0)
+            content = handle.read()
+    if len(starts) == 1:
+        raw = _read(partial(open_regular, path), path, wanted, 0)
+    else:
+        ends = [*starts[1:], len(content)]
+        parts = [content[start:end] for start, end in zip(starts, ends, strict=True)]
+        raw = _joined([_read(partial(io.BytesIO, p), path, wanted, n) for n, p in enumerate(parts)])
+    if progress is not None:
+        progress(1.0)
+    if not raw.messages:
+        raise LogError(
+            "no topic with flight data could be read; the log holds nothing this importer knows",
+            path,
+        )
+    return raw
+
+
+def _headers(handle: BinaryIO) -> list[int]:
+    """Offsets at which a log begins: several logs may stand in one file."""
+    starts, base, tail = [0], 0, b""
+    while block := handle.read(_BLOCK_BYTES):
+        data = tail + block
+        at = data.find(_MAGIC)
+        while at >= 0:
+            # The kind of the first message, flags or a definition, makes chance bytes unlikely.
+            kind = data[at + _HEADER_BYTES + 2 : at + _HEADER_BYTES + 3]
+            if base + at > 0 and kind in (b"B", b"F", b"I", b"P") and base + at not in starts:
+                starts.append(base + at)
+            at = data.find(_MAGIC, at + 1)
+        kept = min(len(data), 2 * _HEADER_BYTES)
+        base, tail = base + len(data) - kept, data[len(data) - kept :]
+    return starts
+
+
+def _read(opened: Callable[[], BinaryIO], path: Path, wanted: Wanted | None, number: int) -> RawLog:
+    """One log of a file, opened by ``opened``; ``number`` counts the logs before it."""
     chatter = io.StringIO()
+    names = None if wanted is None else sorted(wanted)
     try:
         # pyulog prints what it finds corrupt; it belongs into the findings, not onto the terminal.
         # Given an open file, since pyulog leaves a file open that it opened itself and could not read.
-        with (
-            open_regular(path) as handle,
-            contextlib.redirect_stdout(chatter),
-            np.errstate(all="ignore"),
-        ):
-            log = ULog(
-                handle, None if wanted is None else sorted(wanted), disable_str_exceptions=True
-            )
+        with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
+            with opened() as handle:
+                log = ULog(handle, names, disable_str_exceptions=True)
+            stamps = [d.data["timestamp"] for d in log.data_list if "timestamp" in d.data]
+            places = {}
+            if any(_steps_back(stamp) for stamp in stamps):
+                # Only then the order of records over all topics is needed, and the file is read again.
+                with opened() as handle:
+                    ordered = _OrderedULog(handle, names, disable_str_exceptions=True)
+                places = {k: np.array(v, dtype=np.int64) for k, v in ordered.places.items()}
     except MemoryError:
         raise
     except Exception as e:  # pyulog meets damage with whatever its parsing runs into
@@ -50,8 +104,7 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
             f"damaged or not a ULog file ({type(e).__name__}: {' '.join(str(e).split())[:120]}); copy the log again",
             path,
         ) from None
-    if progress is not None:
-        progress(1.0)
+    base = number * _PART
     messages = {}
     for data in log.data_list:
         fields = {
@@ -59,23 +112,87 @@ def read(path: Path, wanted: Wanted | None = None, progress: Progress | None = N
         }
         if "timestamp" not in data.data or not len(data.data["timestamp"]):
             continue
+        key = (str(data.name), int(data.multi_id))
         time_s = data.data["timestamp"].astype(np.float64) * 1e-6
-        messages[(str(data.name), int(data.multi_id))] = MessageTable(time_s, fields)
-    if not messages:
-        raise LogError(
-            "no topic with flight data could be read; the log holds nothing this importer knows",
-            path,
-        )
+        order = places.get(key)
+        place = base + order if order is not None and len(order) == len(time_s) else None
+        messages[key] = MessageTable(time_s, fields, place)
+    if not places and messages:
+        # Each topic is in order, and so are all together.
+        ranks = np.argsort(np.argsort(np.concatenate([t.time_s for t in messages.values()])))
+        ends = np.cumsum([len(t.time_s) for t in messages.values()])
+        for (key, table), rank in zip(messages.items(), np.split(ranks, ends[:-1]), strict=True):
+            messages[key] = replace(table, place=base + 1 + rank)
+    parameters = _parameters(log)
     return RawLog(
         dialect="ulog",
         messages=messages,
         counts={f"{name}[{i}]" if i else name: len(t.time_s) for (name, i), t in messages.items()},
-        parameters=_parameters(log),
+        parameters=parameters,
         texts=tuple((m.timestamp * 1e-6, str(m.message)) for m in log.logged_messages),
         vehicle=_vehicle(log, messages),
         facts={"px4": str(log.msg_info_dict.get("ver_sw_branch", ""))},
         findings=tuple(_findings(log, chatter.getvalue())),
+        headers=(base,) if number else (),
+        parameter_log=tuple((base, name, value) for name, value in parameters.items()),
+        text_places=(base,) * len(log.logged_messages),
     )
+
+
+def _joined(parts: list[RawLog]) -> RawLog:
+    """Several logs of one file as one, in which places keep them apart."""
+    messages: dict[tuple[str, int], MessageTable] = {}
+    for key in dict.fromkeys(key for part in parts for key in part.messages):
+        tables = [part.messages[key] for part in parts if key in part.messages]
+        names = set.intersection(*(set(t.fields) for t in tables))
+        messages[key] = MessageTable(
+            np.concatenate([t.time_s for t in tables]),
+            {n: np.concatenate([t.fields[n] for t in tables]) for n in names},
+            None
+            if any(t.place is None for t in tables)
+            else np.concatenate([t.place for t in tables if t.place is not None]),
+        )
+    return replace(
+        parts[0],
+        messages=messages,
+        counts={key: sum(p.counts.get(key, 0) for p in parts) for p in parts for key in p.counts},
+        parameters={name: value for p in parts for name, value in p.parameters.items()},
+        texts=tuple(text for p in parts for text in p.texts),
+        vehicle=next((p.vehicle for p in parts if p.vehicle != "PX4"), "PX4"),
+        findings=tuple({f.message: f for p in parts for f in p.findings}.values()),
+        headers=tuple(h for p in parts for h in p.headers),
+        parameter_log=tuple(row for p in parts for row in p.parameter_log),
+        text_places=tuple(at for p in parts for at in p.text_places),
+    )
+
+
+def _steps_back(timestamp: NDArray[Any]) -> bool:
+    return len(timestamp) > 1 and bool(
+        np.min(np.diff(timestamp.astype(np.float64))) < -1e6 * RESTART_S
+    )
+
+
+class _OrderedULog(ULog):
+    """A log that also says in which order the records of all topics stand in the file."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self.places: dict[tuple[str, int], list[int]] = {}
+        self.records = 0
+        super().__init__(*args, **options)
+
+    class _MessageData(ULog._MessageData):
+        def initialize(
+            self, data: bytes, header: Any, subscriptions: dict[int, Any], ulog_object: Any
+        ) -> bool:
+            """Parse a record and note its place."""
+            damaged = bool(super().initialize(data, header, subscriptions, ulog_object))
+            number = int.from_bytes(data[:2], "little")
+            ulog_object.records += 1
+            if not damaged and number in subscriptions:
+                topic = subscriptions[number]
+                key = (str(topic.message_name), int(topic.multi_id))
+                ulog_object.places.setdefault(key, []).append(ulog_object.records)
+            return damaged
 
 
 def _parameters(log: ULog) -> dict[str, float]:

@@ -30,7 +30,8 @@ def test_a_log_is_sent_table_by_table_and_then_what_is_known_of_it(tmp_path: Pat
     (tmp_path / "a.csv").write_text("t,x,y\n0,1,2\n1,3,4\n")
     frames = served("csv", tmp_path / "a.csv", {"csv": ["x"]})
     assert [kind for kind, _ in frames] == ["r", "c", "c", "d"]
-    name, key, instance, time_s, fields = load(frames[1][1])
+    name, key, instance, time_s, fields, place = load(frames[1][1])
+    assert len(place) == 0  # a table has no order but its own
     assert (name, key, instance) == ("table", "csv", 0)
     assert time_s.tolist() == [0.0, 1.0]
     assert {k: v.tolist() for k, v in fields.items()} == {"x": [1.0, 3.0]}

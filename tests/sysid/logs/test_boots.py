@@ -1,0 +1,200 @@
+"""Several boots in one log: told apart, listed, one read; damage and lines out of order are no boots."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError
+from sysid.logs.boots import boundaries
+from sysid.logs.card import AirframeCard
+from sysid.logs.dataflash_writer import write_dataflash
+from sysid.logs.load import import_log
+from sysid.record import FlightRecord
+from tests.helpers.log_writers import px4_topics, write_text_log, write_tlog, write_ulog
+from tests.helpers.synthetic import flight
+
+_RATE = 100.0
+
+
+def stamps(*spans: tuple[float, float]) -> np.ndarray:
+    """Stamps of a stream of records that covers each span in turn."""
+    return np.concatenate([np.arange(start, end, 1.0 / _RATE) for start, end in spans])
+
+
+def begins(time_s: np.ndarray, headers: tuple[int, ...] = ()) -> list[int]:
+    return boundaries(np.arange(len(time_s)), time_s, headers)
+
+
+def test_a_clock_that_begins_again_is_a_boundary_to_the_record() -> None:
+    assert begins(stamps((3.0, 20.0), (0.5, 60.0))) == [1700]
+    assert begins(stamps((0.0, 20.0), (0.0, 20.0), (5.0, 9.0))) == [2000, 4000]
+
+
+def test_a_later_boot_may_pass_the_earlier_ones_end_or_pause_before_it() -> None:
+    assert begins(stamps((0.0, 20.0), (0.5, 10.0), (35.0, 60.0))) == [2000]
+
+
+def test_lines_out_of_order_late_blocks_and_wrong_stamps_are_no_boots() -> None:
+    time_s = stamps((0.0, 60.0))
+    rng = np.random.default_rng(1)
+    shuffled = time_s.copy()
+    for k in rng.integers(0, len(time_s) - 30, 100):
+        shuffled[[k, k + 20]] = shuffled[[k + 20, k]]
+    spikes = time_s.copy()
+    spikes[rng.integers(0, len(time_s), 60)] = rng.choice([0.0, 1e9, 4e6, -3.0, np.nan], 60)
+    late = np.concatenate([time_s[:1000], time_s[1500:3000], time_s[1000:1500], time_s[3000:]])
+    wrong_clock = time_s.copy()
+    wrong_clock[2000:2200] += 900.0
+    for damaged in (shuffled, spikes, late, wrong_clock):
+        assert begins(damaged) == []
+
+
+def test_wrong_stamps_at_the_restart_move_the_boundary_by_no_record() -> None:
+    time_s = stamps((0.0, 20.0), (0.0, 30.0))
+    time_s[[1990, 2003]] = [1e7, 500.0]
+    assert begins(time_s) == [2000]
+
+
+def test_a_repeated_header_parts_boots_whose_clock_runs_forward_but_no_boot() -> None:
+    assert begins(stamps((0.0, 20.0), (45.0, 60.0)), (2000,)) == [2000]
+    assert begins(stamps((0.0, 20.0), (45.0, 60.0))) == []
+    assert begins(stamps((0.0, 20.0), (20.0, 60.0)), (2000,)) == []
+
+
+@pytest.fixture(scope="module")
+def brief() -> FlightRecord:
+    return flight(duration_s=20.0, start_s=5.0)
+
+
+def early(brief: FlightRecord) -> FlightRecord:
+    """Eight seconds of another boot, told from the long flight by airspeeds of 30 m/s more."""
+    part = brief.between(10.0, 18.0)
+    return part.with_columns({"time_s": part["time_s"] - 7.0, "V_mps": part["V_mps"] + 30.0})
+
+
+def logs(kind: str, first: FlightRecord, second: FlightRecord, folder: Path, card: AirframeCard):
+    """The path of a log of ``kind`` with two boots."""
+    parts = []
+    for k, record in enumerate((first, second)):
+        path = folder / f"{k}.part"
+        if kind.startswith("dataflash-text"):
+            write_text_log(path, record)
+            lines = path.read_text().splitlines(keepends=True)
+            keep = [x for x in lines if not x.startswith(("FMT", "MSG"))]
+            parts.append("".join(keep if k and kind.endswith("headless") else lines).encode())
+        elif kind == "dataflash":
+            write_dataflash(record, path, card)
+            parts.append(path.read_bytes())
+        elif kind == "tlog":
+            write_tlog(path, record, every=1)
+            parts.append(path.read_bytes())
+        else:
+            write_ulog(path, px4_topics(record))
+            data = path.read_bytes()
+            at = 16
+            while kind.endswith("headless") and k and data[at + 2 : at + 3] != b"D":
+                at += 3 + struct.unpack_from("<H", data, at)[0]
+            parts.append(data[at:] if at > 16 else data)
+    path = folder / "two.log"
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+KINDS = ("dataflash", "dataflash-text", "dataflash-text headless", "tlog", "ulog", "ulog headless")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_boots_of_every_dialect_are_listed_and_one_is_read(
+    kind: str, tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    path = logs(kind, early(brief), brief, tmp_path, card)
+    longest = import_log(path, None, card_path)
+    assert longest.metadata.flight_number == 2
+    assert [b.number for b in longest.metadata.flights] == [1, 2]
+    spans = [b.end_s - b.start_s for b in longest.metadata.flights]
+    assert spans == pytest.approx([8.0, 20.0], abs=0.3)
+    (finding,) = (f for f in longest.metadata.findings if f.code == "clock-restart")
+    assert finding.severity == "warning"
+    assert "--flight-number" in finding.message
+    assert not any(f.code == "time-backwards" for f in longest.metadata.findings)
+    # Nothing of the other boot: its airspeeds are 30 m/s higher.
+    fast = np.nanmax(brief["V_mps"]) + 5.0
+    assert np.nanmax(longest["V_mps"]) < fast
+    first = import_log(path, None, card_path, flight_number=1)
+    assert np.nanmin(first["V_mps"]) > fast
+    assert first["time_s"][-1] - first["time_s"][0] == pytest.approx(8.0, abs=0.3)
+    with pytest.raises(LogError, match="flights 1 to 2"):
+        import_log(path, None, card_path, flight_number=3)
+
+
+def test_one_boot_lists_nothing_and_holds_no_second(bin_log: Path, card_path: Path) -> None:
+    record = import_log(bin_log, None, card_path)
+    assert record.metadata.flights == ()
+    assert not any(f.code == "clock-restart" for f in record.metadata.findings)
+    assert len(import_log(bin_log, None, card_path, flight_number=1)) == len(record)
+    with pytest.raises(LogError, match="holds one flight"):
+        import_log(bin_log, None, card_path, flight_number=2)
+
+
+def test_a_long_stand_on_the_ground_is_not_the_longest_flight(
+    tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    still = brief.with_columns({"V_mps": 0.3 + 0.0 * brief["V_mps"]})
+    path = logs("dataflash", early(brief), still, tmp_path, card)
+    record = import_log(path, None, card_path)
+    assert record.metadata.flight_number == 1
+    assert record.metadata.flights[1].free_flight_s is None
+
+
+def test_parameters_are_those_of_the_boot(
+    tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    other = replace(
+        card,
+        servos={
+            n: replace(s, table=tuple((p, 2 * a) for p, a in s.table))
+            for n, s in card.servos.items()
+        },
+    )
+    paths = [tmp_path / "a.bin", tmp_path / "b.bin"]
+    write_dataflash(brief, paths[0], card)
+    write_dataflash(early(brief), paths[1], other, parameters={"SERVO2_REVERSED": 1.0})
+    both = tmp_path / "both.bin"
+    both.write_bytes(b"".join(p.read_bytes() for p in paths))
+    alone = import_log(paths[0], None, card_path)
+    assert np.array_equal(
+        import_log(both, None, card_path)["elevator_deg"], alone["elevator_deg"], equal_nan=True
+    )
+
+
+def test_the_boots_stay_with_a_record_and_its_cache(
+    tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    path = logs("dataflash", early(brief), brief, tmp_path, card)
+    cache = tmp_path / "cache"
+    for number in (None, 1, None):
+        record = import_log(path, None, card_path, flight_number=number, cache=cache)
+        assert record.metadata.flight_number == (number or 2)
+    record = import_log(path, None, card_path, flight_number=1, cache=cache)
+    record.write(tmp_path / "one.parquet")
+    again = FlightRecord.read(tmp_path / "one.parquet")
+    assert again.metadata.flights == record.metadata.flights
+    assert again.metadata.flight_number == 1
+
+
+def test_findings_are_those_of_the_chosen_boot(
+    tmp_path: Path,
+    brief: FlightRecord,
+    card: AirframeCard,
+    card_path: Path,
+) -> None:
+    path = logs("dataflash-text", early(brief), brief, tmp_path, card)
+    codes = [f.code for f in import_log(path, None, card_path).metadata.findings]
+    path.write_bytes((tmp_path / "1.part").read_bytes())
+    alone = [f.code for f in import_log(path, None, card_path).metadata.findings]
+    assert codes == ["clock-restart", *alone]
