@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
+from sysid.estimation import channel_noise
 from sysid.logs import (
     bridge,
     default_cache,
@@ -60,7 +61,9 @@ _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
 """By how much a log's accelerometers may be late."""
-_START_S = 0.4
+_START_S, _LEAST_LINE = 0.4, 3
+_SURE = 3.0
+"""Standard deviations by which the squares left by a straight line may exceed their expectation from noise."""
 MAX_GAP_SHARE = 0.5
 AS_COMMANDED = 1e-3
 """Of its command's range: a position that is never further off is no measurement beside it."""
@@ -320,14 +323,14 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
 def segments(
     flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[Segment]:
-    """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
+    """Replay segments of a flight's pieces, each from the state that its first rows show (`_start`)."""
     record = flight.record
     out = []
     for piece in flight.pieces:
         rows = piece.rows
         time = record["time_s"][rows]
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
-        start = np.array([_start(record, name, rows) for name in STATES])
+        begins = [_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
         asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
@@ -338,7 +341,7 @@ def segments(
                 flight.name,
                 grid,
                 np.column_stack([record[c][rows] for c in control_columns(measured)]),
-                start,
+                np.array([b.value for b in begins]),
                 _altitude(record, rows, h),
                 h,
                 arm_m,
@@ -346,6 +349,7 @@ def segments(
                 height_known(record),
                 commands,
                 _commands_before(flight, rows.start, control_columns(measured)),
+                np.array([b.reach for b in begins]),
             )
         )
     return out
@@ -383,18 +387,48 @@ def _unwrapped(name: str, values: Array) -> Array:
     return out
 
 
-def _start(record: FlightRecord, name: str, rows: slice) -> float:
+@dataclass(frozen=True)
+class _Start:
+    """Estimate of a channel at a segment's first row, and how far from it the channel is within the first rows."""
+
+    value: float
+    reach: float
+
+
+def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
+    """Estimate a channel at a piece's first row.
+
+    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast mode, which bends within a few
+    rows. So the line is fitted to the longest beginning that it passes through within noise (Lepski's choice of a window), and
+    without one the first value is taken.
+    """
     if name not in record:
-        return 0.0
-    n = max(3, round(_START_S / record.dt_s))
-    values = np.array(record[name][rows][:n], dtype=np.float64)
-    good = np.isfinite(values)
-    values = _unwrapped(name, values)
-    if good.sum() < 3:
-        return float(np.nanmean(values)) if good.any() else 0.0
-    at, known = np.arange(len(values))[good], values[good]
-    away = at - at.mean()
-    return float(known.mean() - at.mean() * (away @ known) / (away @ away))
+        return _Start(0.0, 0.0)
+    piece = _unwrapped(name, record[name][rows])
+    n = max(_LEAST_LINE, round(_START_S / record.dt_s))
+    at = np.flatnonzero(np.isfinite(piece[:n]))
+    if not len(at):
+        return _Start(0.0, 0.0)
+    noise = channel_noise([piece[:, None]], [name], {})[name]
+    first = piece[at]
+    value = float(first[0])
+    for k in _window_lengths(len(at)):
+        line = np.polynomial.polynomial.polyfit(at[:k], first[:k], 1)
+        left = first[:k] - np.polynomial.polynomial.polyval(at[:k], line)
+        free = k - 2
+        if left @ left <= noise**2 * (free + _SURE * math.sqrt(2.0 * free)):
+            value = float(line[0])
+            break
+    return _Start(value, float(np.abs(first - value).max()))
+
+
+def _window_lengths(n: int) -> list[int]:
+    """Numbers of rows that a line is tried on, the longest first, each half of the one before."""
+    out = []
+    while n >= _LEAST_LINE:
+        out.append(n)
+        n //= 2
+    return out
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
@@ -426,7 +460,7 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
                     2.0
                     * np.pi
                     * np.rint(
-                        (first - _start(flight.record, name, piece.rows)) / (2.0 * np.pi)
+                        (first - _start(flight.record, name, piece.rows).value) / (2.0 * np.pi)
                     ).sum()
                 )
             block[:, k] = values

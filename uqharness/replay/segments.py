@@ -34,6 +34,7 @@ class Segment:
     from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
     commands: the same controls between the rows as well, where the record had more rows; None: it had no more.
     before (k, c): the controls at the commands before the first row, the last of them behind; None where none is known.
+    reach (9,): how far the measured states are from ``start`` within the first rows, by which an estimate of it may move.
     """
 
     label: str
@@ -48,6 +49,7 @@ class Segment:
     above_ground: bool = False
     commands: Commands | None = None
     before: Array | None = None
+    reach: Array | None = None
 
     @property
     def kind(self) -> str:
