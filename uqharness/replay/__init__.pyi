@@ -55,6 +55,8 @@ from .residuals import flight_residuals as flight_residuals
 from .residuals import prediction_of as prediction_of
 from .residuals import read_bounds_flights as read_bounds_flights
 from .residuals import recut as recut
+from .sampling_errors import MeasuredSegment as MeasuredSegment
+from .sampling_errors import sampling_errors as sampling_errors
 from .segments import Segment as Segment
 from .simulation import Replay as Replay
 from .simulation import counter as counter

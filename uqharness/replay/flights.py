@@ -76,6 +76,7 @@ class Flight:
     gyro_late_s: by how much the rates turn after slowly logged commands stepped.
     commands: column -> controls with ``per_row`` values from row to row, where the record had more rows; none where it had not.
     In ``record`` they are means from row to row.
+    half_way: whether a command stands half-way at the row of its jump, which makes up for what sampling does to it.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Flight:
     gyro_late_s: float = 0.0
     commands: Mapping[str, Array] = field(default_factory=dict)
     per_row: int = 1
+    half_way: bool = False
 
     def felt_late_s(self) -> float:
         """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
@@ -99,7 +101,8 @@ class Flight:
             for c in _COLUMN.values()
             if c in record
         }
-        return replace(self, record=record.with_columns(moved), commands={}, per_row=1)
+        record = record.with_columns(moved)
+        return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
     def with_commands_later(self, late_s: float) -> Flight:
         """The flight with every command and position so much later [s]; before the first row its value is held.

@@ -90,6 +90,27 @@ class Segment:
             self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None
         )
 
+    def part(self, rows: slice) -> Segment:
+        """Cut out some rows; start and height stay those of the first row."""
+        first, last = rows.start, rows.stop
+        fine = slice(first * self.per_row, (last - 1) * self.per_row + 1)
+        own = self.commands
+        commands, before = own, self.before
+        if own is not None:
+            targets = None if own.targets is None else own.targets[fine]
+            commands = Commands(own.per_row, own.controls[fine], targets)
+        if first > 0:
+            earlier = (self.controls if own is None else own.controls)[: fine.start]
+            before = earlier if before is None else np.vstack([before, earlier])
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            controls=self.controls[rows],
+            targets=None if self.targets is None else self.targets[rows],
+            commands=commands,
+            before=before,
+        )
+
     def on_rows(self, values: Array) -> Array:
         """(n,) values at the rows of what is known at each command (N,): their straight lines have the same area."""
         k = self.per_row
