@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
 from sysid.digests import file_sha256
 from sysid.errors import LogError
-from sysid.estimation import channel_noise
 from sysid.logs import (
     bridge,
     default_cache,
@@ -61,9 +60,9 @@ _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
 """By how much a log's accelerometers may be late."""
-_START_S, _LEAST_LINE = 0.4, 3
-_SURE = 3.0
-"""Standard deviations by which the squares left by a straight line may exceed their expectation from noise."""
+_START_S, _LEAST_LINE = 0.4, 6
+_CHANCE = 0.01
+"""Probability by which noise about a straight line looks bent."""
 MAX_GAP_SHARE = 0.5
 AS_COMMANDED = 1e-3
 """Of its command's range: a position that is never further off is no measurement beside it."""
@@ -402,36 +401,34 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
     """Estimate a channel at a piece's first row.
 
     A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast mode, which bends within a few
-    rows. So the line is fitted to the longest beginning that it passes through within noise (Lepski's choice of a window), and
-    without one the first value is taken.
+    rows. So the line is fitted to the longest beginning in which a cubic explains no more than chance would let it (likelihood
+    ratio of the two, Lepski's choice of a window), and without one the first value is taken.
     """
     if name not in record:
         return _Start(0.0, 0.0)
-    piece = _unwrapped(name, record[name][rows])
-    n = max(_LEAST_LINE, round(_START_S / record.dt_s))
-    at = np.flatnonzero(np.isfinite(piece[:n]))
+    values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
+    at = np.flatnonzero(np.isfinite(values))
     if not len(at):
         return _Start(0.0, 0.0)
-    noise = channel_noise([piece[:, None]], [name], {})[name]
-    first = piece[at]
-    value = float(first[0])
-    for k in _window_lengths(len(at)):
-        line = np.polynomial.polynomial.polyfit(at[:k], first[:k], 1)
-        left = first[:k] - np.polynomial.polynomial.polyval(at[:k], line)
-        free = k - 2
-        if left @ left <= noise**2 * (free + _SURE * math.sqrt(2.0 * free)):
-            value = float(line[0])
+    first = values[at]
+    value, n = float(first[0]), len(at)
+    while n >= _LEAST_LINE:
+        line, straight = _polynomial_at_zero(at[:n], first[:n], 1)
+        _, bent = _polynomial_at_zero(at[:n], first[:n], 3)
+        # Of F's distribution with 2 degrees of freedom above, n - 4 below.
+        if bent >= straight * _CHANCE ** (2.0 / (n - 4)):
+            value = line
             break
+        n //= 2
     return _Start(value, float(np.abs(first - value).max()))
 
 
-def _window_lengths(n: int) -> list[int]:
-    """Numbers of rows that a line is tried on, the longest first, each half of the one before."""
-    out = []
-    while n >= _LEAST_LINE:
-        out.append(n)
-        n //= 2
-    return out
+def _polynomial_at_zero(at: NDArray[np.intp], values: Array, degree: int) -> tuple[float, float]:
+    """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
+    basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
+    coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
+    left = values - basis @ coefficients
+    return float(coefficients[0]), float(left @ left)
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
