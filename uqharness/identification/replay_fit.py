@@ -17,8 +17,15 @@ from numpy.typing import NDArray
 from sysid.estimation import OutputErrorFit
 from sysid.estimation.output_error import output_error
 from uqharness.errors import BadInputError
-from uqharness.replay import CONTROL_DELAY, Layout, Replay, ReplayModel, Segment, nuisance_layout
-from uqharness.replay.replay import SHORT_STEP_S
+from uqharness.replay import (
+    CONTROL_DELAY,
+    SHORT_STEP_S,
+    Layout,
+    Replay,
+    ReplayModel,
+    Segment,
+    nuisance_layout,
+)
 
 Array = NDArray[np.float64]
 MAX_ITERATIONS = 40

@@ -44,6 +44,7 @@ from .positions import surface_positions as surface_positions
 from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY
 from .replay import SENSOR_OF as SENSOR_OF
+from .replay import SHORT_STEP_S as SHORT_STEP_S
 from .replay import STATES as STATES
 from .replay import UNSEEN as UNSEEN
 from .replay import at_rows as at_rows

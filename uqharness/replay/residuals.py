@@ -17,10 +17,10 @@ from sysid.aerodynamics import (
     Prediction,
     Residuals,
     cut,
+    half_width,
     residual_coefficients,
     steady_airspeed,
 )
-from sysid.aerodynamics.coefficients import half_width
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
@@ -116,11 +116,12 @@ class JsbsimPrediction:
         if self.flight.half_way:
             return [np.zeros((p.rows.stop - p.rows.start, 6)) for p in pieces]
         self._prepare(pieces)
+        x, y, z = (float(length) for length in arm_m)
         parts = []
         for piece in pieces:
             states = self._states(self.flight.record, piece, 1)
             rows = (piece.rows.start, piece.rows.stop)
-            segment = replace(self.segments[rows], arm_m=tuple(float(x) for x in arm_m))
+            segment = replace(self.segments[rows], arm_m=(x, y, z))
             channels = measured_states(self.flight, piece)
             assert states.altitude_m is not None
             parts.append(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import CUTOFF_HZ, demanded, half_width, smooth
+from sysid.aerodynamics import CUTOFF_HZ, demanded, half_width, smooth
 from uqharness.replay.force import ForcedModel, StatesOf, force_all
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
 from uqharness.replay.model import ReplayModel
