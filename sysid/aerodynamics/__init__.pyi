@@ -3,6 +3,7 @@ from .air_rotation import AirPiece as AirPiece
 from .air_rotation import air_pieces as air_pieces
 from .air_rotation import as_measured as as_measured
 from .air_rotation import without_air_rotation as without_air_rotation
+from .coefficients import CUTOFF_HZ as CUTOFF_HZ
 from .coefficients import demanded as demanded
 from .coefficients import half_width as half_width
 from .coefficients import smooth as smooth

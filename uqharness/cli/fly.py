@@ -36,6 +36,7 @@ from uqharness.report.pages import FlightAsked, flight_page
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     MISSIONS,
+    SECOND_ORDER,
     Aircraft,
     Script,
     StartSection,
@@ -179,9 +180,9 @@ def _run(args: argparse.Namespace) -> int:
         copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
         copy_beside(aircraft, root, engine.default_root())
         copy = finely(find_aircraft(root / "aircraft" / aircraft.folder.name))
-        path, _ = write_own_mission(
-            copy, StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m), args.mission
-        )
+        start = StartSection(V_mps=args.speed_mps, altitude_m=args.altitude_m)
+        chosen = SECOND_ORDER.keys() & parse_settings(args.settings).keys()
+        path, _ = write_own_mission(copy, start, args.mission, restarting=not chosen)
         return _fly(args, aircraft, copy, path)
 
 

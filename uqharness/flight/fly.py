@@ -29,6 +29,7 @@ from uqharness.flight.stepping import first_levels, has_air, stepper
 from uqharness.simulator import (
     CHANGEABLE,
     MARK,
+    SECOND_ORDER,
     Source,
     StagedMission,
     bring_to_rest,
@@ -270,7 +271,9 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name in spec.properties:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
-    refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *spec.properties])
+    # A script may leave the integrators of a recorded flight for some frames: at a jump a multistep rule has to begin anew.
+    chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
+    refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
     with_air = has_air(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":

@@ -254,7 +254,9 @@ def compare(
         modelled = replay(theta)
         on_stage("coefficients")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as straight:
-            demand, said, floor = _coefficients(model, straight, flight, cut, noise)
+            demand, said, floor = _coefficients(
+                model, straight, flight, cut, noise, _control_delay_s(layout_names, theta)
+            )
     data = [d for d, ok in zip(data, kept, strict=True) if ok]
     modelled = [y for y, ok in zip(modelled, kept, strict=True) if ok]
     cut = [s for s, ok in zip(cut, kept, strict=True) if ok]
@@ -303,13 +305,7 @@ def compare(
         predicted=said,
         nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
-        controls_late_s=float(
-            sum(
-                v
-                for n, v in zip(layout_names, theta, strict=True)
-                if n.endswith(f"/{CONTROL_DELAY}")
-            )
-        ),
+        controls_late_s=_control_delay_s(layout_names, theta),
         late_limit_s=late_limit_s(flight, cut[0].command_s),
         controls_late_std_s=late_std_s,
     )
@@ -369,6 +365,7 @@ def _coefficients(
     flight: Flight,
     cut: Sequence[Segment],
     noise: Mapping[str, float],
+    late_s: float,
 ) -> tuple[list[Array], list[Array], Array]:
     """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
 
@@ -376,9 +373,15 @@ def _coefficients(
     """
     rng = np.random.default_rng(1)
     every = [states(flight, piece) for piece in flight.pieces]
-    found = coefficient_gaps(model, straight, cut, every, noise, rng)
+    found = coefficient_gaps(model, straight, cut, every, noise, rng, late_s=late_s)
     demand, said, change = (list(part) for part in zip(*found, strict=True))
     return demand, said, floor_of([np.concatenate(change)])
+
+
+def _control_delay_s(names: Sequence[str], theta: Array) -> float:
+    """Read the estimate of how late the controls of the flight act; 0 where none was estimated."""
+    ends = zip(names, theta.tolist(), strict=True)
+    return float(sum(v for n, v in ends if n.endswith(f"/{CONTROL_DELAY}")))
 
 
 def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from sysid.estimation import OutputErrorFit
 from sysid.estimation.output_error import output_error
 from uqharness.errors import BadInputError
-from uqharness.replay import CONTROL_DELAY, Layout, Replay, ReplayModel, Segment, nuisance_layout
+from uqharness.replay import (
+    CONTROL_DELAY,
+    SHORT_STEP_S,
+    Layout,
+    Replay,
+    ReplayModel,
+    Segment,
+    nuisance_layout,
+)
 
 Array = NDArray[np.float64]
 MAX_ITERATIONS = 40
@@ -96,13 +104,15 @@ def fit_replays(
         observed.late_s,
     )
 
-    def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
+    def fit_within(
+        bounds: Sequence[tuple[float, float]], theta: Array, free: Sequence[str]
+    ) -> OutputErrorFit:
         return output_error(
             replay,
             theta,
             list(observed.data),
             names=layout.names,
-            bounds=layout.bounds,
+            bounds=bounds,
             free=list(free),
             map=map_,
             tolerance=TOLERANCE,
@@ -111,6 +121,24 @@ def fit_replays(
             errors=errors,
             told=told,
         )
+
+    def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
+        fit = fit_within(layout.bounds, theta, free)
+        kinked = _kinked_delays(model, layout, fit)
+        # At a row where a surface jumps the rates have a kink: as functions of the delay they have it at zero. A descent that
+        # crosses it to and fro settles on neither side, so each side is searched by itself, from and up to zero.
+        for side in (0.0, -np.inf) if kinked else ():
+            places = [k for k in kinked if side == 0.0 or fit.theta[k] == 0.0]
+            if not places:
+                break
+            bounds = list(layout.bounds)
+            for k in kinked:
+                low, high = layout.bounds[k]
+                bounds[k] = (0.0, high) if fit.theta[k] > 0.0 or side == 0.0 else (low, 0.0)
+            begin = _with(fit.theta, np.zeros(len(fit.theta)), places)
+            again = fit_within(bounds, begin, free)
+            fit = replace(again, n_simulations=fit.n_simulations + again.n_simulations)
+        return fit
 
     held = observed.held
     tries = [_with(values, tries[-1], [list(names).index(n) for n in held]) for values in tries]
@@ -142,6 +170,19 @@ def fit_replays(
             n_simulations=fit.n_simulations + again.n_simulations,
         )
     return ReplayFit(fit, layout, replay, (*lost, *held))
+
+
+def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> list[int]:
+    """Find the controls' delays that a descent may have crossed zero by to and fro: of surfaces that jump, shorter than a run."""
+    if fit.converged or not model.jumping:
+        return []
+    return [
+        k
+        for k, name in enumerate(layout.names)
+        if name.startswith("delay/")
+        and name.endswith(f"/{CONTROL_DELAY}")
+        and abs(fit.theta[k]) < SHORT_STEP_S
+    ]
 
 
 def _misfit(data: Sequence[Array], flown: Sequence[Array]) -> float:

@@ -14,11 +14,13 @@ from uqharness.replay import (
     CONTROLS,
     Flight,
     ForcedModel,
+    MeasuredSegment,
     ReplayModel,
     Segment,
     StatesOf,
     altitudes,
     force_all,
+    sampling_errors,
     states,
     surface_positions,
 )
@@ -109,9 +111,12 @@ def coefficient_gaps(
     noise_std: Mapping[str, float],
     rng: np.random.Generator,
     properties: Mapping[str, float] | None = None,
+    late_s: float = 0.0,
+    half_way: bool = False,
 ) -> list[tuple[Array, Array, Array]]:
-    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states, and how noise added once more
-    changes the first less the second."""
+    """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with what sampling makes of them, and
+    how noise added once more changes the first less the second. late_s: by how much the controls act late; half_way: commands
+    stand half-way at the row of a jump, which makes up for sampling."""
     noisy = [with_noise(channels, noise_std, rng) for channels in every]
     given = [*zip(cut, every, strict=True), *zip(cut, noisy, strict=True)]
     forced = forced_at(
@@ -121,10 +126,21 @@ def coefficient_gaps(
         (demand_of(channels, said, segment), smooth(said.coefficients, segment.dt_s))
         for (segment, channels), (said, _) in zip(given, forced, strict=True)
     ]
-    both = zip(found[: len(cut)], found[len(cut) :], strict=True)
+    stood = surface_positions(model, cut, CONTROLS, properties or {})
+    parts = [
+        MeasuredSegment(
+            segment, channels, controls, altitudes(model, segment, channels["h_m"]), late_s
+        )
+        for segment, channels, controls in zip(cut, every, stood, strict=True)
+    ]
+    if half_way:
+        sampled = [np.zeros((len(part.positions), 6)) for part in parts]
+    else:
+        sampled = sampling_errors(model, straight, parts, properties or {})
+    both = zip(found[: len(cut)], found[len(cut) :], sampled, strict=True)
     return [
-        (demand, said, (demand_again - said_again) - (demand - said))
-        for (demand, said), (demand_again, said_again) in both
+        (demand, said + error, (demand_again - said_again) - (demand - said))
+        for (demand, said), (demand_again, said_again), error in both
     ]
 
 

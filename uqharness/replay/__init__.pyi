@@ -45,6 +45,7 @@ from .positions import surface_positions as surface_positions
 from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY
 from .replay import SENSOR_OF as SENSOR_OF
+from .replay import SHORT_STEP_S as SHORT_STEP_S
 from .replay import STATES as STATES
 from .replay import UNSEEN as UNSEEN
 from .replay import at_rows as at_rows
@@ -56,6 +57,8 @@ from .residuals import flight_residuals as flight_residuals
 from .residuals import prediction_of as prediction_of
 from .residuals import read_bounds_flights as read_bounds_flights
 from .residuals import recut as recut
+from .sampling_errors import MeasuredSegment as MeasuredSegment
+from .sampling_errors import sampling_errors as sampling_errors
 from .segments import Segment as Segment
 from .simulation import Replay as Replay
 from .simulation import counter as counter

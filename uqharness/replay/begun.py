@@ -22,13 +22,16 @@ _STEP_S = 1e-3
 def begun(
     model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: Array
 ) -> Array:
-    """(c,) where actuators with a lag stand at the first row, in the record's units; NaN of other controls, and where no command
-    before it is known. properties: values in force, of which the actuators' own count; limits (c, 2): where a command goes no
-    further."""
+    """(c,) where actuators with a lag stand at the first row, and where controls that jump stood before it, in the record's units;
+    NaN of other controls, and where no command before it is known. properties: values in force, of which the actuators' own
+    count; limits (c, 2): where a command goes no further."""
     out = np.full(len(model.controls), np.nan)
     before = segment.at_commands().before
     if before is None or not len(before):
         return out
+    for control in model.jumping:
+        k = model.controls.index(control)
+        out[k] = np.clip(before[-1, k], *limits[k])
     given = {**_given(model), **properties}
     for control, numbers in model.lags.items():
         k = model.controls.index(control)

@@ -60,7 +60,9 @@ _POSITION = {name: f"{name}_pos_deg" for name in ("elevator", "aileron", "rudder
 _JUMPING = ("ax_mps2", "ay_mps2", "az_mps2")  # with a step of a control
 LATE_S = 0.03
 """By how much a log's accelerometers may be late."""
-_START_S = 0.4
+_START_S, _LEAST_LINE = 0.4, 6
+_CHANCE = 0.01
+"""Probability by which noise about a straight line looks bent."""
 MAX_GAP_SHARE = 0.5
 AS_COMMANDED = 1e-3
 """Of its command's range: a position that is never further off is no measurement beside it."""
@@ -73,6 +75,7 @@ class Flight:
     gyro_late_s: by how much the rates turn after slowly logged commands stepped.
     commands: column -> controls with ``per_row`` values from row to row, where the record had more rows; none where it had not.
     In ``record`` they are means from row to row.
+    half_way: whether a command stands half-way at the row of its jump, which makes up for what sampling does to it.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Flight:
     gyro_late_s: float = 0.0
     commands: Mapping[str, Array] = field(default_factory=dict)
     per_row: int = 1
+    half_way: bool = False
 
     def felt_late_s(self) -> float:
         """By how much a jumping surface's command comes late for what compares it with smoothed rates row by row: as late as the
@@ -96,7 +100,8 @@ class Flight:
             for c in _COLUMN.values()
             if c in record
         }
-        return replace(self, record=record.with_columns(moved), commands={}, per_row=1)
+        record = record.with_columns(moved)
+        return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
     def with_commands_later(self, late_s: float) -> Flight:
         """The flight with every command and position so much later [s]; before the first row its value is held.
@@ -329,14 +334,14 @@ def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]
 def segments(
     flight: Flight, measured: Sequence[str], arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[Segment]:
-    """Replay segments of a flight's pieces, each from the state measured at its start (straight lines through 0.4 s)."""
+    """Replay segments of a flight's pieces, each from the state that its first rows show (`_start`)."""
     record = flight.record
     out = []
     for piece in flight.pieces:
         rows = piece.rows
         time = record["time_s"][rows]
         grid = time[0] + (time[-1] - time[0]) / (len(time) - 1) * np.arange(len(time))
-        start = np.array([_start(record, name, rows) for name in STATES])
+        begins = [_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
         between = flight.commands_in(rows, control_columns(measured))
         asked = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
@@ -347,7 +352,7 @@ def segments(
                 flight.name,
                 grid,
                 np.column_stack([record[c][rows] for c in control_columns(measured)]),
-                start,
+                np.array([b.value for b in begins]),
                 _altitude(record, rows, h),
                 h,
                 arm_m,
@@ -355,6 +360,7 @@ def segments(
                 height_known(record),
                 commands,
                 _commands_before(flight, rows.start, control_columns(measured)),
+                np.array([b.reach for b in begins]),
             )
         )
     return out
@@ -392,18 +398,46 @@ def _unwrapped(name: str, values: Array) -> Array:
     return out
 
 
-def _start(record: FlightRecord, name: str, rows: slice) -> float:
+@dataclass(frozen=True)
+class _Start:
+    """Estimate of a channel at a segment's first row, and how far from it the channel is within the first rows."""
+
+    value: float
+    reach: float
+
+
+def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
+    """Estimate a channel at a piece's first row.
+
+    A straight line through the first 0.4 s averages the noise, but a segment may begin with a fast mode, which bends within a few
+    rows. So the line is fitted to the longest beginning in which a cubic explains no more than chance would let it (likelihood
+    ratio of the two, Lepski's choice of a window), and without one the first value is taken.
+    """
     if name not in record:
-        return 0.0
-    n = max(3, round(_START_S / record.dt_s))
-    values = np.array(record[name][rows][:n], dtype=np.float64)
-    good = np.isfinite(values)
-    values = _unwrapped(name, values)
-    if good.sum() < 3:
-        return float(np.nanmean(values)) if good.any() else 0.0
-    at, known = np.arange(len(values))[good], values[good]
-    away = at - at.mean()
-    return float(known.mean() - at.mean() * (away @ known) / (away @ away))
+        return _Start(0.0, 0.0)
+    values = _unwrapped(name, record[name][rows][: max(3, round(_START_S / record.dt_s))])
+    at = np.flatnonzero(np.isfinite(values))
+    if not len(at):
+        return _Start(0.0, 0.0)
+    first = values[at]
+    value, n = float(first[0]), len(at)
+    while n >= _LEAST_LINE:
+        line, straight = _polynomial_at_zero(at[:n], first[:n], 1)
+        _, bent = _polynomial_at_zero(at[:n], first[:n], 3)
+        # Of F's distribution with 2 degrees of freedom above, n - 4 below.
+        if bent >= straight * _CHANCE ** (2.0 / (n - 4)):
+            value = line
+            break
+        n //= 2
+    return _Start(value, float(np.abs(first - value).max()))
+
+
+def _polynomial_at_zero(at: NDArray[np.intp], values: Array, degree: int) -> tuple[float, float]:
+    """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
+    basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
+    coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
+    left = values - basis @ coefficients
+    return float(coefficients[0]), float(left @ left)
 
 
 def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
@@ -435,7 +469,7 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
                     2.0
                     * np.pi
                     * np.rint(
-                        (first - _start(flight.record, name, piece.rows)) / (2.0 * np.pi)
+                        (first - _start(flight.record, name, piece.rows).value) / (2.0 * np.pi)
                     ).sum()
                 )
             block[:, k] = values

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from uqharness.replay.flights import Flight
-from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF, UNSEEN
+from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF, STATES, UNSEEN
 from uqharness.replay.segments import Segment
 
 _FREE_STARTS = (
@@ -59,12 +59,15 @@ def nuisance_layout(
         bounds += [(-_DELAY_WIDTH, _DELAY_WIDTH)] * len(channels)
     extra += [f"{UNSEEN}/{flight}" for flight in jumping]
     bounds += [SHARES] * len(jumping)
-    for number in range(len(cut)):
+    for number, segment in enumerate(cut):
         for state in _FREE_STARTS:
             if state not in outputs:
                 continue
             extra.append(f"start/{number}/{state}")
             width = _START_WIDTH.get(state, _DEFAULT_WIDTH)
+            if segment.reach is not None:
+                # A sensor that is late shows the start a few rows later, when a fast mode has moved on.
+                width += float(segment.reach[STATES.index(state)])
             bounds.append((-width, width))
     return Layout((*names, *extra), bounds)
 

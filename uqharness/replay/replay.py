@@ -274,14 +274,20 @@ def by_run(
     runs after it have besides, so that a rate limit behind the lag begins in time. A surface that jumps with its command has jumped
     at its row by the share ``seen``, whenever the others began to move; None, for outputs between rows: as it comes. The runs after
     take back what this moves too early. With fewer than four runs a row only area and mean time are kept: more would reach into
-    the next row; limits (c, 2): where a command goes no further; stood (c,): where actuators with a lag stand at the first row, NaN
-    for at its command, as without any.
+    the next row; limits (c, 2): where a command goes no further; stood (c,): where actuators with a lag stand at the first row, and
+    where surfaces that jump stood before it, which a late command leaves there; NaN for at its command, as without any.
     A measured position goes to the next one as a servo does: exponentially towards its command where that is known and explains
     the two, else in a straight line.
     """
     held, lags = ~np.asarray(measured), np.asarray(lagging)
     on_time = _on_time(segment, runs, held, lags, limits, stood)
     out = on_time.copy() if late == 0.0 else _later(on_time, late)
+    if late > 0.0 and stood is not None:
+        # The first run is that of the start: its value is what the first row has seen.
+        waits = held & ~lags & np.isfinite(stood)
+        out[1:, waits] -= np.outer(_waiting(len(out) - 1, late), segment.controls[0] - stood)[
+            :, waits
+        ]
     if seen is not None:
         now, jumps = segment.controls[:-1], held & ~lags
         rows = np.arange(len(out))[::runs]
@@ -308,6 +314,22 @@ def _later(values: Array, late: float) -> Array:
     out += below
     out[at < 0.0], out[at >= last] = values[0], values[-1]
     return out
+
+
+def _waiting(n: int, late: float) -> Array:
+    """(n,) shares of a jump at the first row that are missing in the runs behind it while the command waits ``late`` runs.
+
+    Sum and mean time of what Adams-Bashforth's sums make of them are those of the wait: a value acts around its own run, half a
+    run after the mean of the wait that it stands for, which the first one makes up for and the last one takes back.
+    """
+    run = np.arange(1.0, n + 1.0)
+    share = np.clip(late - run + 1.0, 0.0, 1.0)
+    last = max(1, math.ceil(late) - 1)
+    if last < n:
+        moved = (float(run @ share) - 0.5 * late**2) / last
+        share[0] += moved
+        share[last] -= moved
+    return share
 
 
 def _content(

@@ -17,16 +17,19 @@ from sysid.aerodynamics import (
     Prediction,
     Residuals,
     cut,
+    half_width,
     residual_coefficients,
     steady_airspeed,
 )
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
+from uqharness.replay.flights import states as measured_states
 from uqharness.replay.force import StatesOf, force_all
 from uqharness.replay.ground import heights
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.positions import WORTH_ONCE_S, surface_positions
+from uqharness.replay.sampling_errors import MeasuredSegment, sampling_errors
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
 
@@ -106,6 +109,25 @@ class JsbsimPrediction:
             controls[some],
             altitude[some],
         )
+
+    def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[Array]:
+        """(n, 6) errors of sampling in the coefficients of each piece of the flight (`sampling_errors`)."""
+        pieces = self.flight.pieces
+        if self.flight.half_way:
+            return [np.zeros((p.rows.stop - p.rows.start, 6)) for p in pieces]
+        self._prepare(pieces)
+        x, y, z = (float(length) for length in arm_m)
+        parts = []
+        for piece in pieces:
+            states = self._states(self.flight.record, piece, 1)
+            rows = (piece.rows.start, piece.rows.stop)
+            segment = replace(self.segments[rows], arm_m=(x, y, z))
+            channels = measured_states(self.flight, piece)
+            assert states.altitude_m is not None
+            parts.append(
+                MeasuredSegment(segment, channels, self.positions[rows], states.altitude_m)
+            )
+        return sampling_errors(self.model, self.straight, parts, self.values, cutoff_hz)
 
     def _prepare(self, pieces: Sequence[Piece]) -> None:
         """Segments, and where the controls stood. Actuators run up before the piece: where one stands at its start follows from
@@ -227,6 +249,12 @@ class ReplayPair:
         """The same for states near a piece's own, which `around` is asked for."""
         self.ahead(flight, records, pieces, _EVERY)
 
+    def sampling_errors(
+        self, flight: Flight, arm_m: Sequence[float], cutoff_hz: float
+    ) -> list[Array]:
+        """(n, 6) errors of sampling in the coefficients of each piece of a flight."""
+        return self._model(flight).sampling_errors(arm_m, cutoff_hz)
+
     def _every_row(self, flight: Flight, record: FlightRecord, piece: Piece) -> Prediction:
         key = self._key(flight, record, piece, 1)
         if key not in self.said:
@@ -290,6 +318,16 @@ def flight_residuals(
     """A flight's residual coefficients. Raises BadInputError."""
     try:
         pair.ahead(flight, [steady_airspeed(flight.record, cutoffs.airspeed_hz)], flight.pieces)
-        return residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
+        found = residual_coefficients(flight.record, flight.pieces, pair.of(flight), arm_m, cutoffs)
     except ValueError as error:
         raise BadInputError(f"{flight.name}: {error}") from None
+    errors = pair.sampling_errors(flight, arm_m, cutoffs.all_hz)
+    dt_s = found.dt_s
+    # Rows nearer to an end than the filter is wide are no part of a residual piece, and shorter pieces have none.
+    m = half_width(dt_s, cutoffs.all_hz)
+    kept = [error[m : len(error) - m] for error in errors if len(error) >= 2 * m + 3]
+    pieces = tuple(
+        replace(piece, delta=piece.delta - error)
+        for piece, error in zip(found.pieces, kept, strict=True)
+    )
+    return replace(found, pieces=pieces)

@@ -34,6 +34,7 @@ class Segment:
     from the CG; targets (n, c) the commands behind measured positions, NaN where there are none. above_ground: whether h_m is that.
     commands: the same controls between the rows as well, where the record had more rows; None: it had no more.
     before (k, c): the controls at the commands before the first row, the last of them behind; None where none is known.
+    reach (9,): how far the measured states are from ``start`` within the first rows, by which an estimate of it may move.
     """
 
     label: str
@@ -48,6 +49,7 @@ class Segment:
     above_ground: bool = False
     commands: Commands | None = None
     before: Array | None = None
+    reach: Array | None = None
 
     @property
     def kind(self) -> str:
@@ -86,6 +88,27 @@ class Segment:
         time_s = np.linspace(self.time_s[0], self.time_s[-1], len(own.controls))
         return replace(
             self, time_s=time_s, controls=own.controls, targets=own.targets, commands=None
+        )
+
+    def part(self, rows: slice) -> Segment:
+        """Cut out some rows; start and height stay those of the first row."""
+        first, last = rows.start, rows.stop
+        fine = slice(first * self.per_row, (last - 1) * self.per_row + 1)
+        own = self.commands
+        commands, before = own, self.before
+        if own is not None:
+            targets = None if own.targets is None else own.targets[fine]
+            commands = Commands(own.per_row, own.controls[fine], targets)
+        if first > 0:
+            earlier = (self.controls if own is None else own.controls)[: fine.start]
+            before = earlier if before is None else np.vstack([before, earlier])
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            controls=self.controls[rows],
+            targets=None if self.targets is None else self.targets[rows],
+            commands=commands,
+            before=before,
         )
 
     def on_rows(self, values: Array) -> Array:

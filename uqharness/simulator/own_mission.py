@@ -21,6 +21,7 @@ from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.linear import STATES, LinearModel, linearise, modes
 from uqharness.simulator.manoeuvre_script import DOUBLET, THREE_TWO_ONE_ONE
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
+from uqharness.simulator.signals import SECOND_ORDER
 from uqharness.simulator.start import StartSection
 from uqharness.simulator.steady_start import SCRIPT, write_steady_start
 
@@ -41,6 +42,8 @@ _GRID_S = 0.04  # steps fall on rows of a record at 25, 50 or 100 Hz: between tw
 _BANK = 3.0
 _MOST_TRAVEL = 0.5  # of what is left of a control's travel
 _DT_S = 0.01
+_RATES = ("simulation/integrator/rate/rotational", "simulation/integrator/rate/translational")
+_EULER = 1.0
 
 
 @dataclass(frozen=True)
@@ -60,11 +63,12 @@ class Step:
 
 
 def write_own_mission(
-    aircraft: Aircraft, start: StartSection, kind: str
+    aircraft: Aircraft, start: StartSection, kind: str, *, restarting: bool = False
 ) -> tuple[Path, list[Step]]:
     """Trim the aircraft and write initial conditions and a run script into its folder: the script, and its manoeuvres.
 
-    ``kind`` one of MISSIONS. Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
+    ``kind`` one of MISSIONS; ``restarting``: the flight is integrated by SECOND_ORDER, and begins anew at every step of a
+    control (`_restart`). Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
     command body rates.
     """
     if kind not in MISSIONS:
@@ -88,7 +92,10 @@ def write_own_mission(
         "" if kind == "steady" else f'    <property value="0">{MANOEUVRE_PROPERTY}</property>\n'
     )
     write_bytes(
-        path, text.replace("  </run>", f"{properties}{_events(aircraft, steps)}  </run>").encode()
+        path,
+        text.replace(
+            "  </run>", f"{properties}{_events(aircraft, steps, restarting)}  </run>"
+        ).encode(),
     )
     return path, steps
 
@@ -149,7 +156,7 @@ def _excursion_rad(
     return greatest
 
 
-def _events(aircraft: Aircraft, steps: list[Step]) -> str:
+def _events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
     out, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
@@ -162,13 +169,31 @@ def _events(aircraft: Aircraft, steps: list[Step]) -> str:
                 f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
             )
             out.append(_event(time - half, f"{time:.2f} s, {step.control}", change))
+            if restarting:
+                out.append(_restart(time, aircraft.dt_s))
             before, time = sign, time + units * step.unit_s
         time += REST_S
     return "".join(out)
 
 
+def _restart(time_s: float, dt_s: float) -> str:
+    """Begin Adams and Bashforth's rule anew at a step of a control, by one frame of Euler's.
+
+    The rule extrapolates accelerations from the frame before. Across a jump of a surface that is half a frame of a motion that
+    no aircraft makes: the rates of all later rows answer half a frame early, the row of the step itself does not.
+    """
+    out = []
+    for frames, rule, name in ((0.5, _EULER, "begin anew"), (1.5, None, "go on")):
+        changes = "\n      ".join(
+            f'<set name="{rate}" value="{SECOND_ORDER[rate] if rule is None else rule:g}"/>'
+            for rate in _RATES
+        )
+        out.append(_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
+    return "".join(out)
+
+
 def _event(time_s: float, name: str, change: str) -> str:
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s:.3f}</condition>\n'
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s:.5f}</condition>\n'
         f"      {change}\n    </event>\n"
     )

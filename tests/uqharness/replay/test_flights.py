@@ -171,3 +171,28 @@ def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start()
     ):
         assert np.isnan(block).any()
         assert np.nanmax(np.abs(block - segment.start[5])) < 2.0 * np.abs(noise).max()
+
+
+def starts_of_p(motion, draws=25):
+    """Start states of p, in its noise, less what they are in truth, of flights whose p is a motion from the first row on."""
+    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
+    time_s, noise, out = record["time_s"] - record["time_s"][0], 0.003, []
+    for seed in range(draws):
+        drawn = noise * np.random.default_rng(seed).standard_normal(len(record))
+        flight = prepare("f", record.with_columns({"p_radps": motion(time_s) + drawn}), ())
+        (first, *_) = segments(flight, ())
+        out.append((first.start[6] - motion(np.zeros(1))[0]) / noise)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("roll_s", [0.02, 0.05, 0.15])
+def test_a_segment_that_begins_with_a_fast_roll_starts_where_it_began(roll_s):
+    """A straight line through the first 0.4 s would start some 300 times its noise away."""
+    off = starts_of_p(lambda t: 1.1 * (1.0 - np.exp(-t / roll_s)))
+    assert np.sqrt(np.mean(off**2)) < 1.3
+    assert np.abs(off).max() < 4.0
+
+
+def test_a_straight_beginning_still_averages_the_noise():
+    off = starts_of_p(lambda t: 0.02 + 0.1 * t)
+    assert np.sqrt(np.mean(off**2)) < 0.6

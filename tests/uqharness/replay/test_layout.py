@@ -84,3 +84,11 @@ def test_of_logs_every_sensor_but_the_gyros_may_be_late():
 @pytest.mark.parametrize(("dt_s", "limit"), [(0.02, 0.01), (0.01, 0.0075), (0.1, 0.05)])
 def test_half_a_row_but_no_less_than_a_run(dt_s, limit):
     assert late_limit_s(flight({}), dt_s) == pytest.approx(limit)
+
+
+def test_a_start_may_move_as_far_as_the_first_rows_do():
+    reach = np.zeros(9)
+    reach[6] = 1.4
+    fast = replace(PIECE, reach=reach)
+    slow, found = (nuisance_layout((), (), [s], (), ("p_radps",), {}) for s in (PIECE, fast))
+    assert found.bounds[0][1] == pytest.approx(slow.bounds[0][1] + 1.4)

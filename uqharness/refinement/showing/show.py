@@ -99,7 +99,14 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         noise_std = dict(zip(setup.outputs, noise.tolist(), strict=True))
         rng = np.random.default_rng(1)
         gaps = coefficient_gaps(
-            bench.model, bench.straight, cut, setup.channels, noise_std, rng, start.values
+            bench.model,
+            bench.straight,
+            cut,
+            setup.channels,
+            noise_std,
+            rng,
+            start.values,
+            half_way=bool(setup.ideal),
         )
         if gusts is None:
             flown = _replayed(bench.model, setup, start, map_, at)
