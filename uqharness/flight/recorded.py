@@ -21,7 +21,6 @@ from uqharness.simulator import (
     Script,
     Source,
     StagedMission,
-    open_aircraft,
 )
 from uqharness.simulator import signals as properties
 
@@ -55,13 +54,10 @@ def recorded_flight(
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
         # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
-        flown = spec if _has_sensors(aircraft) else replace(spec, sensor_noise=False)
+        has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
+        flown = spec if has_sensors else replace(spec, sensor_noise=False)
         recorded = record_mission(mission, flown, table, optional, keep_burn_in=True)
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
-
-
-def _has_sensors(aircraft: Aircraft) -> bool:
-    return bool(open_aircraft(aircraft).get_property_manager().hasNode("sensor/V-mps"))
 
 
 def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:

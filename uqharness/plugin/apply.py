@@ -14,11 +14,11 @@ from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     aircraft_facts,
-    check_loadable,
     copy_beside,
     copy_folder,
     engine,
     find_aircraft,
+    undefined_properties,
 )
 from uqharness.xml import Insertion, apply, read_document
 
@@ -58,7 +58,7 @@ def instrument_aircraft(
 
     Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be written.
     """
-    check_loadable(aircraft)
+    undefined_properties(aircraft)
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
     if not aircraft.has_card:
@@ -77,7 +77,7 @@ def instrument_aircraft(
     if not dry_run:
         other = out.resolve() != aircraft.folder
         write(aircraft, planned, out)
-        check_loadable(find_aircraft(out))
+        undefined_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
             verdict = _checked(aircraft, out, edits)
     return Instrumented(out, planned, (*planned.notes, *notes), verdict)
