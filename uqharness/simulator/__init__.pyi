@@ -13,6 +13,7 @@ from .aircraft import open_aircraft as open_aircraft
 from .aircraft import parse_xml as parse_xml
 from .aircraft import undefined_properties as undefined_properties
 from .aircraft_facts import AircraftFacts as AircraftFacts
+from .aircraft_facts import ControlFacts as ControlFacts
 from .aircraft_files import INSIDE as INSIDE
 from .aircraft_files import copy_beside as copy_beside
 from .aircraft_files import copy_folder as copy_folder
@@ -41,6 +42,7 @@ from .manoeuvre_script import PLANS as PLANS
 from .manoeuvre_script import script as script
 from .mass_change import CHANGEABLE as CHANGEABLE
 from .mass_change import numbers_for as numbers_for
+from .mid_envelope import ALTITUDE_M as ALTITUDE_M
 from .mid_envelope import open_mid_envelope as open_mid_envelope
 from .mission import MANOEUVRE_PROPERTY as MANOEUVRE_PROPERTY
 from .mission import Script as Script
