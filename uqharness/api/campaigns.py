@@ -33,6 +33,7 @@ from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
 from uqharness.errors import BadInputError
+from uqharness.isolation import isolated
 from uqharness.project_files import find_campaign
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
@@ -96,6 +97,7 @@ class CampaignResult:
         )
 
 
+@isolated
 def run_campaign(
     campaign: AnyPath | CampaignSpec | Mapping[str, Any],
     out: AnyPath,

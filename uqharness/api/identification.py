@@ -22,6 +22,7 @@ from uqharness.identification import (
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.identification import model_form as bounding
+from uqharness.isolation import isolated
 from uqharness.replay import flights as replayed
 from uqharness.replay import recut
 from uqharness.simulator import Aircraft
@@ -29,6 +30,7 @@ from uqharness.simulator import Aircraft
 Servos = Literal["card", "ideal"]
 
 
+@isolated
 def identify(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],
@@ -119,6 +121,7 @@ def identify(
     )
 
 
+@isolated
 def compare(
     aircraft: AnyAircraft,
     flight: AnyFlight,
@@ -184,6 +187,7 @@ def compare(
     )
 
 
+@isolated
 def fit_model_form(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],

@@ -21,6 +21,7 @@ from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
+from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
 from uqharness.replay import renamed
@@ -30,6 +31,7 @@ from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft
 
 
+@isolated
 def refine(
     aircraft: AnyAircraft,
     *,
