@@ -14,7 +14,6 @@ import functools
 import logging
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 import traceback
@@ -135,17 +134,15 @@ class _Worker:
             callbacks.append(value)
             return _Callback(len(callbacks) - 1)
 
-        request = pickle.dumps(
-            (
-                os.getcwd(),
-                function,
-                tuple(map(sendable, args)),
-                {name: sendable(value) for name, value in kwargs.items()},
-            )
+        request = (
+            os.getcwd(),
+            function,
+            tuple(map(sendable, args)),
+            {name: sendable(value) for name, value in kwargs.items()},
         )
         self._clock.value = _NOT_FLYING
         try:
-            self._pipe.send_bytes(request)
+            self._pipe.send(request)
             return self._answer(callbacks)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self._process.join()
@@ -228,26 +225,31 @@ def _work(pipe: Connection, clock: Any) -> None:
     logger.addHandler(_ToParent())
     while True:
         try:
-            request = pipe.recv_bytes()
+            folder, function, args, kwargs = pipe.recv()
         except (EOFError, OSError):
             return
+        except Exception as error:
+            pipe.send(("error", RuntimeError(f"the call cannot be read: {error!r}")))
+            continue
+        answer: tuple[str, Any]
         try:
             _is_busy = True
-            folder, function, args, kwargs = pickle.loads(request)
             os.chdir(folder)
-            answer: tuple[str, Any] = ("result", function(*args, **kwargs))
+            answer = "result", function(*args, **kwargs)
         except BaseException as error:
             if not isinstance(error, BadInputError | LogError | KeyboardInterrupt):
                 error.add_note(traceback.format_exc())
-            answer = ("error", error)
+            answer = "error", error
         finally:
             _is_busy = False
         try:
-            reply = pickle.dumps(answer)
+            pipe.send(answer)
+        except OSError:
+            return
         except Exception as error:
+            # Not pickled, so nothing of it has been sent.
             text = f"{type(answer[1]).__name__} cannot be sent: {error}; {answer[1]!r:.500}"
-            reply = pickle.dumps(("error", RuntimeError(text)))
-        pipe.send_bytes(reply)
+            pipe.send(("error", RuntimeError(text)))
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:

@@ -39,7 +39,8 @@ def run(argv: Sequence[str] | None = None) -> int:
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {*_PASSED_ON, signal.SIGTSTP})
     child = os.fork()
     if child:
-        return _Supervisor(child, blocked).wait()
+        # What is to be done at the end of a process, the child does: it has all that this one had.
+        os._exit(_Supervisor(child, blocked).wait())
     os.setpgid(0, 0)
     _end_with_parent()
     # Out of the terminal's foreground group it may write all the same.

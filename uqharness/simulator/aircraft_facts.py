@@ -36,7 +36,8 @@ from uqharness.simulator.mid_envelope import (
 
 _COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
-_MOVES = 1e-9  # rad/s2, lbf
+_MOVES = 1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
+_DIFFERS = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
 _RESTS = 1e-6  # deg or rad
 _TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
@@ -229,7 +230,7 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"the flight does not stay finite with {control} held")
     change = answers[1] - answers[0]
-    return ControlFacts(0 if not abs(change) > _MOVES else sign if change > 0.0 else -sign)
+    return ControlFacts(0 if not abs(change) > _DIFFERS else sign if change > 0.0 else -sign)
 
 
 def _facts(

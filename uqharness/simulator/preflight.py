@@ -69,8 +69,8 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
     )
     hint = f"did you mean {similar}? Correct" if similar else "correct"
     return (
-        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare it in the XML as "
-        '<property value="0">name</property>'
+        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the property in "
+        "a system of the XML"
     )
 
 
