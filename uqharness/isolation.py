@@ -88,7 +88,7 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
         succeeded, result = _kept[0].call(function, args, kwargs)
     if not succeeded:
         raise result
-    return result  # type: ignore[no-any-return]
+    return result
 
 
 def report_time(time_s: float) -> None:

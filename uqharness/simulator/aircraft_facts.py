@@ -34,7 +34,7 @@ from uqharness.simulator.mid_envelope import (
     open_mid_envelope,
 )
 
-_COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0, -1.0)  # the first once more: what then differs is drift
 _LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
 _MOVES = 1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
 _DIFFERS = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
@@ -241,8 +241,9 @@ def _facts(
     answers = [row.values[name] for row in rows]
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"{name} is not finite with {control} held")
-    low, high = answers[0], answers[-1]
-    if not abs(high - low) > _MOVES:
+    low, high, again = answers[0], answers[-2], answers[-1]
+    # What goes on changing by itself, such as the gas of a balloon, is no answer to the command.
+    if not abs(high - low) > max(_MOVES, 10.0 * abs(again - low)):
         return ControlFacts(0)
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
@@ -253,7 +254,7 @@ def _facts(
         ]
         if len(ends) < len(rows) or not all(map(math.isfinite, ends)):
             continue
-        least, half_down, middle, half_up, most = ends
+        least, half_down, middle, half_up, most, _ = ends
         throw = 0.5 * abs(most - least)
         limited = min(abs(most - half_up), abs(least - half_down)) <= _LINEAR * throw
         if throw > _RESTS and not (limited and _is_led(name, rows, turning())):

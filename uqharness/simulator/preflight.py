@@ -165,7 +165,7 @@ def _lines_that_name(name: str, file: Path) -> Iterator[int]:
     for element in _elements(file):
         text = (element.text or "").strip().lstrip("-")
         if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
-            yield element.sourceline
+            yield int(element.sourceline or 0)
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
@@ -180,7 +180,7 @@ def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
                 continue
             name = (element.text or "").strip().lstrip("-")
             if (functions or element.tag == "independentVar") and engine.is_legal_name(name):
-                yield name, file, element.sourceline
+                yield name, file, int(element.sourceline or 0)
 
 
 def _elements(file: Path) -> Iterator[etree._Element]:

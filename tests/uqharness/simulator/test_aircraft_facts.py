@@ -128,14 +128,15 @@ def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path
     assert "moves nothing" not in (tmp_path / "out" / "airframe.toml").read_text()
 
 
-def held(answers: list[float], positions: list[float] | None = None, **more: object) -> list[_Held]:
+def held(
+    answers: list[float], positions: list[float] | None = None, again: float | None = None
+) -> list[_Held]:
     return [
         _Held(
             {"accelerations/qdot-rad_sec2": q},
             {} if positions is None else {"fcs/elevator-pos-deg": positions[k]},
-            **more,  # type: ignore[arg-type]
         )
-        for k, q in enumerate(answers)
+        for k, q in [*enumerate(answers), (0, answers[0] if again is None else again)]
     ]
 
 
@@ -164,6 +165,11 @@ def test_sense_and_throw_are_read_from_the_answer(
 ):
     rows = held(answers, positions)
     assert _facts("elevator", rows, lambda: rows) == expected
+
+
+def test_a_drift_is_no_answer():
+    rows = held([0.0, 0.1, 0.2, 0.3, 0.4], None, again=0.5)
+    assert _facts("elevator", rows, list) == ControlFacts(0)
 
 
 def test_a_surface_at_a_control_laws_limit_has_no_throw():
