@@ -75,7 +75,7 @@ def _run_here(argv: Sequence[str] | None, ends: _Ends | None = None) -> int:
 class _Supervisor:
     """Passes signals on to the child that runs the command, and turns its end into an exit code."""
 
-    def __init__(self, child: int, blocked: set[signal.Signals]) -> None:
+    def __init__(self, child: int, blocked: set[int | signal.Signals]) -> None:
         self._child = child
         self._passed_on: set[int] = set()
         for number in _PASSED_ON:

@@ -165,7 +165,7 @@ def _lines_that_name(name: str, file: Path) -> Iterator[int]:
     for element in _elements(file):
         text = (element.text or "").strip().lstrip("-")
         if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
-            yield int(element.sourceline or 0)
+            yield _line(element)
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
@@ -180,7 +180,11 @@ def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
                 continue
             name = (element.text or "").strip().lstrip("-")
             if (functions or element.tag == "independentVar") and engine.is_legal_name(name):
-                yield name, file, int(element.sourceline or 0)
+                yield name, file, _line(element)
+
+
+def _line(element: etree._Element) -> int:
+    return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
 def _elements(file: Path) -> Iterator[etree._Element]:
