@@ -22,6 +22,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
     "tomllib": ("sysid/foreign/parsed_text.py",),
     "multiprocessing": (
         "uqharness/parallel.py",
+        "uqharness/isolation.py",  # the one process that an aircraft may end
         "uqharness/campaign/execution/",
         "uqharness/scratch.py",  # a folder that ends with the process, whatever started it
     ),

@@ -15,6 +15,7 @@ from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.heartbeat import notebook_line
 from uqharness.identification import MadeBounds
+from uqharness.isolation import run_unsupervised
 from uqharness.plugin import Bounds, Instrumented, MassProperties, instrument_aircraft
 from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
 
@@ -81,7 +82,7 @@ def find_trim(
     condition = SteadyCondition(
         V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
     )
-    return trim.find_trim(given_aircraft(aircraft), condition)
+    return run_unsupervised(trim.find_trim, given_aircraft(aircraft), condition)
 
 
 def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
@@ -116,7 +117,7 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     >>> model.A.shape, model.controls
     ((8, 8), ('elevator', 'aileron', 'rudder', 'throttle'))
     """
-    return linear.linearise(given_aircraft(aircraft), steady)
+    return run_unsupervised(linear.linearise, given_aircraft(aircraft), steady)
 
 
 @notebook_line("instrument")
@@ -192,8 +193,14 @@ def instrument(
     bounds = Bounds(form, {name: _pair(name, value) for name, value in given.items()})
     model = given_aircraft(aircraft)
     check_folder(folder)
-    return instrument_aircraft(
-        model, bounds, folder, air=flag("air", air), check=flag("check", check), mass=_mass(mass)
+    return run_unsupervised(
+        instrument_aircraft,
+        model,
+        bounds,
+        folder,
+        air=flag("air", air),
+        check=flag("check", check),
+        mass=_mass(mass),
     )
 
 

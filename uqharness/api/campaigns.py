@@ -35,6 +35,7 @@ from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import STATE, Rate, clock, notebook_line
+from uqharness.isolation import isolated
 from uqharness.project_files import find_campaign
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
@@ -107,6 +108,7 @@ class CampaignResult:
 
 
 @notebook_line("run_campaign")
+@isolated
 def run_campaign(
     campaign: AnyPath | CampaignSpec | Mapping[str, Any],
     out: AnyPath,

@@ -33,6 +33,7 @@ from uqharness.identification import (
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.identification import model_form as bounding
+from uqharness.isolation import isolated
 from uqharness.replay import flights as replayed
 from uqharness.replay import recut
 from uqharness.simulator import Aircraft
@@ -41,6 +42,7 @@ Servos = Literal["card", "ideal"]
 
 
 @notebook_line("identify")
+@isolated
 def identify(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],
@@ -132,6 +134,7 @@ def identify(
 
 
 @notebook_line("compare")
+@isolated
 def compare(
     aircraft: AnyAircraft,
     flight: AnyFlight,
@@ -198,6 +201,7 @@ def compare(
 
 
 @notebook_line("fit_model_form")
+@isolated
 def fit_model_form(
     aircraft: AnyAircraft,
     flights: AnyFlight | Iterable[AnyFlight],

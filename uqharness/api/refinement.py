@@ -22,6 +22,7 @@ from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
 from uqharness.heartbeat import notebook_line
+from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
 from uqharness.replay import renamed
@@ -32,6 +33,7 @@ from uqharness.simulator import Aircraft
 
 
 @notebook_line("refine")
+@isolated
 def refine(
     aircraft: AnyAircraft,
     *,

@@ -50,7 +50,10 @@ that --undo goes by."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``instrument``."""
     text = "Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see docs/instrument.md."
-    no = "the check failed: with uq/active 0 the result does not fly bit for bit like the original, or its increments are wrong"
+    no = (
+        "the check failed: with uq/active 0 the result does not fly bit for bit like the original, or its increments are wrong; "
+        "or a control could not be measured, so that its part of airframe.toml is assumed"
+    )
     describe(parser, _run, text, _EXAMPLE, no=no)
     add_aircraft(parser)
     add_out(parser)
@@ -146,7 +149,7 @@ def _run(args: argparse.Namespace) -> int:
     bounds = Bounds(form, {} if args.constant is None else parse_constant(args.constant))
     checked = not (args.no_check or args.dry_run)
     with working("instrument") as stage:
-        stage("ten flights of 10 s or less beside the original" if checked else "writing")
+        stage("flights of 1 s or less beside the original" if checked else "writing")
         done = instrument_aircraft(
             aircraft,
             bounds,
@@ -161,7 +164,8 @@ def _run(args: argparse.Namespace) -> int:
         report["check"] = {k: None if v != v else v for k, v in asdict(done.verdict).items()}
     if args.page is not None:
         _write_page(args, aircraft, done, bounds)
-    code = 1 if done.verdict is not None and done.verdict.status == "wrong" else 0
+    wrong = done.verdict is not None and done.verdict.status == "wrong"
+    code = 1 if wrong or done.unmeasured else 0
     print(json.dumps(report, indent=1) if args.json else _text(report))
     return code
 
@@ -220,6 +224,7 @@ def _report(aircraft: Aircraft, done: Instrumented, args: argparse.Namespace) ->
         ],
         "scaled": [asdict(row) for row in planned.scaled],
         "files": files,
+        "unmeasured": dict(done.unmeasured),
         "notes": list(done.notes),
     }
 

@@ -1,6 +1,8 @@
 """From the start of the process to the command line: what may happen before the commands are loaded, and how signals end it.
 
-It imports little, so that hardly any time passes in which Ctrl-C or want of memory would be a page of Python's own words.
+The command itself runs in a forked child process, because an aircraft from anywhere may end the process that flies it in JSBSim
+(a division of whole numbers by zero is SIGFPE). The parent passes signals on and reports how the child ended. The module imports
+little, so that hardly any time passes in which Ctrl-C or want of memory would be a page of Python's own words.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Sequence
 from types import FrameType
@@ -20,19 +23,42 @@ from uqharness.errors import TerminatedError
 
 INTERRUPTED = 130
 TERMINATED = 143
+_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_PR_SET_PDEATHSIG = 1
 _LITTLE_BYTES = 4_000_000_000
 """Address space below which a failure to load is put down to want of it; about a gigabyte is needed."""
 
 
 def run(argv: Sequence[str] | None = None) -> int:
-    """Load the command line and run one command; the process's exit code. Unknown exceptions pass: they are bugs.
+    """Load the command line and run one command in a child process; its exit code. Unknown exceptions pass: they are bugs."""
+    _quiet_libraries()
+    _one_thread()
+    if not hasattr(os, "fork") or threading.active_count() > 1:
+        return _run_here(argv)
+    # No signal may arrive between the fork and the handlers.
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {*_PASSED_ON, signal.SIGTSTP})
+    child = os.fork()
+    if child:
+        # What is to be done at the end of a process, the child does: it has all that this one had.
+        os._exit(_Supervisor(child, blocked).wait())
+    os.setpgid(0, 0)
+    _end_with_parent()
+    # Out of the terminal's foreground group it may write all the same.
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    # Functions that are isolated elsewhere (uqharness.isolation.SUPERVISED) run here directly.
+    os.environ["UQHARNESS_SUPERVISED"] = str(os.getpid())
+    ends = _Ends()
+    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    return _run_here(argv, ends)
+
+
+def _run_here(argv: Sequence[str] | None, ends: _Ends | None = None) -> int:
+    """Run one command in this process; its exit code.
 
     After a signal the process ends here: Python would end it by SIGINT, whatever code it was given, where code that is made at
     run time, such as a dataclass's, was interrupted once.
     """
-    _quiet_libraries()
-    _one_thread()
-    ends = _Ends()
+    ends = ends or _Ends()
     code = _run(argv, ends)
     scratch = sys.modules.get("uqharness.scratch")
     if scratch is not None:
@@ -44,6 +70,70 @@ def run(argv: Sequence[str] | None = None) -> int:
                 stream.flush()
         os._exit(TERMINATED if ends.terminated else INTERRUPTED)
     return code
+
+
+class _Supervisor:
+    """Passes signals on to the child that runs the command, and turns its end into an exit code."""
+
+    def __init__(self, child: int, blocked: set[int | signal.Signals]) -> None:
+        self._child = child
+        self._passed_on: set[int] = set()
+        for number in _PASSED_ON:
+            # Under nohup and the like both processes go on ignoring the signal.
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._pass_on)
+        if signal.getsignal(signal.SIGTSTP) != signal.SIG_IGN:
+            signal.signal(signal.SIGTSTP, self._pause)
+        with contextlib.suppress(OSError):
+            os.setpgid(child, child)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+    def _pass_on(self, number: int, frame: FrameType | None) -> None:
+        self._passed_on.add(number)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self._child, number)
+
+    def _pause(self, number: int, frame: FrameType | None) -> None:
+        """Stop the command's processes and this one (Ctrl-Z); continue them when the shell continues this one."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._child, signal.SIGSTOP)
+            os.kill(os.getpid(), signal.SIGSTOP)
+            os.killpg(self._child, signal.SIGCONT)
+
+    def wait(self) -> int:
+        """Wait for the child's end; the command's exit code."""
+        code = os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
+        if code >= 0:
+            return code
+        if -code in self._passed_on:
+            _say("interrupted" if -code == signal.SIGINT else "terminated")
+            return 128 - code
+        name = signal.Signals(-code).name
+        if -code == signal.SIGKILL:
+            _say(f"error: the command was killed ({name}), by somebody or for want of memory")
+            return 128 - code
+        _say(
+            f"error: the command's process ended with signal {-code} ({name}): JSBSim ends the process at some errors in an aircraft "
+            "or a run script, such as a <mod> by zero in flight; look for what the model computes there"
+        )
+        return 2
+
+
+def _end_with_parent() -> None:
+    """End this process at once when its parent is killed, as one process would (Linux; elsewhere within a second)."""
+    parent = os.getppid()
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if sys.platform != "linux":
+
+        def follow() -> None:
+            while os.getppid() == parent:
+                time.sleep(1.0)
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
 
 
 def _quiet_libraries() -> None:

@@ -15,6 +15,7 @@ from uqharness.differences.flown import How, flown
 from uqharness.differences.variation import spread, varied
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
+from uqharness.isolation import ProcessEndedError
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     MISSIONS,
@@ -145,9 +146,12 @@ def _both(
     most_s: float,
 ) -> Matched:
     how = How(most_s, one.dt_s, asked.turbulence, asked.seed)
-    first, near = (
-        flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True)
-    )
+    try:
+        first, near = (
+            flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True)
+        )
+    except ProcessEndedError as error:
+        raise BadInputError(f"{name}: A cannot be flown: {error}") from None
     try:
         second, version = _of_b(two, other, channels, how, asked.python_b)
     except RefusedError as error:

@@ -26,6 +26,7 @@ from uqharness.flight.scoring import (
 )
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air, stepper
+from uqharness.isolation import report_time
 from uqharness.simulator import (
     CHANGEABLE,
     MARK,
@@ -186,6 +187,7 @@ def record_mission(
         read.extend([get() for get in getters])
     try:
         for block in range(burn + wanted):
+            report_time(block * stride * dt_s)
             touched = watch.advance(advance, stride)
             if not math.isfinite(speed() + height()):
                 status, reason = "diverged", f"the state was no longer finite at {_clock(fdm)}"
@@ -197,6 +199,8 @@ def record_mission(
                 read.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
+    except MemoryError:
+        status, reason = "crashed", f"JSBSim ran out of memory at {_clock(fdm)}"
     rows = in_signals(np.frombuffer(read).reshape(-1, len(getters)), table)
     return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
 

@@ -14,6 +14,7 @@ from uqharness.errors import BadInputError
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.normals import drawn
 from uqharness.flight.spec import FlightSpec
+from uqharness.isolation import ProcessEndedError, run_isolated
 from uqharness.simulator import (
     MANOEUVRE_PROPERTY,
     MEMS_NOISE_STD,
@@ -21,7 +22,6 @@ from uqharness.simulator import (
     Script,
     Source,
     StagedMission,
-    open_aircraft,
 )
 from uqharness.simulator import signals as properties
 
@@ -40,7 +40,25 @@ _OPTIONAL = {
 def recorded_flight(
     aircraft: Aircraft, script: Script, spec: FlightSpec
 ) -> tuple[pd.DataFrame, Recorded]:
-    """Fly ``spec`` from its start on: the flight record, and how the flight ended. Raises BadInputError."""
+    """Fly ``spec`` from its start on, in a worker process: the flight record, and how the flight ended.
+
+    A flight that ends its process is flown again up to the last row before: the same seeds give the same rows. Raises
+    BadInputError.
+    """
+    try:
+        recorded = run_isolated(_recorded, aircraft, script, spec)
+    except ProcessEndedError as error:
+        if error.time_s is None:
+            raise
+        until_s = math.floor(error.time_s * spec.record_rate_hz + 0.5) / spec.record_rate_hz
+        recorded = run_isolated(
+            _recorded, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
+        )
+        recorded.status, recorded.reason = "crashed", error.reason
+    return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
+
+
+def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
     with StagedMission(aircraft, script.path) as mission:
         table = {
             name: source
@@ -55,13 +73,9 @@ def recorded_flight(
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
         # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
-        flown = spec if _has_sensors(aircraft) else replace(spec, sensor_noise=False)
-        recorded = record_mission(mission, flown, table, optional, keep_burn_in=True)
-    return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
-
-
-def _has_sensors(aircraft: Aircraft) -> bool:
-    return bool(open_aircraft(aircraft).get_property_manager().hasNode("sensor/V-mps"))
+        has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
+        flown = spec if has_sensors else replace(spec, sensor_noise=False)
+        return record_mission(mission, flown, table, optional, keep_burn_in=True)
 
 
 def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from uqharness.errors import BadInputError
@@ -14,11 +15,11 @@ from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     aircraft_facts,
-    check_loadable,
     copy_beside,
     copy_folder,
     engine,
     find_aircraft,
+    undefined_properties,
 )
 from uqharness.xml import Insertion, apply, read_document
 
@@ -32,12 +33,14 @@ class Instrumented:
 
     planned  files, axes and places of the deltas        notes  what to know of the result
     verdict  the comparison with the untouched aircraft; None where none was flown
+    unmeasured  control -> why it could not be measured, so that its part of the card is assumed
     """
 
     folder: Path
     planned: Plan
     notes: tuple[str, ...]
     verdict: Verdict | None
+    unmeasured: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Instrumented({str(self.folder)!r}, {self.verdict.status if self.verdict is not None else 'not flown'})"
@@ -58,7 +61,7 @@ def instrument_aircraft(
 
     Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be written.
     """
-    check_loadable(aircraft)
+    undefined_properties(aircraft)
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
     if not aircraft.has_card:
@@ -71,16 +74,25 @@ def instrument_aircraft(
                 ) from None
             facts = aircraft_facts.assumed(*metrics_of(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
+    unmeasured = {
+        name: control.unmeasured
+        for name, control in (facts.controls if facts is not None else {}).items()
+        if control.unmeasured
+    }
+    notes += [
+        f"{name} could not be measured, so its sense and throw in airframe.toml are assumed: {reason}"
+        for name, reason in unmeasured.items()
+    ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
     planned = plan(aircraft, bounds, facts, air, edits)
     verdict = None
     if not dry_run:
         other = out.resolve() != aircraft.folder
         write(aircraft, planned, out)
-        check_loadable(find_aircraft(out))
+        undefined_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
             verdict = _checked(aircraft, out, edits)
-    return Instrumented(out, planned, (*planned.notes, *notes), verdict)
+    return Instrumented(out, planned, (*planned.notes, *notes), verdict, unmeasured)
 
 
 def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Verdict:

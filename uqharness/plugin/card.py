@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.units import FT_M
 from uqharness.plugin.host import SWITCH
 from uqharness.plugin.scale_functions import Scaled
-from uqharness.simulator import MEMS_NOISE_STD, AircraftFacts
+from uqharness.simulator import ALTITUDE_M, MEMS_NOISE_STD, AircraftFacts, ControlFacts
 from uqharness.toml import as_toml, dotted
 
 DT_S = 0.01
@@ -28,9 +29,9 @@ def card_text(
     """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
     shown = as_toml(name)[1:-1]
     lines = [
-        f"# What XML cannot say of {shown}. Written by `uqharness instrument` from short flights of the aircraft: read it before",
-        "# trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as a flight",
-        "# record counts (nose down, right wing down, nose left).",
+        f"# What XML cannot say of {shown}. Written by `uqharness instrument`, which measured the aircraft in JSBSim{_where(facts)}:",
+        "# read it before trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as",
+        "# a flight record counts (nose down, right wing down, nose left).",
         "",
         "[aircraft]",
         f"name = {as_toml(name)}",
@@ -43,14 +44,10 @@ def card_text(
         f"c_m = {facts.c_m!r}",
     ]
     for control, found in facts.controls.items():
-        idle = (
-            ""
-            if found.sense
-            else f"{' ' * (45 - len(control) - 9)}# moves nothing in this aircraft"
-        )
+        remark = _remark(found)
         lines += [
             "",
-            f"[inputs.{control}]{idle}",
+            f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
             f'property = "fcs/{control}-cmd-norm"',
             'unit = "norm"',
         ]
@@ -60,10 +57,10 @@ def card_text(
         ]
         throw = found.throw_deg
         if control != "throttle":
-            remark = "" if throw is not None else "     # assumed: the XML tells no angle"
+            assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
                 throw = _ASSUMED_THROW_DEG if found.sense else 1.0
-            lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{remark}")
+            lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{assumed}")
         lines.append(
             f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others"
         )
@@ -97,6 +94,24 @@ def card_text(
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
     return "\n".join(lines) + "\n"
+
+
+def _where(facts: AircraftFacts) -> str:
+    if not math.isfinite(facts.V_mps):
+        return ""
+    return f" at {facts.V_mps:.0f} m/s, {ALTITUDE_M:.0f} m"
+
+
+def _remark(facts: ControlFacts) -> str:
+    """What the card says of a control behind its heading; empty where its keys say all."""
+    if facts.unmeasured:
+        return f"# not measured, so sense and throw are assumed: {facts.unmeasured}"
+    if not facts.sense:
+        return "# moves nothing in this aircraft"
+    if facts.thrust_N is not None:
+        closed, opened = (round(thrust, 3) + 0.0 for thrust in facts.thrust_N)
+        return f"# thrust {closed:.4g} N closed, {opened:.4g} N open"
+    return ""
 
 
 def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+
 from uqharness.plugin.apply import instrument_aircraft
 from uqharness.plugin.instrument import Bounds
 from uqharness.scratch import Scratch, scratch_folder
 from uqharness.simulator import Aircraft, content_hash, find_aircraft
 
+_LOG = logging.getLogger("uqharness")
 _made: dict[str, tuple[Scratch, Aircraft]] = {}
 
 
@@ -22,6 +25,10 @@ def with_card(aircraft: Aircraft) -> Aircraft:
         scratch = scratch_folder("card")
         folder = scratch.path / "aircraft" / aircraft.folder.name
         folder.parent.mkdir()
-        instrument_aircraft(aircraft, Bounds(), folder, check=False)
+        done = instrument_aircraft(aircraft, Bounds(), folder, check=False)
+        for control, reason in done.unmeasured.items():
+            _LOG.info(
+                "%s: %s could not be measured and is assumed: %s", aircraft.name, control, reason
+            )
         _made[key] = scratch, find_aircraft(folder)
     return _made[key][1]

@@ -27,6 +27,7 @@ from uqharness.simulator import (
     check_loadable,
     content_hash,
     engine,
+    function_properties,
     parse_xml,
     position_factor,
     stage,
@@ -326,7 +327,8 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     engines = int(fdm.get_propulsion().get_num_engines())
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
-    names += engine.undefined_properties(fdm)
+    read = (name for name, _, _ in function_properties(model.staging))
+    names += engine.undefined_properties(fdm, read)
     if not names:
         return engines
     tree = parse_xml(xml)

@@ -11,7 +11,9 @@ from .aircraft import folder_fingerprint as folder_fingerprint
 from .aircraft import folder_hash as folder_hash
 from .aircraft import open_aircraft as open_aircraft
 from .aircraft import parse_xml as parse_xml
+from .aircraft import undefined_properties as undefined_properties
 from .aircraft_facts import AircraftFacts as AircraftFacts
+from .aircraft_facts import ControlFacts as ControlFacts
 from .aircraft_files import INSIDE as INSIDE
 from .aircraft_files import copy_beside as copy_beside
 from .aircraft_files import copy_folder as copy_folder
@@ -42,6 +44,7 @@ from .manoeuvre_script import PLANS as PLANS
 from .manoeuvre_script import script as script
 from .mass_change import CHANGEABLE as CHANGEABLE
 from .mass_change import numbers_for as numbers_for
+from .mid_envelope import ALTITUDE_M as ALTITUDE_M
 from .mid_envelope import open_mid_envelope as open_mid_envelope
 from .mission import MANOEUVRE_PROPERTY as MANOEUVRE_PROPERTY
 from .mission import Script as Script
@@ -52,6 +55,7 @@ from .mission import refuse_conflicts as refuse_conflicts
 from .own_mission import MISSIONS as MISSIONS
 from .own_mission import finely as finely
 from .own_mission import write_own_mission as write_own_mission
+from .preflight import function_properties as function_properties
 from .signals import SECOND_ORDER as SECOND_ORDER
 from .signals import STANDARD as STANDARD
 from .signals import Source as Source

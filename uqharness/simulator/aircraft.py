@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -18,7 +19,7 @@ from uqharness.simulator import engine
 from uqharness.simulator.aircraft_files import identity, read_xml, signature, walk
 from uqharness.simulator.card import Card, read_card, standard_card
 from uqharness.simulator.physical_checks import check_physical
-from uqharness.simulator.preflight import ensure_loadable
+from uqharness.simulator.preflight import Undefined, ensure_loadable, undefined_message
 from uqharness.simulator.staging import fingerprint, staged
 
 
@@ -164,16 +165,26 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     return fdm
 
 
-def check_loadable(aircraft: Aircraft) -> None:
-    """BadInputError if loading the aircraft would end the interpreter; see preflight. Cheap when nothing has changed on disk."""
+def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
+    """Raise BadInputError if loading the aircraft would end the interpreter (see preflight). Cheap for unchanged files.
+
+    ``defined`` are properties that a run script makes, which the aircraft may then read.
+    """
+    undefined = tuple(u for u in undefined_properties(aircraft) if u.name not in defined)
+    if undefined:
+        raise BadInputError(f"{aircraft.folder}: {undefined_message(undefined)}")
+
+
+def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
+    """Properties that the aircraft reads and only a host such as FlightGear may define. Raises BadInputError as above."""
     stamp = fingerprint(aircraft)
-    if stamp not in _loadable:
+    if stamp not in _undefined:
         for _, path in walk(aircraft.folder):
             if path.suffix == ".xml":
                 refuse_unknown_operations(path)
         check_physical(aircraft)
-        ensure_loadable(aircraft, content_hash(aircraft))
-        _loadable.add(stamp)
+        _undefined[stamp] = ensure_loadable(aircraft, content_hash(aircraft))
+    return _undefined[stamp]
 
 
 # What JSBSim 1.3.3 computes within a <function>; anything else it drops without a word, or dies of.
@@ -205,7 +216,7 @@ def refuse_unknown_operations(path: Path) -> None:
         walk(function)
 
 
-_loadable: set[str] = set()
+_undefined: dict[str, tuple[Undefined, ...]] = {}
 
 
 def content_hash(aircraft: Aircraft) -> str:

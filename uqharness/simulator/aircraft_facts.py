@@ -1,28 +1,45 @@
-"""What an aircraft without a card answers when it is asked: reference, which controls act, in which sense, and their throws.
+"""What an aircraft without a card answers when it is asked: reference, which controls act, in which sense, throws and thrust.
 
-Each of JSBSim's normalised commands is held at -1, 0 and 1 in the same flight: after half a second the sense is read from body
-rates and speed, after three the throw from a surface that has come to rest. Runs in a process of its own, because an aircraft from
-anywhere may end its interpreter.
+Each of JSBSim's normalised commands is held at -1, -0.5, 0, 0.5 and 1 with the aircraft's motion frozen in the middle of its
+envelope, as a trim does: engines are started and settled, the control system is brought to rest. The sense is read from angular
+accelerations, the throw from a surface that has come to rest, the thrust from engines that have settled. No answer depends on
+whether the aircraft is stable. A control that shows no effect there is held in a short flight. All this runs in a process of its
+own, because an aircraft from anywhere may end its interpreter.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
-from sysid.units import FT_M, RAD_DEG
+from sysid.units import FT_M, LBF_N, RAD_DEG
 from uqharness.child_process import give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
-from uqharness.simulator.control_system import written_by_components
-from uqharness.simulator.mid_envelope import open_mid_envelope
+from uqharness.simulator.control_system import (
+    rest_of,
+    still_moving,
+    written_by_components,
+)
+from uqharness.simulator.forced_state import BodyState, forced, set_control
+from uqharness.simulator.mid_envelope import (
+    ALTITUDE_M,
+    THROTTLE,
+    mid_envelope_state,
+    open_mid_envelope,
+)
 
-_HELD_S, _RESTED_S = 0.5, 3.0
+_COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0, -1.0)  # the first once more: what then differs is drift
 _LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
+_MOVES = 1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
+_DIFFERS = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
+_RESTS = 1e-6  # deg or rad
+_TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _POSITIONS = {
     "elevator": ("fcs/elevator-pos-deg", "fcs/elevator-pos-rad"),
@@ -47,12 +64,20 @@ _FLIGHTGEAR = (
     ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
     ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
 )
-# Rate that answers to a control, and whether the positive command of the record's convention makes it positive.
+# Acceleration that answers to a control, and whether the positive command of the record's convention makes it positive.
 _ANSWER = {
+    "elevator": ("accelerations/qdot-rad_sec2", -1),
+    "aileron": ("accelerations/pdot-rad_sec2", 1),
+    "rudder": ("accelerations/rdot-rad_sec2", -1),
+}
+_RATE = {
     "elevator": ("velocities/q-rad_sec", -1),
     "aileron": ("velocities/p-rad_sec", 1),
     "rudder": ("velocities/r-rad_sec", -1),
 }
+_SURFACE_HELD_S, _THROTTLE_HELD_S = 0.5, 3.5
+_FORWARD = "forces/fbx-total-lbs"
+_THRUST = "thrust-lbs"
 
 
 @dataclass(frozen=True)
@@ -61,18 +86,23 @@ class ControlFacts:
 
     throw_deg    degrees per norm, mean of both ends, positive; None where no position property follows
     position     the property that follows, None where its travel is not in proportion to the command
+    thrust_N     of all engines, settled, throttle closed and open; None where there is no engine or it does not settle
+    unmeasured   why the control could not be measured: ``sense`` is then assumed; empty where it was
     """
 
     sense: int
     throw_deg: float | None = None
     position: str | None = None
+    thrust_N: tuple[float, float] | None = None
+    unmeasured: str = ""
 
 
 @dataclass(frozen=True)
 class AircraftFacts:
     """Reference lengths by JSBSim's metrics, number of engines, and the controls.
 
-    host  (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and nothing in JSBSim alone writes
+    host       (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and nothing in JSBSim alone writes
+    V_mps      airspeed at which the controls were measured, at ALTITUDE_M above the sea; NaN where nothing was
     """
 
     S_m2: float
@@ -81,6 +111,7 @@ class AircraftFacts:
     engines: int
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
     host: tuple[tuple[str, str], ...] = ()
+    V_mps: float = math.nan
 
 
 def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
@@ -93,18 +124,33 @@ def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
 def ask(folder: Path) -> AircraftFacts:
     """The facts, asked for in this process. Raises BadInputError."""
     aircraft = find_aircraft(folder)
-    held = {}
-    for control in _ANSWER:
-        held[control] = [_held(aircraft, control, value) for value in (-1.0, 0.0, 1.0)]
-    throttle = [_held(aircraft, "throttle", value)["velocities/vt-fps"] for value in (0.0, 1.0)]
-    any_flight = held["elevator"][1]
-    controls = {name: _facts(name, rows) for name, rows in held.items()}
+    controls = {
+        name: _facts(
+            name,
+            _held(aircraft, name, _COMMANDS),
+            functools.partial(_held, aircraft, name, _COMMANDS, _TURNING_RADPS),
+        )
+        for name in _ANSWER
+    }
+    closed, opened = (_held(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
     host = _of_host(aircraft)
-    moves = throttle[1] > throttle[0] or any(own == "fcs/throttle-cmd-norm" for _, own in host)
-    controls["throttle"] = ControlFacts(int(moves))
-    S, b, c = (any_flight[name] for name in _METRICS)
+    throttle = _throttle_facts(closed, opened)
+    if not throttle.sense and any(own == "fcs/throttle-cmd-norm" for _, own in host):
+        throttle = ControlFacts(1)
+    controls["throttle"] = throttle
+    # A control law may be at its limit at rest, whatever the command: a flight has the last word on a control without effect.
+    controls |= {
+        name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
+    }
+    S, b, c = (opened.values[name] for name in _METRICS)
     return AircraftFacts(
-        S * FT_M**2, b * FT_M, c * FT_M, int(any_flight["engines"]), controls, host
+        S * FT_M**2,
+        b * FT_M,
+        c * FT_M,
+        opened.engines,
+        controls,
+        host,
+        opened.values["velocities/vt-fps"] * FT_M,
     )
 
 
@@ -121,57 +167,129 @@ def _of_host(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def _held(aircraft: Any, control: str, value: float) -> dict[str, float]:
-    fdm, _ = open_mid_envelope(aircraft)
+@dataclass(frozen=True)
+class _Held:
+    """The aircraft with one command held.
+
+    values     of properties; positions: of the surfaces at rest
+    unsettled  what of the engines does not settle
+    """
+
+    values: Mapping[str, float]
+    positions: Mapping[str, float] = field(default_factory=dict)
+    engines: int = 0
+    unsettled: str = ""
+
+
+def _held(
+    aircraft: Aircraft, control: str, commands: Sequence[float], rate_radps: float = 0.0
+) -> list[_Held]:
+    """The aircraft with one command after the other held until all has come to rest. Raises BadInputError."""
+    flying = mid_envelope_state(aircraft)
+    # Straight and level: dampers would add to the commands.
+    rates = (rate_radps,) * 3
+    state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi, *rates)
+    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    controls = {
+        name: setting
+        for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
+        if exists(aircraft.card.inputs[name].property)
+    }
+    fdm, unsettled = forced(aircraft, state, controls, ALTITUDE_M, None)
+    rest = rest_of(aircraft, fdm)
     engines = fdm.get_propulsion().get_num_engines()
-    name = f"fcs/{control}-cmd-norm"
-    if fdm.get_property_manager().hasNode(name):
-        fdm[name] = value
-        for k in range(1, engines if control == "throttle" else 0):
-            fdm[f"{name}[{k}]"] = value
-    dt = fdm.get_delta_t()
-    manager = fdm.get_property_manager()
-    _run(fdm, _HELD_S / dt)
-    wanted = ["velocities/vt-fps", *_METRICS, *(n for n, _ in _ANSWER.values())]
-    out = {"engines": float(engines), **{n: float(fdm[n]) for n in wanted}}
-    positions = [n for group in _POSITIONS.values() for n in group if manager.hasNode(n)]
-    _run(fdm, (_RESTED_S - _HELD_S) / dt)
-    before = {n: fdm[n] for n in positions}
-    _run(fdm, _HELD_S / dt)
-    # A surface that still moves is led by more than its command: a control law, or an autopilot.
-    return out | {n: float(fdm[n]) for n in positions if abs(fdm[n] - before[n]) <= 1e-6}
+    names = [name for group in _POSITIONS.values() for name in group if exists(name)]
+    values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _ANSWER.values())]
+    rows = []
+    for command in commands:
+        if control in controls:
+            set_control(fdm, aircraft, control, command)
+        moving = still_moving(fdm, rest, names)
+        # A surface that still moves is led by more than its command: a control law, or an autopilot.
+        positions = {name: float(fdm[name]) for name in names if name not in moving}
+        thrust = sum(fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in range(engines))
+        read = {name: float(fdm[name]) for name in values} | {_THRUST: float(thrust)}
+        rows.append(_Held(read, positions, engines, unsettled))
+    return rows
 
 
-def _run(fdm: Any, frames: float) -> None:
-    for _ in range(round(frames)):
-        fdm.run()
+def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
+    """The sense that a short flight shows with the command held at either end; "moves nothing" where a finite one shows none."""
+    rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
+    ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
+    answers = []
+    for value in ends:
+        fdm, _ = open_mid_envelope(aircraft)
+        name = aircraft.card.inputs[control].property
+        if fdm.get_property_manager().hasNode(name):
+            set_control(fdm, aircraft, control, value)
+        held_s = _THROTTLE_HELD_S if control == "throttle" else _SURFACE_HELD_S
+        for _ in range(round(held_s / fdm.get_delta_t())):
+            fdm.run()
+        answers.append(float(fdm[rate]))
+    if not all(map(math.isfinite, answers)):
+        return ControlFacts(1, unmeasured=f"the flight does not stay finite with {control} held")
+    change = answers[1] - answers[0]
+    return ControlFacts(0 if not abs(change) > _DIFFERS else sign if change > 0.0 else -sign)
 
 
-def _facts(control: str, rows: list[dict[str, float]]) -> ControlFacts:
-    rate, sign = _ANSWER[control]
-    low, _, high = (row[rate] for row in rows)
-    # A control that moves nothing leaves the flight bit-identical.
-    if not abs(high - low) > 1e-9:
+def _facts(
+    control: str, rows: Sequence[_Held], turning: Callable[[], Sequence[_Held]]
+) -> ControlFacts:
+    """Sense and throw by what was held. ``turning`` gives the same rows with the aircraft turning."""
+    name, sign = _ANSWER[control]
+    answers = [row.values[name] for row in rows]
+    if not all(map(math.isfinite, answers)):
+        return ControlFacts(1, unmeasured=f"{name} is not finite with {control} held")
+    low, high, again = answers[0], answers[-2], answers[-1]
+    # What goes on changing by itself, such as the gas of a balloon, is no answer to the command.
+    if not abs(high - low) > max(_MOVES, 10.0 * abs(again - low)):
         return ControlFacts(0)
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
         ends = [
-            row[name] * (RAD_DEG if name.endswith("rad") else 1.0) for row in rows if name in row
+            row.positions[name] * (RAD_DEG if name.endswith("rad") else 1.0)
+            for row in rows
+            if name in row.positions
         ]
-        if len(ends) == 3 and abs(ends[2] - ends[0]) > 1e-6:
-            throw = 0.5 * abs(ends[2] - ends[0])
-            straight = abs(ends[1] - 0.5 * (ends[0] + ends[2])) <= _LINEAR * throw
-            return ControlFacts(
-                sense, round(throw, 6), name if straight and ends[2] > ends[0] else None
-            )
+        if len(ends) < len(rows) or not all(map(math.isfinite, ends)):
+            continue
+        least, half_down, middle, half_up, most, _ = ends
+        throw = 0.5 * abs(most - least)
+        limited = min(abs(most - half_up), abs(least - half_down)) <= _LINEAR * throw
+        if throw > _RESTS and not (limited and _is_led(name, rows, turning())):
+            straight = not limited and abs(middle - 0.5 * (least + most)) <= _LINEAR * throw
+            return ControlFacts(sense, round(throw, 6), name if straight and most > least else None)
     return ControlFacts(sense)
 
 
-def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
+def _is_led(position: str, rows: Sequence[_Held], turning: Sequence[_Held]) -> bool:
+    """Whether the motion moves the surface too: the end of its travel is then a control law's limit, not the command's throw."""
+    return any(
+        abs(row.positions[position] - other.positions.get(position, math.inf)) > _RESTS
+        for row, other in zip(rows, turning, strict=True)
+    )
+
+
+def _throttle_facts(closed: _Held, opened: _Held) -> ControlFacts:
+    """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where it has none."""
+    name = _THRUST if opened.engines else _FORWARD
+    thrust = closed.values[name], opened.values[name]
+    if not all(map(math.isfinite, thrust)):
+        return ControlFacts(1, unmeasured="the thrust is not finite with the throttle held")
+    if opened.unsettled:
+        return ControlFacts(1, unmeasured=f"with the throttle open, {opened.unsettled}")
+    sense = int(thrust[1] - thrust[0] > _MOVES)
+    if not sense or not opened.engines or closed.unsettled:
+        return ControlFacts(sense)
+    return ControlFacts(sense, thrust_N=(thrust[0] * LBF_N, thrust[1] * LBF_N))
+
+
+def ask_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
     """The same in a process of its own. Raises BadInputError with its last words."""
     ended = run_module(__name__, folder, timeout_s=timeout_s)
     if ended.code is None:
-        raise BadInputError(f"aircraft {folder}: did not fly half a second within {timeout_s:g} s")
+        raise BadInputError(f"aircraft {folder}: was not measured within {timeout_s:g} s")
     if ended.code or not ended.answer:
         words = ended.errors or "no message"
         raise BadInputError(
@@ -181,7 +299,10 @@ def ask_in_child(folder: Path, timeout_s: float = 120.0) -> AircraftFacts:
         raise BadInputError(
             f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}"
         )
-    controls = {name: ControlFacts(**facts) for name, facts in ended.answer["controls"].items()}
+    controls = {
+        name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
+        for name, facts in ended.answer["controls"].items()
+    }
     host = tuple((theirs, own) for theirs, own in ended.answer["host"])
     return AircraftFacts(**{**ended.answer, "controls": controls, "host": host})
 

@@ -26,6 +26,7 @@ AT_REST = 1e-9
 """Change in a frame, as a share of the value or of 1, below which nothing moves."""
 BLOCK_FRAMES, MOST_BLOCKS, PATIENCE = 50, 400, 20
 _CONVERGED = 1e-11  # change over a block
+_MOVED_POSITION = 1e-6  # deg or rad
 _ROTATION = "simulation/integrator/rate/rotational"
 _RATES = ("p", "q", "r")
 _CONTROLS = frozenset({"flight_control", "autopilot", "system"})
@@ -133,6 +134,15 @@ def bring_to_rest(fdm: Any, rest: Rest) -> str:
         raise BadInputError(engine.explain(fdm, error)) from None
 
 
+def still_moving(fdm: Any, rest: Rest, names: Sequence[str]) -> set[str]:
+    """Bring the control system to rest as far as it goes, and return those of ``names`` that change in further frames."""
+    if not bring_to_rest(fdm, rest):
+        return set()
+    before = {name: fdm[name] for name in names}
+    run_frozen(fdm, BLOCK_FRAMES)
+    return {name for name in names if not abs(fdm[name] - before[name]) <= _MOVED_POSITION}
+
+
 def _run_to_rest(fdm: Any, rest: Rest) -> str:
     exists = fdm.get_property_manager().hasNode
     engines = range(fdm.get_propulsion().get_num_engines())
@@ -147,7 +157,7 @@ def _run_to_rest(fdm: Any, rest: Rest) -> str:
     read = [engine.handle(fdm, name).get_double_value for name in names]
     last, nearest, since, most, worst = [get() for get in read], float("inf"), 0, float("inf"), ""
     for _ in range(MOST_BLOCKS):
-        _block(fdm, rest.free)
+        run_frozen(fdm, BLOCK_FRAMES, rest.free)
         now = [get() for get in read]
         changes = [abs(new - old) / max(abs(new), 1.0) for new, old in zip(now, last, strict=True)]
         most = max(changes, default=0.0)
@@ -163,8 +173,11 @@ def _run_to_rest(fdm: Any, rest: Rest) -> str:
     return f"the control system does not come to rest: {worst} still changes by {most:.2g} in {BLOCK_FRAMES} frames"
 
 
-def _block(fdm: Any, free: bool) -> None:
-    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned beneath it meanwhile."""
+def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
+    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned beneath it meanwhile.
+
+    ``free``: body rates are left to the control system.
+    """
     frozen = [name for name in settling.INTEGRATORS if not (free and name == _ROTATION)]
     before = {name: fdm[name] for name in frozen}
     time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
@@ -173,7 +186,7 @@ def _block(fdm: Any, free: bool) -> None:
     # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear stand where they are commanded.
     fdm.set_trim_status(True)
     try:
-        for _ in range(BLOCK_FRAMES):
+        for _ in range(frames):
             # A script's events must not take these frames for flight.
             fdm.set_sim_time(time_s)
             fdm.run()

@@ -241,15 +241,27 @@ def renew_forces(fdm: Any) -> None:
         fdm.resume_integration()
 
 
-def undefined_properties(fdm: Any) -> list[str]:
-    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves for nothing else afterwards."""
+def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> list[str]:
+    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves for nothing else afterwards.
+
+    ``function_properties`` are the names in the functions of the model's XML. Initialising does not evaluate all of them (a branch
+    of an <ifthen> that is not taken), but JSBSim evaluates named functions once more when the instance is destroyed: one that is
+    missing then aborts the interpreter.
+    """
     log = _collect()
     log.take()
+    exists = fdm.get_property_manager().hasNode
+    unmade = [name for name in dict.fromkeys(function_properties) if not exists(name)]
+    missing: list[str] = []
     try:
         fdm.run_ic()
-        return []
     except RuntimeFailure as error:
-        return disarm(fdm, log.take() or _one_line(error))
+        missing = disarm(fdm, log.take() or _one_line(error))
+    for name in unmade:
+        if not exists(name):
+            fdm[name] = 0.0
+            missing.append(name)
+    return missing
 
 
 def disarm(fdm: Any, text: str) -> list[str]:
@@ -286,7 +298,7 @@ def require(fdm: Any, names: Iterable[str]) -> None:
     """BadInputError unless every property exists; suggests the nearest names."""
     manager = fdm.get_property_manager()
     for name in names:
-        if not _LEGAL_NAME.fullmatch(name):
+        if not is_legal_name(name):
             # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
             raise BadInputError(
                 f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
@@ -299,6 +311,11 @@ def require(fdm: Any, names: Iterable[str]) -> None:
                 else "; see the aircraft's XML for its properties"
             )
             raise BadInputError(f"property '{name}' does not exist in this model{hint}")
+
+
+def is_legal_name(name: str) -> bool:
+    """Whether JSBSim's property tree accepts the name; at another one it may end the interpreter."""
+    return _LEGAL_NAME.fullmatch(name) is not None
 
 
 def catalog(fdm: Any) -> list[str]:

@@ -140,9 +140,9 @@ class StagedMission:
     """
 
     def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
-        check_loadable(aircraft)
         self.aircraft = aircraft
         self.script = read_script(script_path)
+        check_loadable(aircraft, self.script.run_properties)
         if leads_out(self.script.initialize) or "\\" in self.script.initialize:
             raise BadInputError(
                 f"{script_path}: starts from '{self.script.initialize}'; initial conditions must lie in the aircraft's folder"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,8 @@ from uqharness.cli.main import main
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list:
     """What refinements were asked for, their flights read; none is made."""
+    # The stand-ins are this process's own: nothing may run in a worker.
+    monkeypatch.setenv("UQHARNESS_SUPERVISED", str(os.getpid()))
     found = []
 
     def refine(request, say):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.plugin import apply
 from uqharness.plugin.apply import instrument_aircraft
@@ -72,3 +74,21 @@ def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
     assert not (tmp_path / "c172x").exists()
     done = instrument_aircraft(find_aircraft("c172x"), BOUNDS, tmp_path / "c172x", check=False)
     assert done.notes[-1] == "unflown, so the card is a guess: it dives"
+
+
+def test_a_control_that_cannot_be_measured_is_noted_and_the_command_answers_no(
+    flown: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    hunting = aircraft_facts.ControlFacts(1, unmeasured="engine 1 does not settle")
+
+    def facts(folder: Path) -> aircraft_facts.AircraftFacts:
+        assumed = aircraft_facts.assumed(16.2, 10.9, 1.5)
+        return replace(assumed, controls={**assumed.controls, "throttle": hunting})
+
+    monkeypatch.setattr(aircraft_facts, "ask_in_child", facts)
+    words = ["instrument", "c172x", "--no-check", "--out", str(tmp_path / "a")]
+    assert main(words) == 1
+    note = "throttle could not be measured, so its sense and throw in airframe.toml are assumed: engine 1 does not settle"
+    assert note in capsys.readouterr().out
+    hunting = replace(hunting, unmeasured="")
+    assert main([*words[:-1], str(tmp_path / "b")]) == 0

@@ -14,7 +14,7 @@ from sysid.logs.card import Reference
 from uqharness.errors import BadInputError
 from uqharness.replay.model import _factor
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts, _facts
+from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts
 from uqharness.simulator.card import InputCard, parse_card, read_card
 from uqharness.simulator.signals import position_factor, sources
 
@@ -58,32 +58,6 @@ def test_a_positions_unit_is_told_by_its_name(position, throw, factor):
 def test_a_throw_of_nothing_is_refused():
     with pytest.raises(ValidationError, match="cannot be flown"):
         InputCard(property="fcs/x-cmd-norm", throw_deg=0.0)
-
-
-def rows(rates: list[float], positions: list[float] | None) -> list[dict[str, float]]:
-    named = positions or [None] * 3
-    return [
-        {"velocities/q-rad_sec": q, **({} if p is None else {"fcs/elevator-pos-deg": p})}
-        for q, p in zip(rates, named, strict=True)
-    ]
-
-
-def test_sense_and_throw_are_read_from_the_answer():
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
-        1, 20.0, "fcs/elevator-pos-deg"
-    )
-    # Commands and surfaces that count the other way; an uneven throw, a surface that never rested, a command that does nothing.
-    assert _facts("elevator", rows([-0.2, 0.0, 0.2], [-20.0, 0.0, 20.0])) == ControlFacts(
-        -1, 20.0, "fcs/elevator-pos-deg"
-    )
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [20.0, 0.0, -20.0])) == ControlFacts(
-        1, 20.0, None
-    )
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], [-28.0, 0.0, 23.0])) == ControlFacts(
-        1, 25.5, None
-    )
-    assert _facts("elevator", rows([0.2, 0.0, -0.2], None)) == ControlFacts(1, None, None)
-    assert _facts("elevator", rows([0.1, 0.1, 0.1], [-20.0, 0.0, 20.0])).sense == 0
 
 
 SOUND = '[aircraft]\nname = "a"\nxml = "a.xml"\n[inputs.elevator]\nproperty = "fcs/elevator-cmd-deg"\nunit = "deg"\n'

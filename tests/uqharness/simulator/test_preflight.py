@@ -9,7 +9,8 @@ import pytest
 from uqharness.child_process import Ended
 from uqharness.errors import BadInputError
 from uqharness.simulator import preflight
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.simulator.aircraft import check_loadable, find_aircraft, open_aircraft
+from uqharness.simulator.mission import StagedMission
 
 AIRCRAFT = find_aircraft("espaaro")
 
@@ -17,7 +18,7 @@ AIRCRAFT = find_aircraft("espaaro")
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(preflight, "_checked", set())
+    monkeypatch.setattr(preflight, "_checked", {})
     return tmp_path / "uqharness" / "loadable"
 
 
@@ -39,7 +40,7 @@ def test_a_model_that_loads_is_loaded_once_and_remembered(
     asked = ends(monkeypatch, Ended(0, {}, "", ""))
     preflight.ensure_loadable(AIRCRAFT, "content")
     preflight.ensure_loadable(AIRCRAFT, "content")
-    monkeypatch.setattr(preflight, "_checked", set())  # another process
+    monkeypatch.setattr(preflight, "_checked", {})  # another process
     preflight.ensure_loadable(AIRCRAFT, "content")
     assert len(asked) == 1
     assert [path.name.partition("-")[0] for path in cache.iterdir()] == ["content"]
@@ -80,3 +81,115 @@ def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tm
     )
     with pytest.raises(BadInputError, match="empty"):
         preflight.ensure_loadable(empty, "empty")
+
+
+PLANE = """<?xml version="1.0"?>
+<fdm_config name="plane" version="2.0" release="ALPHA">
+ <metrics>
+  <wingarea unit="M2">0.4</wingarea><wingspan unit="M">1.8</wingspan><chord unit="M">0.22</chord>
+  <location name="AERORP" unit="M"><x>0</x><y>0</y><z>0</z></location>
+ </metrics>
+ <mass_balance>
+  <ixx unit="KG*M2">0.06</ixx><iyy unit="KG*M2">0.07</iyy><izz unit="KG*M2">0.12</izz>
+  <emptywt unit="KG">2.0</emptywt>
+  <location name="CG" unit="M"><x>0</x><y>0</y><z>0</z></location>
+ </mass_balance>
+ <ground_reactions/>
+ {propulsion}
+ {systems}
+ <aerodynamics>
+  <axis name="LIFT">{lift}</axis>
+ </aerodynamics>
+ {reactions}
+</fdm_config>
+"""
+ENGINE = """<turbine_engine name="jet"><milthrust unit="N">10</milthrust>
+ <function name="IdleThrust"><value>0.1</value></function>
+ <function name="MilThrust">
+  <product><property>x/misspelt</property><property>propulsion/engine[#]/n1</property></product>
+ </function>
+</turbine_engine>"""
+MOUNT = """<propulsion><engine file="jet"><thruster file="pipe"/><feed>0</feed></engine>
+ <tank type="FUEL"><location unit="M"><x>0</x><y>0</y><z>0</z></location>
+  <capacity unit="KG">1</capacity><contents unit="KG">1</contents></tank></propulsion>"""
+READS = "<property>x/misspelt</property>"
+PLACES = {
+    "aerodynamics": {"lift": f'<function name="f">{READS}</function>'},
+    "branch never taken": {
+        "lift": f'<function name="f"><ifthen><lt><value>1</value><value>0</value></lt>{READS}<value>1</value></ifthen></function>'
+    },
+    "table": {
+        "lift": '<function name="f"><table><independentVar>x/misspelt</independentVar>'
+        "<tableData>0 1\n 1 2</tableData></table></function>"
+    },
+    "external reactions": {
+        "reactions": f'<external_reactions><force name="hook" frame="BODY"><function>{READS}</function>'
+        '<location unit="M"><x>0</x><y>0</y><z>0</z></location><direction><x>1</x><y>0</y><z>0</z></direction>'
+        "</force></external_reactions>"
+    },
+    "system": {
+        "systems": f'<system name="s"><channel name="c"><fcs_function name="s/f"><function>{READS}</function>'
+        "</fcs_function></channel></system>"
+    },
+    "engine": {"propulsion": MOUNT},
+}
+
+
+def plane(folder: Path, **parts: str) -> Path:
+    (folder / "plane" / "Engines").mkdir(parents=True)
+    texts = {"propulsion": "", "systems": "", "reactions": "", "lift": ""} | parts
+    (folder / "plane" / "plane.xml").write_text(PLANE.format(**texts))
+    (folder / "plane" / "Engines" / "jet.xml").write_text(ENGINE)
+    (folder / "plane" / "Engines" / "pipe.xml").write_text('<direct name="pipe"/>')
+    return folder / "plane"
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_property_that_nothing_defines_is_named_with_its_line(
+    place: str, tmp_path: Path, cache: Path
+):
+    folder = plane(tmp_path, **PLACES[place])
+    file = folder / ("Engines/jet.xml" if place == "engine" else "plane.xml")
+    line = next(k for k, t in enumerate(file.read_text().splitlines(), 1) if "misspelt" in t)
+    where = rf"{file.relative_to(folder)}:{line}\)"
+    with pytest.raises(
+        BadInputError, match=rf"reads a property that nothing defines: x/misspelt \({where}"
+    ):
+        open_aircraft(find_aircraft(folder))
+
+
+def test_all_of_them_are_named_at_once_and_the_verdict_is_remembered(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+):
+    lift = "".join(
+        f'<function name="f{k}"><property>{name}</property></function>\n'
+        for k, name in enumerate(("aero/alpha-radd", "x/two", "x/three"))
+    )
+    aircraft = find_aircraft(plane(tmp_path, lift=lift))
+    message = (
+        r"reads 3 properties that nothing defines: aero/alpha-radd \(plane.xml:16\), x/two \(plane.xml:17\), "
+        r"x/three \(plane.xml:18\); did you mean aero/alpha-radd -> aero/alpha-rad\?"
+    )
+    with pytest.raises(BadInputError, match=message):
+        check_loadable(aircraft)
+    monkeypatch.setattr(preflight, "_checked", {})
+    monkeypatch.setattr(preflight, "run_module", lambda *a, **k: pytest.fail("loaded again"))
+    check_loadable(aircraft, defined=("aero/alpha-radd", "x/two", "x/three"))
+
+
+def test_a_run_script_may_define_what_the_aircraft_reads(tmp_path: Path, cache: Path):
+    folder = plane(tmp_path, **PLACES["aerodynamics"])
+    (folder / "start.xml").write_text(
+        '<initialize name="start"><ubody unit="M/SEC">15</ubody></initialize>'
+    )
+    script = tmp_path / "script.xml"
+    text = """<runscript name="s"><use aircraft="plane" initialize="start"/>
+     <run start="0" end="1" dt="0.01"><property value="1">{}</property></run></runscript>"""
+    script.write_text(text.format("x/misspelt"))
+    with StagedMission(find_aircraft(folder), script) as mission:
+        fdm = mission.open()
+        assert fdm.run_ic()
+        assert abs(fdm["forces/fwz-aero-lbs"]) == 1.0
+    script.write_text(text.format("x/other"))
+    with pytest.raises(BadInputError, match="x/misspelt"):
+        StagedMission(find_aircraft(folder), script)

@@ -1,0 +1,28 @@
+"""Functions that tests run in the worker process of uqharness.isolation."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+
+def call_twice(callback: Callable[[int], object]) -> int:
+    """Call the function with 0 and 1."""
+    return sum(callback(k) is None for k in range(2))
+
+
+def chatter(text: str) -> None:
+    """Log a note."""
+    logging.getLogger("uqharness").info("%s of %d", text, 1)
+
+
+def sleeping(callback: Callable[[int], object], mark: Path) -> None:
+    """Call the function, then sleep until interrupted, and tidy up."""
+    try:
+        callback(0)
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        mark.write_text("tidied")
+        raise
