@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 from sysid.aerodynamics import Cutoffs
@@ -20,11 +21,13 @@ from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import notebook_line
 from uqharness.identification import (
+    SERVOS,
     BoundsOptions,
     Comparison,
     Identification,
     MadeBounds,
     Validation,
+    choose_servos,
     load_form,
     parse_channels,
     parse_designs,
@@ -38,7 +41,7 @@ from uqharness.replay import flights as replayed
 from uqharness.replay import recut
 from uqharness.simulator import Aircraft
 
-Servos = Literal["card", "ideal"]
+Servos = Literal["auto", "card", "ideal"]
 
 
 @notebook_line("identify")
@@ -53,7 +56,7 @@ def identify(
     biases: Sequence[str] | None = None,
     delays: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
-    servos: Servos = "card",
+    servos: Servos = "auto",
     workers: int | None = None,
 ) -> Identification:
     """Estimate an aircraft's parameters from flights, as ``uqharness identify`` does.
@@ -76,8 +79,9 @@ def identify(
         What is late by a delay to be estimated: channels, or ``"controls"``; by default the controls, and all channels of a log.
     outputs : sequence of str, optional
         Channels that are fitted; by default all that are recorded, without ``parameters`` those that some parameter acts on.
-    servos : {"card", "ideal"}
-        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once.
+    servos : {"auto", "card", "ideal"}
+        Commands go through the aircraft's actuators, or surfaces and throttle follow them at once; ``auto``: of a log, the
+        likelier of the two, which a note of the result names.
     workers : int, optional
         Processes; by default one a core, 8 at most.
 
@@ -118,16 +122,17 @@ def identify(
         _channels("outputs", outputs),
     )
     ready, measured = _prepared(given_flights(flights, model), model)
+    choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return identifying.identify(
         model,
-        ready,
+        choice.noted(ready),
         measured,
         asked,
         start=one_of("start", start, ("current", "initial")),
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
         outputs=fitted,
-        ideal_servos=_ideal(servos),
+        ideal_servos=choice.ideal,
         method=one_of("method", method, ("auto", "output-error", "filter-error")),
         workers=workers,
     )
@@ -141,7 +146,7 @@ def compare(
     *,
     biases: Sequence[str] | None = None,
     delays: Sequence[str] | None = None,
-    servos: Servos = "card",
+    servos: Servos = "auto",
     workers: int | None = None,
 ) -> Comparison:
     """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness compare`` does.
@@ -189,13 +194,14 @@ def compare(
             f"compare takes one flight, {len(found)} were given; call it once for each"
         )
     ready, measured = _prepared(found, model, align=False)
+    choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS), workers)
     return comparing.compare(
         model,
-        ready[0],
+        choice.noted(ready)[0],
         measured,
         biases=identifying.BIASES if biased is None else biased,
         delays=late,
-        ideal_servos=_ideal(servos),
+        ideal_servos=choice.ideal,
         workers=workers,
     )
 
@@ -212,7 +218,7 @@ def fit_model_form(
     order: Literal[0, 1, 2, 3] = 2,
     outside: Outside = "grow",
     checks: bool = True,
-    servos: Servos = "card",
+    servos: Servos = "auto",
 ) -> MadeBounds:
     """Bounds of what a model does not know, from flights that it was not identified from, as ``uqharness bounds`` makes them.
 
@@ -234,7 +240,7 @@ def fit_model_form(
         What the bounds do beyond the data: grow as published, or stay.
     checks : bool
         Whether leave-one-out and other filters are worked out too.
-    servos : {"card", "ideal"}
+    servos : {"auto", "card", "ideal"}
         As for `identify`.
 
     Returns
@@ -271,15 +277,15 @@ def fit_model_form(
         fit=FitOptions(share("confidence", confidence)),
         cutoffs=Cutoffs(),
         outside=one_of("outside", outside, ("grow", "clamp")),
-        ideal_servos=_ideal(servos),
         checks=flag("checks", checks),
     )
     found = given_flights(flights, model)
     ready, measured = _prepared(found, model)
     hashes = [flight.sha256 for flight in found]
-    return bounding.make_bounds(
-        model, [recut(flight, measured) for flight in ready], measured, hashes, options
-    )
+    ready = [recut(flight, measured) for flight in ready]
+    choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
+    options = replace(options, ideal_servos=choice.ideal)
+    return bounding.make_bounds(model, choice.noted(ready), measured, hashes, options)
 
 
 def validate_bounds(
@@ -287,7 +293,7 @@ def validate_bounds(
     form: ModelForm | MadeBounds | AnyPath,
     flights: AnyFlight | Iterable[AnyFlight],
     *,
-    servos: Servos = "card",
+    servos: Servos = "auto",
 ) -> Validation:
     """Count how much of a new flight lies within bounds from other flights, as ``uqharness validate-bounds`` does.
 
@@ -299,7 +305,7 @@ def validate_bounds(
         The bounds: what `fit_model_form` gave, or a model-form.json.
     flights : flight or sequence of flights
         Flights that the bounds were not made from.
-    servos : {"card", "ideal"}
+    servos : {"auto", "card", "ideal"}
         As for `identify`.
 
     Returns
@@ -331,14 +337,9 @@ def validate_bounds(
     ready, measured = _prepared(new, model)
     hashes = [flight.sha256 for flight in new]
     with notebook_line("validate_bounds"):
-        return validate(
-            model,
-            form,
-            [recut(flight, measured) for flight in ready],
-            measured,
-            hashes,
-            _ideal(servos),
-        )
+        ready = [recut(flight, measured) for flight in ready]
+        choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
+        return validate(model, form, choice.noted(ready), measured, hashes, choice.ideal)
 
 
 def _prepared(
@@ -368,7 +369,3 @@ def _designs(what: str, given: Mapping[str, Sequence[str]] | None) -> list[str]:
         else instance(what, given, Mapping, 'a mapping such as {"CX": ["V", "alpha"]}')
     )
     return [f"{c}={','.join(_names(what, names))}" for c, names in known.items()]
-
-
-def _ideal(servos: str) -> bool:
-    return bool(one_of("servos", servos, ("card", "ideal")) == "ideal")

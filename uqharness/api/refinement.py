@@ -41,7 +41,7 @@ def refine(
     test: AnyFlight | Iterable[AnyFlight],
     out: AnyPath,
     effects: AnyPath | None = None,
-    servos: Literal["card", "ideal"] = "card",
+    servos: Literal["auto", "card", "ideal"] = "auto",
     campaign: AnyPath | None = None,
     pbox: bool = True,
     bake: bool = False,
@@ -63,7 +63,7 @@ def refine(
         Folder for the results.
     effects : str or Path, optional
         Effects of your own beside the catalogue, TOML (docs/extend.md).
-    servos : {"card", "ideal"}
+    servos : {"auto", "card", "ideal"}
         As for `identify`.
     campaign : str or Path, optional
         Mission that both models fly within their intervals; by default the aircraft's loiter, if it has one.
@@ -104,7 +104,7 @@ def refine(
     'effects-found'
     """
     model, folder, workers = carded_aircraft(aircraft), path("out", out), given_workers(workers)
-    one_of("servos", servos, ("card", "ideal"))
+    one_of("servos", servos, ("auto", "card", "ideal"))
     flag("figures", figures)
     require("on_stage", on_stage, callable(on_stage), "a function of a text")
     own, mission = (
@@ -122,7 +122,7 @@ def refine(
             for name, flights in (("train", train), ("test", test))
         }
         options: dict[str, object] = {
-            "--servos": servos if servos != "card" else None,
+            "--servos": servos if servos != "auto" else None,
             "--effects": own,
             "--campaign": mission,
             "--no-pbox": not pbox,
@@ -140,7 +140,7 @@ def refine(
             files["test"],
             folder,
             extra,
-            ideal_servos=servos == "ideal",
+            ideal_servos=None if servos == "auto" else servos == "ideal",
             workers=workers,
             command=_command(aircraft, files, options) if in_files else (),
             pbox=pbox,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 from sysid.aerodynamics import Cutoffs
@@ -27,7 +28,13 @@ from uqharness.cli.options import (
 from uqharness.cli.progress import say_warnings, working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder, write_bytes, write_json, write_text
-from uqharness.identification import BoundsOptions, MadeBounds, make_bounds, parse_designs
+from uqharness.identification import (
+    BoundsOptions,
+    MadeBounds,
+    choose_servos,
+    make_bounds,
+    parse_designs,
+)
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import read_bounds_flights, read_histories
 from uqharness.report import bounds_document, write_figures, write_report, write_residuals
@@ -153,7 +160,6 @@ def _options(args: argparse.Namespace) -> BoundsOptions:
         cutoffs=Cutoffs(args.cutoff_hz, args.airspeed_cutoff_hz or math.inf),
         walk_cutoff_hz=args.walk_cutoff_hz,
         outside=args.outside,
-        ideal_servos=args.servos == "ideal",
         checks=not args.no_check,
     )
 
@@ -167,6 +173,10 @@ def _run(args: argparse.Namespace) -> int:
         flights, measured = read_bounds_flights(
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
+        if args.servos == "auto":
+            stage("servos: the card's or ideal ones")
+        servos = choose_servos(aircraft, flights, measured, args.servos)
+        flights, options = servos.noted(flights), replace(options, ideal_servos=servos.ideal)
         found = make_bounds(
             aircraft, flights, measured, [file_sha256(p) for p in args.flight], options, stage
         )

@@ -22,7 +22,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import working
 from uqharness.files import check_folder
-from uqharness.identification import BIASES, parse_channels
+from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.compare import compare
 from uqharness.replay import counter, read_flights
 from uqharness.report import document_of, write_report, write_tables
@@ -65,13 +65,17 @@ def _run(args: argparse.Namespace) -> int:
             align=False,
             flight_numbers=args.flight_number,
         )
+        if args.servos == "auto":
+            stage("servos: the card's or ideal ones")
+        servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
+        flights = servos.noted(flights)
         found = compare(
             aircraft,
             flights[0],
             measured,
             biases=BIASES if biases is None else biases,
             delays=delays,
-            ideal_servos=args.servos == "ideal",
+            ideal_servos=servos.ideal,
             workers=args.workers,
             on_stage=stage,
         )

@@ -24,7 +24,7 @@ from uqharness.cli.options import (
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
 from uqharness.files import check_folder
-from uqharness.identification import BIASES, parse_channels
+from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.identify import identify
 from uqharness.replay import counter, read_flights
 from uqharness.report import write_report
@@ -101,6 +101,10 @@ def _run(args: argparse.Namespace) -> int:
         flights, measured = read_flights(
             args.flight, aircraft, args.manoeuvres, args.map, flight_numbers=args.flight_number
         )
+        if args.servos == "auto":
+            stage("servos: the card's or ideal ones")
+        servos = choose_servos(aircraft, flights, measured, args.servos, args.workers)
+        flights = servos.noted(flights)
         found = identify(
             aircraft,
             flights,
@@ -110,7 +114,7 @@ def _run(args: argparse.Namespace) -> int:
             biases=BIASES if biases is None else biases,
             delays=delays,
             outputs=outputs,
-            ideal_servos=args.servos == "ideal",
+            ideal_servos=servos.ideal,
             method=args.method,
             workers=args.workers,
             on_stage=stage,

@@ -147,9 +147,10 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     add_manoeuvres(parser)
     parser.add_argument(
         "--servos",
-        choices=("card", "ideal"),
-        default="card",
-        help="commands go through the aircraft's actuators, or surfaces and throttle follow them at once (default %(default)s)",
+        choices=("auto", "card", "ideal"),
+        default="auto",
+        help="commands go through the aircraft's actuators (card), or surfaces and throttle follow them at once (ideal); "
+        "auto: of a log, the likelier of the two (default %(default)s)",
     )
 
 

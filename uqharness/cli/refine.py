@@ -90,7 +90,7 @@ def _run(args: argparse.Namespace) -> int:
         extra,
         args.manoeuvres,
         args.map,
-        args.servos == "ideal",
+        None if args.servos == "auto" else args.servos == "ideal",
         args.workers,
         tuple(command_words(args)),
         not args.no_pbox,

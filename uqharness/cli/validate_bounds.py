@@ -20,7 +20,7 @@ from uqharness.cli.options import (
 )
 from uqharness.cli.progress import say_warnings, working
 from uqharness.files import check_folder, write_json
-from uqharness.identification import load_form, validate, verdicts
+from uqharness.identification import choose_servos, load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
 from uqharness.report import first_lines, validation_document, write_report, write_residuals
 from uqharness.report.pages import coverage_page_of
@@ -55,8 +55,12 @@ def _run(args: argparse.Namespace) -> int:
             args.flight, aircraft, args.manoeuvres, args.map, args.flight_number
         )
         hashes = [file_sha256(p) for p in args.flight]
+        if args.servos == "auto":
+            stage("servos: the card's or ideal ones")
+        servos = choose_servos(aircraft, flights, measured, args.servos)
+        flights = servos.noted(flights)
         stage("residual coefficients")
-        found = validate(aircraft, form, flights, measured, hashes, args.servos == "ideal")
+        found = validate(aircraft, form, flights, measured, hashes, servos.ideal)
         document = validation_document(found)
         text = "\n".join(first_lines(coverage_page_of(document)))
         if args.out is not None:

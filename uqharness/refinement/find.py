@@ -53,7 +53,7 @@ from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_alone
 from uqharness.refinement.rates import as_known_here, limits_tried
 from uqharness.refinement.round import Start
-from uqharness.refinement.rounds import eligible, resolved
+from uqharness.refinement.rounds import eligible, resolved, settled
 from uqharness.refinement.search import Say, Searched, search
 from uqharness.refinement.setup import candidates_for, column_evidence
 from uqharness.refinement.stages import Stages
@@ -223,6 +223,9 @@ def find_effects(
         gusts,
     )
     searched = search(start, evidence, work, say)
+    if searched.best.keys:
+        say("estimating everything by output error")
+        searched = replace(searched, best=settled(start, searched.best, work / "settled"))
     found = _found(start, searched, evidence)
     board = score_table(evidence, free, [e for e in effects if e.key in open_])
     told = (*notes, *left_alone(asked, names), *found.notes)

@@ -16,6 +16,7 @@ from sysid.logs import FOUND
 from sysid.parallel import Processes
 from uqharness import __version__
 from uqharness.files import inner_folder
+from uqharness.identification import choose_servos
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
@@ -61,8 +62,8 @@ from uqharness.simulator import (
 class Request:
     """What the command was asked.
 
-    pbox: whether a mission is flown before and after; campaign: which one; bake: whether scales are
-    written into the author's numbers.
+    ideal_servos: None for the likelier on the train flights; pbox: whether a mission is flown
+    before and after; campaign: which one; bake: whether scales are written into the author's numbers.
     """
 
     aircraft: Aircraft
@@ -72,7 +73,7 @@ class Request:
     extra: tuple[Effect, ...] = ()
     manoeuvres: Path | None = None
     map_path: Path | None = None
-    ideal_servos: bool = False
+    ideal_servos: bool | None = False
     workers: int | None = None
     command: tuple[str, ...] = ()
     pbox: bool = True
@@ -108,7 +109,17 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
         campaign_for(aircraft, request.campaign)
     say("reading the flights")
-    train, test = _read(request, request.train), _read(request, request.test)
+    train = _read(request, request.train)
+    if request.ideal_servos is None:
+        say("servos: the card's or ideal ones")
+        servos = choose_servos(aircraft, train.flights, train.measured, "auto", request.workers)
+        request = replace(request, ideal_servos=servos.ideal)
+        train = replace(
+            train,
+            flights=tuple(servos.noted(train.flights)),
+            ideal=_ideal_controls(request, train.measured),
+        )
+    test = _read(request, request.test)
     names = renamed([f.name for f in test.flights])
     test = replace(
         test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
@@ -157,7 +168,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
         def job(model: Found, made: Aircraft) -> IntervalJob:
             flown = flown_as(model, chosen, whole, lambda _: made)
-            return IntervalJob(made, *flown, train, test, request.ideal_servos)
+            return IntervalJob(made, *flown, train, test, bool(request.ideal_servos))
 
         if judged.found.selection.chosen:
             plain = _put(write(bare(chosen)), aircraft, request.out / "before")
@@ -194,8 +205,13 @@ def _read(request: Request, paths: Sequence[Path]) -> FlightSet:
         align=False,
         flight_numbers=[n for n in numbers[first : first + len(paths)] if n is not None],
     )
-    ideal = tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
+    ideal = _ideal_controls(request, measured)
     return FlightSet(tuple(flights), tuple(measured), tuple(file_hash(p) for p in paths), ideal)
+
+
+def _ideal_controls(request: Request, measured: Sequence[str]) -> tuple[str, ...]:
+    """Controls whose commands are passed straight through."""
+    return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
 
 def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:

@@ -32,7 +32,7 @@ class StudySection(Section):
     name: str = Field(pattern=rf"^{_NAME}$")
     question: str = Field(min_length=1)
     aircraft: str = Field(min_length=1)
-    servos: Literal["card", "ideal"] = "card"
+    servos: Literal["auto", "card", "ideal"] = "auto"
     air: bool = False
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from uqharness.replay import (
     force_all,
     terrain_m,
 )
-from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
+from uqharness.simulator import MOST_FRAMES, TRIM_LATITUDE_DEG, body_velocity, engine
 
 Array = NDArray[np.float64]
 EVERY = 4
@@ -42,6 +43,8 @@ EVERY = 4
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
+_STILL = 1e-9
+"""Share of the largest load by which loads of two frames differ at most where they stand still."""
 _BANKED = (0.5 * np.pi, np.pi)
 """Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to them."""
 
@@ -277,7 +280,8 @@ def property_slopes(
     """property -> (n, 6) change of force [N] and moment [N m] by a unit of it, central. job: the model, a segment and of n of its
     samples states (n, 8), controls (n, c) and heights (n,) [m]; properties in force, names of those that are moved.
 
-    Each state is forced once; then the properties are moved one after the other and the forces renewed, the state unmoved.
+    Each state is forced once; then the properties are moved one after the other and the forces renewed, the state unmoved, until
+    they no longer change: lift moves the rate of alpha and the induced drag, which JSBSim reads from the frame before.
     """
     straight, segment, x, controls, height_m, properties, names = job
     fdm = straight.open(segment.dt_s)
@@ -334,12 +338,26 @@ def property_slopes(
             sides = []
             for shift in (step, -step):
                 move(value + shift)
-                fdm.run()
-                sides.append(np.array([g() for g in get]))
+                sides.append(_settled_loads(fdm, get))
             move(value)
             out[name][k] = unit * (sides[0] - sides[1]) / (2.0 * step)
         fdm.resume_integration()
     return out
+
+
+def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> Array:
+    """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still; return them."""
+    fdm.run()
+    loads, moved = np.array([g() for g in get]), np.inf
+    for _ in range(MOST_FRAMES):
+        fdm.run()
+        before, last = loads, moved
+        loads = np.array([g() for g in get])
+        moved = float(np.max(np.abs(loads - before)) / max(np.max(np.abs(loads)), 1e-9))
+        # Loads that outgrow the accelerations that they are part of settle nowhere.
+        if moved < _STILL or not moved < last:
+            break
+    return loads
 
 
 def _between(coarse: NDArray[np.intp], n: int, values: Array) -> Array:

@@ -1,0 +1,55 @@
+"""Slopes of forces by properties: as the model flies, loads settled, not as one frame after the change has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uqharness.cli.main import main
+from uqharness.identification.linearised.reference import property_slopes
+from uqharness.replay import CONTROLS, ReplayFolder, Segment, StatesOf, force_all
+from uqharness.simulator import find_aircraft
+
+NAMES = ("uq/scale/CLalpha", "uq/scale/CDi", "uq/scale/Cmadot", "uq/scale/Cmq")
+
+
+@pytest.fixture(scope="module")
+def glider(tmp_path_factory):
+    """The stock glider, whose pitching moment goes with the rate of alpha and whose drag goes with the lift."""
+    out = tmp_path_factory.mktemp("stock") / "sgs126"
+    assert main(["instrument", "sgs126", "--out", str(out), "--no-check"]) == 0
+    return find_aircraft(out)
+
+
+def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(glider):
+    x = np.array([[27.0, 0.05, 0.02, 0.1, 0.2, -0.05, 0.1, 0.0], [25.0, 0.1, 0, 0, 0.1, 0, 0, 0.1]])
+    controls, height = np.zeros((2, len(CONTROLS))), np.full(2, 200.0)
+    segment = Segment("test", "test", np.array([0.0, 0.02]), controls, np.zeros(9), 200.0, 200.0)
+    values = dict.fromkeys(NAMES, 1.0)
+    names = (
+        "V_mps",
+        "alpha_rad",
+        "beta_rad",
+        "p_radps",
+        "q_radps",
+        "r_radps",
+        "phi_rad",
+        "theta_rad",
+    )
+    motion = dict(zip(names, x.T, strict=True))
+    with ReplayFolder(glider, ideal=CONTROLS) as straight:
+        assert straight.by_rates
+        slopes = property_slopes((straight, segment, x, controls, height, values, NAMES))
+
+        def load(name: str, value: float) -> np.ndarray:
+            # Forces at a state are read after rates of alpha and beta have settled there.
+            asked = [StatesOf(segment, motion, controls, height)]
+            forced = force_all(straight, asked, {**values, name: value})[0]
+            return np.hstack([forced.aero_force, forced.aero_moment])
+
+        for name in NAMES:
+            expected = (load(name, 1.001) - load(name, 0.999)) / 0.002
+            size = np.abs(expected).max(axis=0) + 1e-3 * np.abs(expected).max()
+            assert np.all(np.abs(slopes[name] - expected) < 0.01 * size), name
+    # The moment of the change of lift by way of the rate of alpha: none without Cmadot.
+    assert abs(slopes["uq/scale/CLalpha"][0, 4]) > 100.0

@@ -1,0 +1,227 @@
+"""Servos by likelihood: whether commands reach the surfaces through the card's actuators or at once.
+
+A log of commands does not say how its servos moved. Both answers are fitted to the segments in which the surfaces are
+moved most, by output error with linearised sensitivities, everything estimated beside them (parameters, biases, delays, start
+states). The larger likelihood decides, the noise of each channel at its own maximum-likelihood value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from sysid.aerodynamics import Piece
+from sysid.parallel import Processes
+from uqharness.identification.linearised import (
+    Bench,
+    Flown,
+    Point,
+    Setup,
+    best_flown,
+    make_setup,
+    refit,
+    with_jumps,
+)
+from uqharness.identification.start import equation_error_start
+from uqharness.parallel import worker_map
+from uqharness.replay import CONTROLS, Flight
+from uqharness.replay.flights import control_columns
+from uqharness.replay.layout import LATE_ROWS
+from uqharness.simulator import Aircraft, engine
+
+SERVOS = ("auto", "card", "ideal")
+"""What may be asked: by likelihood, the card's actuators, or surfaces that follow their commands at once."""
+SURFACES = CONTROLS[:3]
+PER_SURFACE = 2
+"""Windows fitted for each surface, those in which it travels most a second."""
+LONGEST_S = 12.0
+"""Longest window."""
+
+
+@dataclass(frozen=True)
+class ServoChoice:
+    """Servos with which flights are replayed.
+
+    ideal       whether commands are passed straight through
+    gain        log likelihood of the choice less that of the other; NaN where they were not compared
+    note        sentence for the results; empty where nothing was compared
+    """
+
+    ideal: bool
+    gain: float = math.nan
+    note: str = ""
+
+    def noted(self, flights: Sequence[Flight]) -> list[Flight]:
+        """The flights, the first with the note."""
+        if not self.note:
+            return list(flights)
+        return [replace(flights[0], notes=(*flights[0].notes, self.note)), *flights[1:]]
+
+
+def choose_servos(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    request: str = "auto",
+    workers: int | None = None,
+) -> ServoChoice:
+    """Choose between the card's servos and ideal ones.
+
+    Parameters
+    ----------
+    measured : sequence of str
+        Surfaces whose columns are positions: servos do not act on them.
+    request : {"auto", "card", "ideal"}
+        Anything but "auto" is binding and compares nothing.
+
+    Returns
+    -------
+    ServoChoice
+        The card's where no commanded surface has an actuator with a lag, and where neither can be flown. Records of a
+        simulation that hold no logged rates (``native_hz``) keep the card's as well: they were flown with the card's servos.
+    """
+    if request != "auto":
+        return ServoChoice(request == "ideal")
+    logged = [f for f in flights if f.record.metadata.native_hz]
+    moved = [c for c in SURFACES if c in aircraft.card.inputs and c not in measured]
+    if not logged or not moved:
+        return ServoChoice(False)
+    busiest = [_busiest(f, moved, measured) for f in logged[:1]]
+    everything = tuple(c for c in CONTROLS if c not in measured)
+    with worker_map(workers) as map_:
+        card = _fit(aircraft, busiest, measured, (), map_)
+        if card is not None and not card.lagging:
+            return ServoChoice(False)
+        ideal = _fit(aircraft, busiest, measured, everything, map_)
+    if card is None and ideal is None:
+        return ServoChoice(False)
+    gain = (ideal.log_likelihood if ideal else -math.inf) - (
+        card.log_likelihood if card else -math.inf
+    )
+    chosen, other = ("ideal", "the card's") if gain > 0.0 else ("the card's", "ideal")
+    best = ideal if gain > 0.0 else card
+    assert best is not None
+    option = "card" if gain > 0.0 else "ideal"
+    margin = (
+        f"log likelihood {abs(gain):,.0f} above that with {other} servos"
+        if math.isfinite(gain)
+        else f"the flights cannot be replayed with {other} servos"
+    )
+    note = (
+        f"{logged[0].name}: {chosen} servos were taken ({margin}, {len(busiest[0].pieces)} segments, everything else "
+        f"estimated with each); --servos {option} takes the other"
+    )
+    if abs(best.common_s) > LATE_ROWS * logged[0].record.dt_s:
+        note += (
+            f"; with them all channels come {1e3 * abs(best.common_s):.0f} ms "
+            f"{'after' if best.common_s > 0.0 else 'before'} the commands by one common time: a clock or a transport delay, "
+            "which is estimated and taken out"
+        )
+    return ServoChoice(gain > 0.0, abs(gain), note)
+
+
+@dataclass(frozen=True)
+class _ServoFit:
+    """lagging: surfaces whose commands go through a lag; common_s: time by which all sensors come after the commands."""
+
+    log_likelihood: float
+    lagging: tuple[str, ...]
+    common_s: float
+
+
+def _busiest(flight: Flight, surfaces: Sequence[str], measured: Sequence[str]) -> Flight:
+    """The flight with the windows of its pieces in which each of the surfaces travels most a second."""
+    columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
+    rows = math.ceil(LONGEST_S / flight.record.dt_s)
+    windows = [w for piece in flight.pieces for w in _windows(flight, piece, rows)]
+    picked: set[int] = set()
+    for surface in surfaces:
+        values = flight.record[columns[surface]]
+        rate = [float(np.nanmean(np.abs(np.diff(values[w.rows])))) for w in windows]
+        order = [k for k in np.argsort(rate)[::-1].tolist() if k not in picked]
+        picked |= set(order[:PER_SURFACE])
+    return replace(flight, pieces=tuple(windows[k] for k in sorted(picked)))
+
+
+def _windows(flight: Flight, piece: Piece, rows: int) -> list[Piece]:
+    """A piece cut into equal windows of so many rows at most."""
+    n = piece.rows.stop - piece.rows.start
+    edges = np.linspace(piece.rows.start, piece.rows.stop, math.ceil(n / rows) + 1).astype(int)
+    time = flight.record["time_s"]
+    return [
+        replace(piece, rows=slice(a, b), start_s=float(time[a]), end_s=float(time[b - 1]))
+        for a, b in pairwise(edges.tolist())
+    ]
+
+
+def _fit(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    measured: Sequence[str],
+    ideal: Sequence[str],
+    map_: Processes,
+) -> _ServoFit | None:
+    """Fit the flights with servos of one kind; None where the model cannot fly them."""
+    names = tuple(aircraft.card.parameters)
+    limits = {
+        n: c.bounds if c.bounds is not None else (-math.inf, math.inf)
+        for n, c in aircraft.card.parameters.items()
+    }
+    setup = make_setup(aircraft, flights, measured, ideal)
+    with Bench(aircraft, setup) as bench:
+        setup = with_jumps(setup, bench.model)
+        lagging = tuple(c for c in bench.model.lagging if c in SURFACES)
+        fdm = bench.model.open(aircraft.dt_s)
+        engine.require(fdm, names)
+        current = np.array([fdm[n] for n in names])
+        del fdm
+        near, _ = equation_error_start(
+            bench.model,
+            bench.straight,
+            flights,
+            setup.segments,
+            names,
+            current,
+            [limits[n] for n in names],
+        )
+        starts = tuple(s.start.copy() for s in setup.segments)
+        points = [
+            Point(
+                dict(zip(names, values.tolist(), strict=True)),
+                dict.fromkeys(setup.nuisance, 0.0),
+                starts,
+            )
+            for values in (near, current)
+        ]
+        try:
+            best = best_flown(bench.model, setup, points, map_)
+            fit = refit(bench.model, bench.straight, setup, best.point, names, limits, map_)
+        except np.linalg.LinAlgError:
+            return None
+    return _ServoFit(_log_likelihood(setup, fit.flown), lagging, _common_s(setup, fit.flown.point))
+
+
+def _log_likelihood(setup: Setup, flown: Flown) -> float:
+    """Log likelihood of replays but for a constant, each channel's noise what is left of it."""
+    left = np.concatenate([z - y for z, y in zip(setup.measured, flown.outputs, strict=True)])
+    count = np.isfinite(left).sum(axis=0)
+    square = np.nansum(left**2, axis=0) / np.maximum(count, 1)
+    # A channel of no error at all has the noise of rounding.
+    floor = (1e-6 * setup.noise) ** 2
+    return -0.5 * float(np.sum(count * np.log(np.maximum(square, floor))))
+
+
+def _common_s(setup: Setup, point: Point) -> float:
+    """Time [s] by which every inertial sensor comes after the commands, 0 where some come before and some after."""
+    delays = [
+        value
+        for name, value in point.nuisance.items()
+        if name.startswith("delay/") and name.endswith(("/rates", "/accelerations", "/attitude"))
+    ]
+    if not delays or min(delays) * max(delays) <= 0.0:
+        return 0.0
+    return min(delays, key=abs)
