@@ -19,6 +19,8 @@ from uqharness.xml import Document, Node
 TIME = "simulation/sim-time-sec"
 STEP = "#step"
 """Slot of the step [s] where it is a number of the lane."""
+BEYOND = "#beyond"
+"""Slot that is not 0 once a function had an argument beyond the engine's range: what the lane flies from there is not JSBSim's."""
 INITIALISED = "initialised:"
 """Before a property's name: its value behind JSBSim's initialising frames."""
 
@@ -193,7 +195,12 @@ class Frame:
 
     def scope(self, document: Document) -> Scope:
         """For translating elements of ``document`` inside the present section."""
-        return Scope(self.builder, document, self.read, self._draw_for(document))
+        return Scope(self.builder, document, self.read, self._draw_for(document), self._note_beyond)
+
+    def _note_beyond(self, condition: Value) -> None:
+        if condition.constant is not None and not condition.constant:
+            return
+        self.remember(BEYOND[1:], condition.choose(1.0, self.memory(BEYOND[1:])))
 
     def normal(self) -> Value | None:
         """A standard normal that is drawn here; None in a section in which lanes draw at different times."""
