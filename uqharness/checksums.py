@@ -96,7 +96,8 @@ def write_sums(folder: Path, earlier: Earlier | None = None) -> None:
 
     A file that was damaged ``earlier`` and has not been written since keeps the digest that it does not fit.
     """
-    files, folders = {}, []
+    files: dict[str, str] = {}
+    folders: list[str] = []
     for path in _files(folder, folders):
         name = path.relative_to(folder).as_posix()
         digest = file_sha256(path)

@@ -63,6 +63,8 @@ class Scale:
         if not math.isfinite(self.high - self.low):
             return [(self.low, f"{self.low:.3g}"), (self.high, f"{self.high:.3g}")]
         step = _step(self.high / 5.0 - self.low / 5.0)
+        if step == 0.0:
+            return [(self.low, f"{self.low:.4g}")]
         first = math.ceil(self.low / step - 1e-9)
         return [
             (k * step, _number(k * step, step))
