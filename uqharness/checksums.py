@@ -17,6 +17,7 @@ from pathlib import Path
 
 from sysid.digests import file_sha256, sha256_hex
 from sysid.foreign.regular_files import read_regular
+from uqharness.errors import BadInputError
 
 SUMS = "SHA256SUMS"
 LOCK = "run.lock"
@@ -92,18 +93,22 @@ def read_sums(folder: Path) -> Sums | None:
 
 
 def write_sums(folder: Path, earlier: Earlier | None = None) -> None:
-    """Enter every file of a folder that is complete. Raises OSError.
+    """Enter every file of a folder that is complete. Raises BadInputError.
 
     A file that was damaged ``earlier`` and has not been written since keeps the digest that it does not fit.
     """
     files: dict[str, str] = {}
     folders: list[str] = []
-    for path in _files(folder, folders):
-        name = path.relative_to(folder).as_posix()
-        digest = file_sha256(path)
-        recorded, damaged = (earlier or Earlier()).damaged.get(name, ("", ""))
-        files[name] = recorded if damaged == digest else digest
-    _write(folder, Sums(files, tuple(sorted(folders))))
+    try:
+        for path in _files(folder, folders):
+            name = path.relative_to(folder).as_posix()
+            digest = file_sha256(path)
+            recorded, damaged = (earlier or Earlier()).damaged.get(name, ("", ""))
+            files[name] = recorded if damaged == digest else digest
+        _write(folder, Sums(files, tuple(sorted(folders))))
+    except OSError as error:
+        path = folder / SUMS
+        raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def faults(folder: Path, within: bool = True) -> list[Fault]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import shutil
 import subprocess
@@ -144,3 +145,18 @@ def test_links_are_neither_followed_nor_entered(tmp_path):
     (folder / "a").unlink()
     (folder / "a").symlink_to(outside)
     assert [fault.name for fault in faults(folder)] == ["a"]
+
+
+def test_a_full_or_broken_disk_ends_in_a_sentence(made, tmp_path, monkeypatch):
+    folder = shutil.copytree(made / "refined", tmp_path / "refined")
+
+    def broken(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("os.fsync", broken)
+    with pytest.raises(BadInputError, match=r"SHA256SUMS: cannot be written: Input/output error"):
+        write_sums(folder)
+    with pytest.raises(BadInputError, match=r"new\.csv: cannot be written: Input/output error"):
+        write_bytes(folder / "new.csv", b"1\n")
+    monkeypatch.undo()
+    assert verify(folder).whole

@@ -20,7 +20,6 @@ from uqharness.campaign.folder.store import JOURNAL, Store
 from uqharness.campaign.folder.tables import make_tables, write_tables
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.errors import BadInputError
 
 
 def sealed(
@@ -42,11 +41,7 @@ def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
     damaged = {} if earlier is None else dict(earlier.damaged)
     for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
         damaged.pop(name, None)  # they have just been held against digests of their own, or written
-    try:
-        checksums.write_sums(folder, checksums.Earlier(damaged))
-    except OSError as error:
-        path = folder / checksums.SUMS
-        raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    checksums.write_sums(folder, checksums.Earlier(damaged))
 
 
 def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
