@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.errors import in_a_line
 from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, find_aircraft
@@ -63,7 +62,9 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
             _write(files, scratch)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise BadInputError(f"{shown}: cannot be read: {in_a_line(reason)}; {_EXAMPLE}") from None
+        raise BadInputError(
+            f"{shown}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
+        ) from None
     return find_aircraft(scratch / inside)
 
 
@@ -172,10 +173,10 @@ class _Reader:
         content = self._run(["cat-file", "--batch"], most, names.encode())
         files: dict[str, bytes] = {}
         position = 0
-        for path, (_, size) in sizes.items():
+        for path, (_, length) in sizes.items():
             begin = content.index(b"\n", position) + 1
-            files[path] = content[begin : begin + size]
-            position = begin + size + 1
+            files[path] = content[begin : begin + length]
+            position = begin + length + 1
         return files
 
     def _run(self, words: Sequence[str], most_bytes: int, given: bytes = b"") -> bytes:
@@ -206,7 +207,9 @@ class _Reader:
         if done.returncode and words[0] != "rev-parse":
             lines = done.stderr.decode(errors="replace").strip().splitlines()
             reason = (
-                in_a_line(lines[-1]) if lines else "stopped at the limit of memory or of output"
+                " ".join(lines[-1].split())
+                if lines
+                else "stopped at the limit of memory or of output"
             )
             raise BadInputError(f"{self._requested}: git {words[0]}: {reason[:300]}; {_EXAMPLE}")
         return read_regular(output, most_bytes + 1)
