@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
+import stat
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from uqharness.checksums import PART, enter
 from uqharness.errors import BadInputError
-
-PART = ".part"
-"""Ending of a file that is being written; one that a killed process left behind may be deleted."""
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in place at once.
 
+    The sums of a folder of results that is complete are brought up to date (:mod:`uqharness.checksums`).
     A reader, or a crash, finds the old file or the new one. Folders on the way are made. Raises BadInputError where that
     cannot be done.
     """
@@ -31,11 +32,21 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
         os.replace(temporary, path)
+        enter(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file of results, if it is there, and its entry in the sums. Raises BadInputError."""
+    try:
+        path.unlink(missing_ok=True)
+        enter(path)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be removed: {error.strerror or error}") from None
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -125,6 +136,26 @@ def check_folder(path: Path) -> None:
     check_out(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
+
+
+def open_no_link(path: Path, make: bool = True) -> int:
+    """Open a file for reading and writing in a folder that may come from elsewhere; its content stays.
+
+    Raises OSError where the name is a link, or the file is no regular one or has a second name: it may be any file of the user's.
+    """
+    flags = os.O_RDWR | (os.O_CREAT if make else 0)
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
+        flags |= getattr(os, name, 0)
+    if path.is_symlink():  # also where the system has no O_NOFOLLOW
+        raise OSError(errno.ELOOP, f"is a link to {os.readlink(path)}", str(path))
+    handle = os.open(path, flags, 0o666)
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        os.close(handle)
+        regular = stat.S_ISREG(status.st_mode)
+        problem = "has a second name elsewhere" if regular else "is not a regular file"
+        raise OSError(errno.EINVAL, problem, str(path))
+    return handle
 
 
 def lock_at_once(descriptor: int) -> bool:

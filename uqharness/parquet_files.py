@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sysid.foreign.regular_files import read_regular
@@ -14,6 +15,7 @@ from uqharness.files import write_bytes
 
 _MOST_BYTES = 1_000_000_000
 _MOST_MEMORY_BYTES = 1_500_000_000
+_TEXT_BASE_BYTES, _TEXT_PER_BYTE = 50_000_000, 100.0
 
 
 def table_bytes(table: pa.Table) -> bytes:
@@ -54,6 +56,58 @@ def read_table(path: Path) -> pa.Table:
     return parse_table(content, path)
 
 
+def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
+    """The table with its texts written out, unless that takes more memory than a table may.
+
+    A dictionary holds a text once, and each row refers to it: sixteen kilobytes can stand for gigabytes. Column chunks are
+    therefore decoded one after another with their dictionaries kept, and counted before a text is written out.
+    """
+    texts = [field.name for field in schema if _is_text(field.type)]
+    written, held = 0, 0
+    parts: list[pa.Table] = []
+    with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
+        for group in range(file.num_row_groups):
+            part = file.read_row_group(group, use_threads=False)
+            parts.append(part)
+            held += part.nbytes
+            for column in part.columns:
+                for chunk in column.chunks:
+                    if pa.types.is_dictionary(chunk.type) and _is_text(chunk.type.value_type):
+                        written += _text_bytes(chunk)
+            if held + written > _MOST_MEMORY_BYTES or written > _most_text(len(content)):
+                raise BadInputError(
+                    f"{path}: its texts would take {(held + written) / 1e9:.3g} GB of memory, and it has "
+                    f"{len(content) / 1e6:.3g} MB: it is damaged or made to fill the memory"
+                )
+        table = pa.concat_tables(parts) if parts else file.read()
+    columns = [
+        column.cast(column.type.value_type) if pa.types.is_dictionary(column.type) else column
+        for column in table.columns
+    ]
+    return pa.table(columns, names=table.column_names)
+
+
+def _most_text(file_bytes: int) -> float:
+    """Bytes of texts that a file of a size may hold: the reasons of a million failed flights compress a hundredfold."""
+    return _TEXT_BASE_BYTES + _TEXT_PER_BYTE * file_bytes
+
+
+def _text_bytes(chunk: pa.DictionaryArray) -> int:
+    """Bytes of the texts that a column chunk stands for."""
+    lengths = pc.binary_length(chunk.dictionary)
+    found = pc.sum(pc.take(pc.cast(lengths, pa.int64()), chunk.indices)).as_py()
+    return int(found or 0)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_string(kind)
+        or pa.types.is_large_string(kind)
+        or pa.types.is_binary(kind)
+        or pa.types.is_large_binary(kind)
+    )
+
+
 def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
     """A parquet table from bytes that were read from ``path``. What it says of its size is looked at before memory is asked for.
 
@@ -74,7 +128,7 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
                 raise BadInputError(
                     f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB"
                 )
-            table = file.read()
+            table = _decoded(content, file.schema_arrow, path)
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
             table.validate(full=True)
             # What others have noted for their own readers may be anything, and would steer ours.

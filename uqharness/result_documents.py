@@ -31,6 +31,8 @@ Number = float | None
 Numbers = dict[str, Number]
 Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 _IDENTIFIED = "identified"
+_MOST_BYTES = 16_000_000
+"""A document may have; as Python objects it takes up to thirty times as much."""
 
 
 class Part(BaseModel):
@@ -288,7 +290,7 @@ class Study(Part):
 def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     """The content of a document that has ``shape``. Raises BadInputError naming the file and what is wrong with it."""
     try:
-        document = parse_json(read_regular(path))
+        document = parse_json(read_regular(path, _MOST_BYTES))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ParseError as error:

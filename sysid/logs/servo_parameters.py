@@ -51,12 +51,14 @@ class Output:
 def functions(parameters: Mapping[str, float]) -> dict[int, int]:
     """SERVOn_FUNCTION of a log: channel -> function number, the disabled ones left out."""
     found = {n: parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 33)}
-    return {n: int(v) for n, v in found.items() if v}
+    return {n: int(v) for n, v in found.items() if v and math.isfinite(v)}
 
 
 def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
     """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a name where none is described."""
     found: dict[str, list[Output]] = {}
+    # A damaged log may hold any number, also none.
+    parameters = {key: value for key, value in parameters.items() if math.isfinite(value)}
     for name, output in (
         _ardupilot(parameters)
         if functions(parameters)

@@ -107,9 +107,10 @@ def _fill(table: pa.Table, rng: np.random.Generator) -> pa.Table:
         )
         return _with(table, k, pa.array(values, column.type))
     if pa.types.is_integer(column.type):
-        return _with(
-            table, k, pa.array([int(rng.choice([0, -1, 1, 2**31, -(2**62)]))] * n, column.type)
-        )
+        limits = np.iinfo(column.type.to_pandas_dtype())
+        # The same draw for every type, brought into its range: an unsigned column holds no -1.
+        drawn = int(rng.choice([0, -1, 1, 2**31, -(2**62)]))
+        return _with(table, k, pa.array([min(max(drawn, limits.min), limits.max)] * n, column.type))
     if pa.types.is_string(column.type):
         text = hostile.string(rng).encode("utf-8", "replace").decode()
         return _with(table, k, pa.array([text] * n))

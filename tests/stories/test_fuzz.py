@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+import pyarrow as pa
 import pytest
 
 from tests.fuzz.__main__ import main
 from tests.fuzz.bad_targets import BAD, GOOD
+from tests.fuzz.damage_tables import _fill
 from tests.fuzz.formats import CORPUS, SOUND, all_formats
 from tests.fuzz.harness import Counts, Outcome, Worker, by_number, run
 
@@ -128,3 +131,11 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as left:
         main(["--reproduce", "nothing", "5"])
     assert left.value.code == 2
+
+
+def test_a_filled_column_keeps_its_type():
+    for kind in (pa.uint8(), pa.int8(), pa.uint64(), pa.int64()):
+        table = pa.table({"a": pa.array([1, 2, 3], kind)})
+        columns = [_fill(table, np.random.default_rng(seed)).column(0) for seed in range(20)]
+        assert {column.type for column in columns} == {kind}
+        assert len({column.to_pylist()[0] for column in columns}) > 2

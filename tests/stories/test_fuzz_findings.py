@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,6 +21,7 @@ from sysid.logs.checking.physics import check_physics
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
+from tests.helpers import batch_systems
 from uqharness.campaign.area import read_flights
 from uqharness.campaign.execution.dask_orders import order_from
 from uqharness.campaign.folder.journal_recovery import JournalScan
@@ -28,13 +31,16 @@ from uqharness.campaign.folder.verify import look_at_journal
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
+from uqharness.parquet_files import parse_table, table_bytes
 from uqharness.plugin.folder import undo
 from uqharness.plugin.record import FILE_NAME
+from uqharness.report.svg import Scale
 from uqharness.settings import is_number
 from uqharness.simulator.aircraft import find_aircraft, parse_xml
 from uqharness.simulator.aircraft_files import opened
 from uqharness.simulator.mission import read_script
 from uqharness.study.spec import read_chain
+from uqharness.text_tables import csv_text
 from uqharness.toml import dotted
 
 DIGITS = "9" * 5000
@@ -261,3 +267,54 @@ def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
         assert done.returncode == 2
         assert str(dart) in done.stderr
         assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-1e308, 1e308), (0.0, 5e-324), (0.0, 1.7e308), (1e-320, 2e-320)]
+)
+def test_an_axis_of_numbers_of_any_size(low, high):
+    """Histories and residuals near the largest and the least numbers there are."""
+    assert Scale("x", low, high).ticks()
+
+
+def test_texts_of_a_table_are_counted_before_they_are_written_out():
+    """A kilobyte that stands for five gigabytes, and sound texts beside it."""
+    texts = pa.DictionaryArray.from_arrays(
+        pa.array([0] * 300, pa.int32()), pa.array(["x" * 16_000_000])
+    )
+    buffer = io.BytesIO()
+    pq.write_table(pa.table({"reason": texts}), buffer, compression="zstd", store_schema=False)
+    assert len(buffer.getvalue()) < 20_000
+    with pytest.raises(BadInputError, match=r"4\.8\d? GB"):
+        parse_table(buffer.getvalue(), Path("cases.parquet"))
+    sound = pa.table({"reason": ["a", None, ""] * 1000, "x": [1.0, 2.0, 3.0] * 1000})
+    assert parse_table(table_bytes(sound), Path("cases.parquet")).equals(sound)
+
+
+def test_delays_that_would_keep_the_compiler_busy():
+    delays = "".join(
+        f'<actuator name="fcs/d{k}"><input>i/a</input><delay type="frames">1000</delay></actuator>'
+        for k in range(20)
+    )
+    said = batch_systems.refusal(f'<channel name="c">{delays}</channel>')
+    assert said.startswith("too large for the batch engine: more than 2500 numbers of state")
+    assert 'engine = "jsbsim"' in said
+    with pytest.raises(pytest.fail.Exception):
+        batch_systems.refusal(f'<channel name="c">{delays.replace("1000", "20")}</channel>')
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("=cmd|' /C calc'!A0", "'=cmd|' /C calc'!A0"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("+1+1", "'+1+1"),
+        ("-2+3", "'-2+3"),
+        ("-0.5", "-0.5"),
+        ("+1e3", "+1e3"),
+        ("-", "-"),
+        ("roll", "roll"),
+    ],
+)
+def test_no_cell_is_a_formula(text, cell):
+    assert csv_text([{"name": text}]).splitlines()[1].strip('"') == cell

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.digests import sha256_hex
+from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.cost import Cost, Pace, measured_pace, one_case, one_case_each, size_of
 from uqharness.campaign.engine_check import Judge
@@ -36,7 +37,7 @@ from uqharness.campaign.folder.manifest import (
     write_manifest,
 )
 from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
-from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sealed
+from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, seal_files, sealed
 from uqharness.campaign.folder.shards import SHARDS, Shard
 from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
@@ -199,6 +200,7 @@ def run_campaign(
         manifest |= {
             "engine": settled.as_dict() if old is None or "engine" not in old else old["engine"]
         }
+        earlier = checksums.take_away(folder)
         write_manifest(folder, manifest)
         with Store(folder) as store:
             try:
@@ -226,6 +228,7 @@ def run_campaign(
             )
             write_tables(folder, tables)
             write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
+        seal_files(folder, earlier)
     return dataclasses.replace(summary, engine=settled.engine)
 
 
@@ -301,6 +304,8 @@ def _look_again(
         refuse_if_not_whole(folder, store, manifest)
         statuses = dict(sorted(store.statuses().items()))
         rewritten = mend_tables(folder, manifest, spec, cases, store) if with_tables else ()
+    if manifest.get("sums") and not (folder / checksums.SUMS).exists():
+        seal_files(folder)
     done = sum(statuses.values())
     progress = Progress(done, done, done, done - statuses.get("ok", 0), 0.0, 0.0, workers)
     return CampaignSummary(folder, done, done, statuses, progress, rewritten)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from uqharness.cli.options import describe
-from uqharness.report import write_report
+from uqharness.report import Report, write_report
 from uqharness.report.pages import kind_of
 
 _EXAMPLE = """
@@ -21,7 +22,7 @@ needs no network, for a screen, a phone or a printer."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
     text = "Write the page of a folder of results from its files; nothing is flown or fitted again (see docs/report.md)."
-    describe(parser, _run, text, _EXAMPLE)
+    describe(parser, _run, text, _EXAMPLE, no="files of the folder are not as they were written")
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="folder that another command wrote"
     )
@@ -29,9 +30,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     kind = kind_of(args.folder)
-    path = write_report(args.folder).path
+    report = write_report(args.folder)
+    path = report.path
     if args.json:
-        print(json.dumps({"report": str(path), "kind": kind, "bytes": path.stat().st_size}))
+        document = {"report": str(path), "kind": kind, "bytes": path.stat().st_size}
+        print(json.dumps(document | {"damaged": [fault.name for fault in report.damaged]}))
     else:
         print(f"{path}: written, {path.stat().st_size / 1e6:.2f} MB")
-    return 0
+    return note_damage(args.folder, report)
+
+
+def note_damage(folder: Path, report: Report) -> int:
+    """Print which files were not as they had been written; exit code 1 where some still are not."""
+    for name in report.rewritten:
+        print(
+            f"note: {folder / name} was not as it had been written; it is written again",
+            file=sys.stderr,
+        )
+    for fault in report.damaged:
+        print(f"{folder / fault.name}: {fault.problem}", file=sys.stderr)
+    return 1 if report.damaged else 0

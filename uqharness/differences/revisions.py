@@ -1,20 +1,40 @@
-"""An aircraft as it stood in a revision of a git repository: ``REVISION:PATH``."""
+"""An aircraft as it stood in a revision of a git repository: ``REVISION:PATH``.
+
+The repository may be somebody else's. Its configuration can name programs (filters, hooks, remotes that hold missing objects, a
+file-system monitor), so git never sees it: git runs in an empty repository of ours that borrows the objects and the references.
+"""
 
 from __future__ import annotations
 
-import io
+import os
+import posixpath
 import subprocess
-import tarfile
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, find_aircraft
+
+MOST_FILES = 5_000
+MOST_BYTES = 64_000_000
+"""Files of an aircraft, and their content together; the largest of JSBSim's has 2 MB."""
+_LISTING_BYTES = 4_000_000
+_REFERENCE_BYTES = 64_000_000
+_MEMORY_BYTES = 2_000_000_000
+_TIMEOUT_S = 60.0
+_SHOWN = 200
+"""Characters of what was asked for that a message repeats."""
+_FILE_MODES = (b"100644", b"100755")
+_EXAMPLE = "give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
 
 
 def named_revision(text: str) -> tuple[str, str] | None:
     """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a drive letter."""
     revision, colon, path = text.partition(":")
-    if not colon or len(revision) < 2 or not path or Path(text).exists():
+    if not colon or len(revision) < 2 or not path or _exists(text):
         return None
     return revision, path
 
@@ -25,29 +45,239 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
     if found is None:
         return find_aircraft(text)
     revision, path = found
-    wanted = Path(path)
-    top = _git(["rev-parse", "--show-toplevel"], Path.cwd(), text).decode().strip()
-    inside = (
-        wanted.resolve().relative_to(top) if wanted.is_absolute() else Path(_prefix(text)) / wanted
-    )
-    content = _git(["archive", "--format=tar", revision, inside.as_posix()], Path(top), text)
-    with tarfile.open(fileobj=io.BytesIO(content)) as archive:
-        archive.extractall(scratch, filter="data")
+    shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    try:
+        repository = _find_repository(Path.cwd())
+        if repository is None:
+            raise BadInputError(f"{shown}: {Path.cwd()} is in no git repository; {_EXAMPLE}")
+        inside = _path_within(path, repository.top)
+        if inside is None:
+            raise BadInputError(
+                f"{shown}: this path is outside the repository {repository.top}; {_EXAMPLE}"
+            )
+        scratch.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="git-", dir=scratch) as name:
+            reader = _Reader(repository, Path(name), shown)
+            files = reader.files(reader.commit(revision), inside)
+            _write(files, scratch)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise BadInputError(
+            f"{shown}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
+        ) from None
     return find_aircraft(scratch / inside)
 
 
-def _prefix(text: str) -> str:
-    return _git(["rev-parse", "--show-prefix"], Path.cwd(), text).decode().strip()
+@dataclass(frozen=True)
+class _Repository:
+    """``top``: the working folder; ``folder``: its .git; ``common``: where objects and references are."""
+
+    top: Path
+    folder: Path
+    common: Path
 
 
-def _git(words: list[str], place: Path, asked: str) -> bytes:
-    try:
-        done = subprocess.run(["git", *words], cwd=place, capture_output=True, check=False)
-    except FileNotFoundError:
-        raise BadInputError(f"{asked}: a revision needs git, which is not installed") from None
-    if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise BadInputError(
-            f"{asked}: git {words[0]}: {said[-1] if said else 'failed'}; give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
+def _find_repository(start: Path) -> _Repository | None:
+    """The repository that a folder is in, found without git, which would read its configuration."""
+    for top in (start, *start.parents):
+        place = top / ".git"
+        if place.is_file():  # of a worktree or a submodule
+            words = read_regular(place, 10_000).decode().strip()
+            place = top / words.removeprefix("gitdir:").strip()
+        if not (place / "HEAD").exists():
+            continue
+        common = place
+        if (place / "commondir").is_file():
+            common = place / read_regular(place / "commondir", 10_000).decode().strip()
+        return _Repository(top, place, common)
+    return None
+
+
+def _path_within(path: str, top: Path) -> str | None:
+    """A path, relative to the working folder or absolute, as git writes it below ``top``; None outside and at ``top`` itself."""
+    full = posixpath.normpath(posixpath.join(Path.cwd().as_posix(), path))
+    inside = posixpath.relpath(full, top.as_posix())
+    return None if "\0" in path or inside == "." or inside.split("/")[0] == ".." else inside
+
+
+class _Reader:
+    """Git in an empty repository in ``place`` with the objects and references of another one."""
+
+    def __init__(self, repository: _Repository, place: Path, requested: str) -> None:
+        self._place, self._requested = place, requested
+        objects = repository.common / "objects"
+        if (objects / "info" / "alternates").exists():
+            raise BadInputError(
+                f"{requested}: the repository keeps objects elsewhere (objects/info/alternates), and "
+                f"these are not read; make a full clone of it and run there"
+            )
+        for name in ("objects", "refs"):
+            (place / name).mkdir()
+        (place / "config").write_text(_config(repository.common), encoding="utf-8")
+        remaining = _REFERENCE_BYTES
+        for source in (repository.common, repository.folder):
+            for name in ("packed-refs", "HEAD", "refs", "logs"):
+                remaining = _copy_references(source / name, place / name, remaining)
+        self._environment = {
+            key: value for key, value in os.environ.items() if not key.startswith("GIT_")
+        } | {
+            "GIT_DIR": str(place),
+            "GIT_OBJECT_DIRECTORY": str(objects.absolute()),
+            "GIT_CONFIG_NOSYSTEM": "1",
+            "GIT_CONFIG_GLOBAL": os.devnull,
+            "GIT_NO_REPLACE_OBJECTS": "1",
+            "GIT_NO_LAZY_FETCH": "1",
+            "GIT_ALLOW_PROTOCOL": "none",
+            "GIT_LITERAL_PATHSPECS": "1",
+            "GIT_TERMINAL_PROMPT": "0",
+            "LC_ALL": "C",
+        }
+
+    def commit(self, revision: str) -> str:
+        """The commit that a revision names."""
+        words = ["rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}"]
+        name = self._run(words, 1000).decode("ascii", "replace").strip()
+        if not name or not set(name) <= set("0123456789abcdef"):
+            raise BadInputError(
+                f"{self._requested}: the repository has no revision {revision[:_SHOWN]!r}; {_EXAMPLE}"
+            )
+        return name
+
+    def files(self, commit: str, folder: str) -> dict[str, bytes]:
+        """Content of every regular file below a folder of a commit, by path; sizes are looked at before anything is read."""
+        listing = self._run(["ls-tree", "-r", "-l", "-z", commit, "--", folder], _LISTING_BYTES)
+        sizes: dict[str, tuple[str, int]] = {}
+        for line in filter(None, listing.split(b"\0")):
+            facts, _, name = line.partition(b"\t")
+            mode, kind, blob, size = facts.split()
+            path = os.fsdecode(name)
+            # A link leads out of the folder, and a submodule is in another repository.
+            if mode in _FILE_MODES and kind == b"blob" and path.startswith(f"{folder}/"):
+                if not _is_plain(path):
+                    raise BadInputError(
+                        f"{self._requested}: holds a file named {path!r}, which cannot be unpacked"
+                    )
+                sizes[path] = (blob.decode(), int(size))
+        total = sum(size for _, size in sizes.values())
+        if not sizes:
+            raise BadInputError(
+                f"{self._requested}: the revision has no folder {folder[:_SHOWN]} with files; {_EXAMPLE}"
+            )
+        if len(sizes) > MOST_FILES or total > MOST_BYTES:
+            raise BadInputError(
+                f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an aircraft "
+                f"may have {MOST_FILES} of {in_words(MOST_BYTES)}"
+            )
+        names = "".join(f"{blob}\n" for blob, _ in sizes.values())
+        most = total + 200 * len(sizes)
+        content = self._run(["cat-file", "--batch"], most, names.encode())
+        files: dict[str, bytes] = {}
+        position = 0
+        for path, (_, length) in sizes.items():
+            begin = content.index(b"\n", position) + 1
+            files[path] = content[begin : begin + length]
+            position = begin + length + 1
+        return files
+
+    def _run(self, words: Sequence[str], most_bytes: int, given: bytes = b"") -> bytes:
+        """What a git command prints; BadInputError where it fails, prints more than ``most_bytes`` or takes too long."""
+        output = self._place / "output"
+        try:
+            with output.open("wb") as handle:
+                done = subprocess.run(
+                    ["git", *words],
+                    cwd=self._place,
+                    env=self._environment,
+                    input=given,
+                    stdout=handle,
+                    stderr=subprocess.PIPE,
+                    check=False,
+                    timeout=_TIMEOUT_S,
+                    preexec_fn=None if os.name == "nt" else _limits(most_bytes),
+                )
+        except FileNotFoundError:
+            raise BadInputError(
+                f"{self._requested}: a revision needs git, which is not installed"
+            ) from None
+        except subprocess.TimeoutExpired:
+            raise BadInputError(
+                f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository is "
+                "damaged or made to hold it up"
+            ) from None
+        if done.returncode and words[0] != "rev-parse":
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
+            reason = (
+                " ".join(lines[-1].split())
+                if lines
+                else "stopped at the limit of memory or of output"
+            )
+            raise BadInputError(f"{self._requested}: git {words[0]}: {reason[:300]}; {_EXAMPLE}")
+        return read_regular(output, most_bytes + 1)
+
+
+def _limits(most_bytes: int) -> Callable[[], None]:
+    """Limits that a git process sets itself before it begins."""
+
+    def limit() -> None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes + 1, most_bytes + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    return limit
+
+
+def _config(common: Path) -> str:
+    """Our own configuration; of the repository's, only the kind of its hashes matters, which its own words tell."""
+    sha256 = False
+    path = common / "config"
+    if path.is_file():
+        text = read_regular(path, 1_000_000).decode("utf-8", "replace").lower()
+        sha256 = any(
+            line.replace(" ", "").replace("\t", "") == "objectformat=sha256"
+            for line in text.splitlines()
         )
-    return done.stdout
+    version = "[core]\nrepositoryformatversion = 1\nbare = true\nfsmonitor = false\n"
+    # Packs are mapped in pieces, so that large ones keep within the limit of memory.
+    version += "packedGitWindowSize = 32m\npackedGitLimit = 256m\nbigFileThreshold = 16m\n"
+    return version + ("[extensions]\nobjectformat = sha256\n" if sha256 else "")
+
+
+def _copy_references(source: Path, target: Path, remaining: int) -> int:
+    """Copy a file or folder of references, links left out; how many bytes may still be copied."""
+    if source.is_symlink():
+        return remaining
+    if source.is_dir():
+        target.mkdir(exist_ok=True)
+        for item in sorted(os.listdir(source)):
+            remaining = _copy_references(source / item, target / item, remaining)
+    elif source.is_file():
+        content = read_regular(source, remaining)
+        target.write_bytes(content)
+        # An empty file takes a place on the disk too.
+        remaining -= len(content) + 100
+        if remaining <= 0:
+            raise ValueError(
+                f"the repository's references take more than {in_words(_REFERENCE_BYTES)}"
+            )
+    return remaining
+
+
+def _is_plain(path: str) -> bool:
+    parts = path.split("/")
+    return not any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts)
+
+
+def _write(files: dict[str, bytes], folder: Path) -> None:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def _exists(text: str) -> bool:
+    try:
+        return Path(text).exists()
+    except (OSError, ValueError):
+        return False

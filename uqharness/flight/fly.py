@@ -175,7 +175,10 @@ def record_mission(
         bring_to_rest(fdm, rest)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
-    getters = _getters(fdm, table)
+    try:
+        getters = _getters(fdm, table)
+    except BadInputError as error:
+        raise BadInputError(f"{mission.aircraft.xml}: {error}") from None
     burn, wanted = row_counts(spec, dt_s * stride, keep_burn_in)
     advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride, splits)
     read = array("d")

@@ -190,7 +190,10 @@ def _add_card(
 def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
     """model-form.xml for these bounds. Raises BadInputError."""
     if bounds.form is not None:
-        return model_form_xml(bounds.form, aircraft)
+        try:
+            return model_form_xml(bounds.form, aircraft)
+        except BadInputError as error:
+            raise BadInputError(f"bounds for {aircraft.folder}: {error}") from None
     remark = (
         "Constant bounds, given by hand."
         if bounds.constant

@@ -247,8 +247,13 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
     """y, half width, lower and upper of one coefficient."""
     beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
     # t sqrt(constant + s2 f h) with t brought inside the root (2.18).
-    known = bounds.t**2 * bounds.s2 * bounds.leverage_factor
-    constant = bounds.t**2 * bounds.constant_variance
+    known = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
+    constant = bounds.t * bounds.t * bounds.constant_variance
+    if not math.isfinite(known + constant):
+        raise BadInputError(
+            f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 = {bounds.s2:g}); "
+            "make the bounds again with: uqharness bounds"
+        )
     root = call("sum", value(constant), call("product", value(known), prop(group.leverage)))
     y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
     return [

@@ -6,7 +6,7 @@ import shlex
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 from sysid.effects import Effect
 from sysid.logs import FOUND
 from sysid.parallel import Processes
-from uqharness import __version__
+from uqharness import __version__, checksums
 from uqharness.files import inner_folder
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
@@ -84,13 +84,17 @@ class Request:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The document, what the train flights say and the test flights, the aircraft refined and as given."""
+    """The document, what the train flights say and the test flights, the aircraft refined and as given.
+
+    ``earlier``: files of an earlier refinement in the folder that were damaged when this one began.
+    """
 
     document: dict[str, Any]
     chosen: Found
     judged: Judged
     aircraft: Aircraft
     given: Aircraft
+    earlier: checksums.Earlier = field(default_factory=checksums.Earlier)
 
     def __repr__(self) -> str:
         return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
@@ -161,6 +165,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
         judged = shown("judged", Judged, flown_both_ways)
         say("writing the aircraft")
+        earlier = checksums.take_away(request.out)
         target = _put(write(judged.found), aircraft, request.out)
         baked = bake_scales(target.folder) if request.bake else None
         if baked is not None:
@@ -190,7 +195,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         document["baked"] = {"changed": baked.changed, "kept": list(baked.kept)}
     stages.forget()
     document["seconds"] = round(time.perf_counter() - begun, 1)
-    return Refinement(document, chosen, judged, target, aircraft)
+    return Refinement(document, chosen, judged, target, aircraft, earlier)
 
 
 def _read(request: Request, paths: Sequence[Path]) -> FlightSet:

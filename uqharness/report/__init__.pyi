@@ -11,6 +11,7 @@ from .notebook import campaign_view as campaign_view
 from .parts import first_lines as first_lines
 from .rerun import draw_rerun as draw_rerun
 from .sensitivity import condition_sections as condition_sections
+from .write import Report as Report
 from .write import write_campaign_report as write_campaign_report
 from .write import write_figures as write_figures
 from .write import write_html as write_html

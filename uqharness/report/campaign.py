@@ -26,9 +26,9 @@ from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import (
     CheckRow,
     read_cases,
-    read_check,
     read_complete,
     read_decisions,
+    read_engine_check,
 )
 from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
@@ -112,7 +112,7 @@ def read_found(folder: Path) -> CampaignFound:
     findings = tuple(_findings(frame, campaign))
     signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
     verdict = tuple(_verdict(frame, campaign, findings, signed))
-    check = tuple(read_check(folder))
+    check = tuple(read_engine_check(folder, manifest))
     asked = " ".join(
         [
             _asked(frame, campaign),

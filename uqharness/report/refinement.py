@@ -6,7 +6,8 @@ import difflib
 from pathlib import Path
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.files import finite, write_bytes, write_json
+from uqharness.checksums import write_sums
+from uqharness.files import finite, remove, write_bytes, write_json
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 
@@ -29,7 +30,7 @@ def write_results(done: Refinement, out: Path) -> None:
     write_json(out / "refinement.json", done.document)
     write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
     for name in FIGURES:
-        (out / "figures" / name).unlink(missing_ok=True)
+        remove(out / "figures" / name)
     setup, before, after = done.judged.test
     models = {"_before": before, "_after": after}
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
@@ -40,6 +41,7 @@ def write_results(done: Refinement, out: Path) -> None:
         columns |= columns_of(setup.outputs, modelled, suffix)
         columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
     write_histories(out, setup.segments, columns)
+    write_sums(out, done.earlier)
 
 
 def model_diff(done: Refinement) -> str:

@@ -60,7 +60,11 @@ class Scale:
             return _log_ticks(self.low, self.high)
         if not self.high > self.low:
             return [(self.low, f"{self.low:.4g}")]
-        step = _step((self.high - self.low) / 5.0)
+        if not math.isfinite(self.high - self.low):
+            return [(self.low, f"{self.low:.3g}"), (self.high, f"{self.high:.3g}")]
+        step = _step(self.high / 5.0 - self.low / 5.0)
+        if step == 0.0:
+            return [(self.low, f"{self.low:.4g}")]
         first = math.ceil(self.low / step - 1e-9)
         return [
             (k * step, _number(k * step, step))
@@ -112,8 +116,11 @@ def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
 
 
 def _step(rough: float) -> float:
+    if not 0.0 < rough < math.inf:
+        return rough  # of numbers near the largest there are: one tick
     power = 10.0 ** math.floor(math.log10(rough))
-    return next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= rough * 0.999999)
+    steps = (m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= rough * 0.999999)
+    return next(steps, rough)  # the power of a denormal number may be 0
 
 
 def _number(value: float, step: float) -> str:

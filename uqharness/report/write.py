@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from uqharness.checksums import Fault, faults
 from uqharness.files import inner_folder, write_bytes
 from uqharness.report.pages.index import SEGMENTED, kind_of, page_of
-from uqharness.report.parts import Figures, Page, Section, every_section, first_lines, render
+from uqharness.report.parts import Figures, Page, Say, Section, every_section, first_lines, render
 from uqharness.report.svg import standalone
 
 REPORT = "report.html"
+_NAMED = 5
+"""Damaged files that a page names."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was written."""
+    """What was written. ``damaged``: files of the folder that are not as they were written; ``rewritten``: those that now are."""
 
     path: Path
     figures: tuple[Path, ...]
     page: Page
+    damaged: tuple[Fault, ...] = ()
+    rewritten: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> list[str]:
@@ -62,12 +67,24 @@ def write_campaign_report(folder: Path) -> Report:
 
 def write_page(folder: Path, page: Page, drawn: Page | None = None) -> Report:
     """Write a page as ``folder``/report.html, and the drawings of ``drawn`` into figures/. Raises BadInputError."""
-    path = folder / REPORT
+    path, found = folder / REPORT, faults(folder)
+    drawings = () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title))
+    written = {item.relative_to(folder).as_posix() for item in (path, *drawings)}
+    damaged = tuple(fault for fault in found if fault.name not in written)
+    if damaged:
+        page = replace(page, verdict=(Say(_damage_words(damaged), "bad"), *page.verdict))
     write_bytes(path, render(page).encode("utf-8", errors="replace"))
-    return Report(
-        path,
-        () if drawn is None else tuple(write_figures(folder, drawn.sections, drawn.title)),
-        page,
+    again = tuple(fault.name for fault in found if fault.name in written)
+    return Report(path, drawings, page, damaged, again)
+
+
+def _damage_words(damaged: Sequence[Fault]) -> str:
+    """Say on the page that files are not as they were written, and how many."""
+    named = "; ".join(f"{fault.name}: {fault.problem}" for fault in damaged[:_NAMED])
+    more = f"; and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
+    return (
+        f"Do not rely on this page: {len(damaged)} of the folder's files changed after "
+        f"uqharness wrote the folder. {named}{more}."
     )
 
 

@@ -161,7 +161,10 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     check_loadable(aircraft)
     fdm = engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
     for name, value in aircraft.card.modes.get("open_loop", {}).items():
-        engine.set_property(fdm, name, value)
+        try:
+            engine.set_property(fdm, name, value)
+        except BadInputError as error:
+            raise BadInputError(f"{aircraft.folder}: {error}") from None
     return fdm
 
 

@@ -16,6 +16,7 @@ from typing import Any, TextIO
 import tomlkit
 
 import uqharness
+from uqharness import checksums
 from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import binding_versions, run_lock
 from uqharness.errors import BadInputError
@@ -61,6 +62,7 @@ def run_chain(
             f"--out {out}: cannot be made: {error.strerror or error}; choose another"
         ) from None
     with run_lock(out):
+        earlier = checksums.take_away(out)
         was = read_study(out) or {}
         old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
         document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}
@@ -94,6 +96,7 @@ def run_chain(
         _conclude(spec, stages, document, out, was, workers)
         document["state"] = "done"
         write_study(out, document)
+        checksums.write_sums(out, earlier)
     return document
 
 

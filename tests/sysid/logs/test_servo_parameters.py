@@ -94,3 +94,20 @@ def test_parameter_files() -> None:
             parse_parameters(bad)
     with pytest.raises(ValueError, match="holds no parameter"):
         parse_parameters("# nothing\n")
+
+
+def test_functions_of_a_damaged_log():
+    parameters = {
+        "SERVO1_FUNCTION": float("inf"),
+        "SERVO2_FUNCTION": float("nan"),
+        "SERVO4_FUNCTION": 19.0,
+    }
+    assert functions(parameters) == {4: 19}
+    broken = dict.fromkeys(
+        ("SERVO1_FUNCTION", "PWM_MAIN_FUNC1", "PWM_MAIN_REV", "CA_SV_CS0_TYPE"), math.inf
+    )
+    assert outputs(broken) == {}
+    assert (
+        outputs({"PWM_MAIN_FUNC1": 201.0} | {"PWM_MAIN_REV": math.nan, "CA_SV_CS0_TYPE": math.inf})
+        == {}
+    )

@@ -34,7 +34,8 @@ from uqharness.batch.form.semantics import TRANSCENDENTAL
 TRIGONOMETRIC_LIMIT = 1.6e6
 """Arguments of sin, cos and tan beyond it give NaN."""
 
-_QUOTIENT_LIMIT = 2.0**50
+QUOTIENT_LIMIT = 2.0**50
+"""Quotients of fmod from it on give NaN."""
 _LEAST, _MOST = 2.0**-1074, sys.float_info.max
 
 
@@ -126,7 +127,7 @@ def fmod(x: Value, y: Value) -> Value:
     allowed = b.op(
         "and",
         b.op("and", ax.lt(math.inf), ay.gt(0.0)),
-        b.op("or", q.lt(_QUOTIENT_LIMIT), ax.lt(ay)),
+        b.op("or", q.lt(QUOTIENT_LIMIT), ax.lt(ay)),
     )
     return allowed.choose(with_sign_of(b.op("abs", rest), x), math.nan)
 

@@ -19,7 +19,7 @@ from uqharness.batch.lanes.feeds import Air, Feeder, Splits, airs_of
 from uqharness.batch.lanes.mission import LaneMission
 from uqharness.batch.models.ground import POINT, TOUCHED
 from uqharness.batch.models.winds import COUNTER
-from uqharness.batch.translate.frame import TIME
+from uqharness.batch.translate.frame import BEYOND, TIME
 from uqharness.flight import (
     ContactPoint,
     FlightSpec,
@@ -36,6 +36,13 @@ Array = NDArray[np.float64]
 HEIGHT, SPEED = "position/h-agl-ft", "velocities/vt-fps"
 _CHUNK = 4000
 """Frames flown between two looks at which lanes have ended."""
+
+
+_BEYOND_REASON = (
+    "a function of the aircraft had an argument that JSBSim ends for (mod by 0, a condition that is neither 0 "
+    "nor 1, a switch without such a case) or that is beyond the batch engine (sin, cos and tan beyond 1,600,000, "
+    'fmod with a quotient beyond 2^50, mod beyond 32 bits); fly the campaign with engine = "jsbsim"'
+)
 
 
 @dataclass(frozen=True)
@@ -333,4 +340,6 @@ def _recorded(made: Ready, end: End, records: Array) -> Recorded:
     rows = in_signals(
         np.ascontiguousarray(records[[index[name] for name in properties]].T), made.table
     )
+    if np.any(records[index[BEYOND]] != 0.0):
+        return Recorded(list(made.table), rows, "crashed", _BEYOND_REASON, end.flown_s)
     return Recorded(list(made.table), rows, end.status, end.reason, end.flown_s)

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Iterator, Sequence
 
 from uqharness.batch.lanes.course import HEIGHT, SPEED, Course, Ready
 from uqharness.batch.lanes.mission import make_mission
-from uqharness.batch.translate.frame import TIME
+from uqharness.batch.translate.frame import BEYOND, TIME
 from uqharness.flight import (
     OPTIONAL_SIGNALS,
     FlightResult,
@@ -89,7 +89,7 @@ def ready(spec: FlightSpec) -> Ready:
         needed = [s.property for s in signals.values()] + [
             s.over for s in signals.values() if s.over is not None
         ]
-        records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED]))
+        records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, BEYOND]))
         made = make_mission(
             staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
         )

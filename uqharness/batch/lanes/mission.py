@@ -26,7 +26,7 @@ from uqharness.batch.machine.target import chosen_target
 from uqharness.batch.models.ground import POINT, TOUCHED
 from uqharness.batch.models.motion import WEIGHTS_PARTS, slots
 from uqharness.batch.models.start import CONDITIONS, rounded
-from uqharness.batch.translate.frame import INITIALISED, Values
+from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values
 from uqharness.batch.translate.properties import fixed, own
 from uqharness.batch.translate.propulsion.engines import going
 from uqharness.batch.translate.propulsion.mass import DRY, MASS, dry_aircraft
@@ -191,6 +191,7 @@ def make_mission(
     fdm = opened()
     air = has_air(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
+    values.setdefault(BEYOND)
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     fed: list[Stream] = [GUSTS] if gusty else []
     fed += [LEVELS] if spec.levels is not None else []

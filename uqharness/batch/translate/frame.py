@@ -14,11 +14,16 @@ from uqharness.batch.form.angles import without_angles
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import Program, Section, Stream, When
 from uqharness.batch.translate.scope import Scope, canonical
+from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
 
 TIME = "simulation/sim-time-sec"
 STEP = "#step"
 """Slot of the step [s] where it is a number of the lane."""
+MOST_SECTIONS, MOST_OPERATIONS, MOST_SLOTS = 2_000, 60_000, 2_500
+"""Of a frame: E-SPAARO has 40, 3,800 and 520. At the limits compiling takes some ten seconds."""
+BEYOND = "#beyond"
+"""Slot that is not 0 once a function had an argument beyond the engine's range: what the lane flies from there is not JSBSim's."""
 INITIALISED = "initialised:"
 """Before a property's name: its value behind JSBSim's initialising frames."""
 
@@ -112,6 +117,8 @@ class Frame:
         self.hooks: dict[str, Callable[[Frame, Value], None]] = {}
         self._when: When | None = None
         self._name = ""
+        self._operations = 0
+        self._slots: set[str] = set()
 
     @property
     def step(self) -> Value:
@@ -140,6 +147,23 @@ class Frame:
         yield
         self.sections.append(Section(name, self.builder.finish({}), self._when))
         self._when = None
+        self._refuse_too_large()
+
+    def _refuse_too_large(self) -> None:
+        """Refuse a frame that would keep the compiler busy for minutes, as soon as it is one."""
+        function = self.sections[-1].function
+        self._operations += len(function.nodes)
+        self._slots.update(function.slots)
+        for count, most, words in (
+            (len(self.sections), MOST_SECTIONS, "components and functions"),
+            (self._operations, MOST_OPERATIONS, "operations a frame"),
+            (len(self._slots), MOST_SLOTS, "numbers of state (each frame of a delay is one)"),
+        ):
+            if count > most:
+                raise BadInputError(
+                    f"too large for the batch engine: more than {most} {words}; "
+                    'fly this aircraft with engine = "jsbsim"'
+                )
 
     def read(self, name: str) -> Value | None:
         """What the property stands at here; None if nothing makes it."""
@@ -193,7 +217,12 @@ class Frame:
 
     def scope(self, document: Document) -> Scope:
         """For translating elements of ``document`` inside the present section."""
-        return Scope(self.builder, document, self.read, self._draw_for(document))
+        return Scope(self.builder, document, self.read, self._draw_for(document), self._note_beyond)
+
+    def _note_beyond(self, condition: Value) -> None:
+        if condition.constant is not None and not condition.constant:
+            return
+        self.remember(BEYOND[1:], condition.choose(1.0, self.memory(BEYOND[1:])))
 
     def normal(self) -> Value | None:
         """A standard normal that is drawn here; None in a section in which lanes draw at different times."""

@@ -2,8 +2,8 @@
 
 Meanings were found by experiment with JSBSim 1.3.3 (tests/test_functions.py compares every operation). Where JSBSim ends the
 flight with an error (a condition that is neither 0 nor 1, a switch without such a case, the rest of a division by 0 in whole
-numbers) the value is NaN. What JSBSim drops without a word (an unknown operation or a ``<function>`` inside a sum) is refused
-with file and line.
+numbers) the value is NaN, and the flight is noted as beyond the engine, for ``min`` and others hide a NaN. What JSBSim drops
+without a word (an unknown operation or a ``<function>`` inside a sum) is refused with file and line.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from uqharness.batch.form.arithmetic import truncated, with_sign_of
 from uqharness.batch.form.ir import Value
+from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT
 from uqharness.batch.translate.rotations import ROTATIONS
 from uqharness.batch.translate.scope import Scope
 from uqharness.batch.translate.tables import table
@@ -80,7 +81,7 @@ def argument(scope: Scope, node: Node) -> Value:
     children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
     if node.tag == "ifthen" and len(children) == rule.least:
         return _chosen(scope, children)
-    values = [argument(scope, child) for child in children]
+    values = _arguments(scope, node.tag, children)
     if len(values) < rule.least or (rule.most is not None and len(values) > rule.most):
         allowed = (
             f"{rule.least}"
@@ -102,7 +103,28 @@ def _chosen(scope: Scope, children: Sequence[Node]) -> Value:
     true, valid = truth(condition)
     if true.constant is not None and valid.constant:
         return argument(scope, children[1 if true.constant else 2])
-    return _if_then(scope, [condition, *(argument(scope, child) for child in children[1:])])
+    b = scope.builder
+    scope.note_beyond(b.op("not", valid))
+    first = argument(scope.where(b.op("and", valid, true)), children[1])
+    second = argument(scope.where(b.op("and", valid, b.op("not", true))), children[2])
+    return _if_then(scope, [condition, first, second])
+
+
+def _arguments(scope: Scope, tag: str, children: Sequence[Node]) -> list[Value]:
+    """Values of the arguments of an operation; of those that JSBSim leaves out, faults are not noted."""
+    b = scope.builder
+    values: list[Value] = []
+    reached = b.truth(True)
+    for number, child in enumerate(children):
+        if tag == "switch" and number:
+            # Halves go up, as in _switch.
+            reached = b.op("floor", values[0] + 0.5).eq(float(number - 1))
+        elif tag in ("and", "or") and number:
+            true, valid = truth(values[-1])
+            goes_on = true if tag == "and" else b.op("not", true)
+            reached = b.op("and", reached, b.op("and", valid, goes_on))
+        values.append(argument(scope if number == 0 else scope.where(reached), child))
+    return values
 
 
 def _drawn(scope: Scope, node: Node) -> Value:
@@ -140,6 +162,18 @@ def _number(condition: Value) -> Value:
 
 def _simple(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
     return lambda scope, a: scope.builder.op(operation, *a)
+
+
+def _trigonometric(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
+    """Beyond the limit the engine has NaN, which ``min`` or a switch would hide, and JSBSim a number."""
+
+    def make(scope: Scope, a: Sequence[Value]) -> Value:
+        size = scope.builder.op("abs", a[0])
+        beyond = scope.builder.op("and", size.gt(TRIGONOMETRIC_LIMIT), size.lt(math.inf))
+        scope.note_beyond(beyond)
+        return scope.builder.op(operation, a[0])
+
+    return make
 
 
 def _compared(operation: str) -> Callable[[Scope, Sequence[Value]], Value]:
@@ -209,7 +243,12 @@ def _logarithm_of_two(scope: Scope, a: Sequence[Value]) -> Value:
 
 
 def _fmod(scope: Scope, a: Sequence[Value]) -> Value:
-    return a[1].eq(0.0).choose(math.inf, scope.builder.op("fmod", a[0], a[1]))
+    b = scope.builder
+    size, divisor = b.op("abs", a[0]), b.op("abs", a[1])
+    quotient = size / divisor
+    exact = b.op("and", size.lt(math.inf), divisor.gt(0.0))
+    scope.note_beyond(b.op("and", exact, quotient.ge(QUOTIENT_LIMIT)))
+    return a[1].eq(0.0).choose(math.inf, b.op("fmod", a[0], a[1]))
 
 
 def _mod(scope: Scope, a: Sequence[Value]) -> Value:
@@ -217,6 +256,7 @@ def _mod(scope: Scope, a: Sequence[Value]) -> Value:
     b = scope.builder
     first, second = truncated(a[0]), truncated(a[1])
     fits = b.op("and", b.op("abs", first).lt(2.0**31), b.op("abs", second).lt(2.0**31))
+    scope.note_beyond(b.op("or", b.op("not", fits), second.eq(0.0)))
     return fits.choose(b.op("fmod", first, second) + 0.0, math.nan)
 
 
@@ -257,6 +297,7 @@ def _junction(ends: bool) -> Callable[[Scope, Sequence[Value]], Value]:
             true, valid = truth(value)
             bad = b.op("or", bad, b.op("and", open_, b.op("not", valid)))
             open_ = b.op("and", open_, b.op("not", true) if ends else true)
+        scope.note_beyond(bad)
         # Who ended the row first: a wrong condition closes it, whatever comes behind.
         return bad.choose(math.nan, _number(b.op("not", open_) if ends else open_))
 
@@ -265,6 +306,7 @@ def _junction(ends: bool) -> Callable[[Scope, Sequence[Value]], Value]:
 
 def _not(scope: Scope, a: Sequence[Value]) -> Value:
     true, valid = truth(a[0])
+    scope.note_beyond(scope.builder.op("not", valid))
     return valid.choose(_number(scope.builder.op("not", true)), math.nan)
 
 
@@ -277,20 +319,26 @@ def _switch(scope: Scope, a: Sequence[Value]) -> Value:
     """The case whose number is nearest to the first argument, halves up; NaN where there is none or the argument is negative."""
     place = scope.builder.op("floor", a[0] + 0.5)
     result = scope.undefined
+    b = scope.builder
+    scope.note_beyond(b.op("not", b.op("and", a[0].ge(0.0), place.lt(len(a) - 1.0))))
     for number in range(len(a) - 2, -1, -1):
         result = place.eq(float(number)).choose(a[number + 1], result)
     return a[0].ge(0.0).choose(result, math.nan)
 
 
 def _interpolate(scope: Scope, a: Sequence[Value]) -> Value:
-    """Between pairs, held at the ends. Breakpoints must increase, which JSBSim does not check."""
+    """Between pairs, held at the ends, the pair found by halving as JSBSim does: breakpoints in any order give what it gives."""
     key, xs, ys = a[0], a[1::2], a[2::2]
-    result = ys[-1]
-    for k in range(len(xs) - 2, -1, -1):
-        between = ys[k] + (ys[k + 1] - ys[k]) * (key - xs[k]) / (xs[k + 1] - xs[k])
-        result = key.lt(xs[k + 1]).choose(between, result)
-    result = key.le(xs[0]).choose(ys[0], result)
-    return key.ne(key).choose(math.nan, result)
+
+    def within(low: int, high: int) -> Value:
+        if high - low <= 1:
+            return ys[low] + (ys[high] - ys[low]) * (key - xs[low]) / (xs[high] - xs[low])
+        middle = low + (high - low) // 2
+        upper = key.gt(xs[middle]).choose(within(middle, high), ys[middle])
+        return key.lt(xs[middle]).choose(within(low, middle), upper)
+
+    result = key.ge(xs[-1]).choose(ys[-1], within(0, len(xs) - 1))
+    return key.le(xs[0]).choose(ys[0], result)
 
 
 RULES: Mapping[str, _Rule] = {
@@ -307,9 +355,9 @@ RULES: Mapping[str, _Rule] = {
     "ln": _Rule(1, 1, _logarithm("log")),
     "log2": _Rule(1, 1, _logarithm_of_two),
     "log10": _Rule(1, 1, _logarithm("log10")),
-    "sin": _Rule(1, 1, _simple("sin")),
-    "cos": _Rule(1, 1, _simple("cos")),
-    "tan": _Rule(1, 1, _simple("tan")),
+    "sin": _Rule(1, 1, _trigonometric("sin")),
+    "cos": _Rule(1, 1, _trigonometric("cos")),
+    "tan": _Rule(1, 1, _trigonometric("tan")),
     "asin": _Rule(1, 1, _simple("asin")),
     "acos": _Rule(1, 1, _simple("acos")),
     "atan": _Rule(1, 1, _simple("atan")),

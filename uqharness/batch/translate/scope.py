@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from uqharness.batch.form.ir import Builder, Value
@@ -26,12 +26,22 @@ class Scope:
     read      the value of a property, None if nobody computes it: then the file is refused
     draw      the standard normal (``random``) or the number of -1 to 1 (``urandom``) that an element draws in this frame;
               None: refused
+    note_beyond  is handed a condition under which JSBSim computes what the engine cannot: the flight does not count then
     """
 
     builder: Builder
     document: Document
     read: Callable[[str], Value | None]
     draw: Callable[[Node], Value | None] = lambda _: None
+    note_beyond: Callable[[Value], None] = lambda _: None
+
+    def where(self, condition: Value) -> Scope:
+        """The same for what JSBSim computes only where the condition holds: elsewhere nothing is noted."""
+
+        def note(beyond: Value) -> None:
+            self.note_beyond(self.builder.op("and", condition, beyond))
+
+        return replace(self, note_beyond=note)
 
     def refuse(self, node: Node, why: str) -> NoReturn:
         """Raise BadInputError with file and line."""

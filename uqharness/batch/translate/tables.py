@@ -3,7 +3,8 @@
 Found by experiment with JSBSim 1.3.3 (tests/test_tables.py): a key beyond the breakpoints is held at the last; an interval has
 its upper breakpoint and not its lower; in one dimension the result is t * (y1 - y0) + y0, and from the last breakpoint on its
 value; in two dimensions first the rows are weighed, (1 - t) * z0 + t * z1, then the columns by t * (z1 - z0) + z0, at the end
-too; a grid of one column is taken as one dimension; of three dimensions the last is taken as one dimension. A NaN key gives NaN.
+too; a grid of one column is taken as one dimension; of three dimensions the last is taken as one dimension. A NaN key gives
+NaN, but for the column of a grid that has only one.
 """
 
 from __future__ import annotations
@@ -98,11 +99,8 @@ def table(scope: Scope, node: Node) -> Value:
 
 def interpolated(grid: Grid, row: Value, column: Value | None) -> Value:
     """The grid's value at the keys."""
-    if column is None:
+    if column is None or len(grid.columns) == 1:
         return _line(Axis(grid.rows, row), [line[0] for line in grid.values], True)
-    if len(grid.columns) == 1:
-        value = _line(Axis(grid.rows, row), [line[0] for line in grid.values], True)
-        return column.ne(column).choose(math.nan, value)
     across = Axis(grid.columns, column)
     along = Axis(grid.rows, row)
     builder = row.builder

@@ -6,6 +6,7 @@ from .engine_file import read_check as read_check
 from .files import read_cases as read_cases
 from .files import read_checked as read_checked
 from .files import read_decisions as read_decisions
+from .files import read_engine_check as read_engine_check
 from .files import record_table as record_table
 from .manifest import MANIFEST as MANIFEST
 from .manifest import binding_versions as binding_versions

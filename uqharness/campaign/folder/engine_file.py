@@ -21,7 +21,7 @@ ENGINE_CHECK = "engine-check.csv"
 START, WHOLE = "start", "whole"
 STATUS = "status"
 """Stands in the place of a metric in the row that compares how a flight ended."""
-_MOST_BYTES = 64_000_000
+MOST_CHECK_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def read_check(folder: Path) -> list[CheckRow]:
     """Its rows; none where it is not there or is not what this program wrote: then the flights are flown again."""
     path = folder / ENGINE_CHECK
     try:
-        rows = csv_rows(read_regular(path, _MOST_BYTES), path, (), _COLUMNS)
+        rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
         found = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
         for row in found:
             _ = [as_number(text) for text in (row.batch, row.jsbsim) if row.metric != STATUS]

@@ -10,6 +10,7 @@ from sysid.digests import sha256_hex
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.folder.case_table import CASES, checked_table
 from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.folder.engine_file import ENGINE_CHECK, CheckRow, read_check
 from uqharness.campaign.folder.manifest import has_digests, read_manifest, write_manifest
 from uqharness.campaign.folder.manifest_content import COMPLETE
 from uqharness.campaign.rounds import DECISIONS, decision_rows
@@ -29,6 +30,7 @@ TABLE_NAMES = (
     "sensitivity.csv",
     "convergence.csv",
     "area.csv",
+    ENGINE_CHECK,
 )
 """Names of the tables that a campaign's folder may have."""
 MOST_BYTES = 1_000_000_000
@@ -96,6 +98,16 @@ def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, 
     if DECISIONS not in manifest.get("tables", {}) if known else not (folder / DECISIONS).exists():
         return []
     return decision_rows(read_checked(folder, manifest, DECISIONS), folder / DECISIONS)
+
+
+def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRow]:
+    """Rows of engine-check.csv; none where the campaign has no such file.
+
+    Raises BadInputError where it is lost or damaged.
+    """
+    if ENGINE_CHECK in manifest.get("tables", {}):
+        read_checked(folder, manifest, ENGINE_CHECK)
+    return read_check(folder)
 
 
 def record_table(folder: Path, name: str, content: bytes) -> None:

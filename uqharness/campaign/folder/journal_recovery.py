@@ -15,6 +15,7 @@ from uqharness.campaign.folder.store import (
     LONGEST_BYTES,
     create_tables,
     outcome_of,
+    refuse_traps,
 )
 
 LEFTOVER = f"{JOURNAL}-journal"
@@ -35,7 +36,11 @@ class JournalScan:
         self._folder, self._scratch = folder, scratch
 
     def rows(self, wanted: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
-        """Sound rows, each once. Forwards, backwards, and each of the case ids ``wanted`` by itself, as far as that is needed."""
+        """Sound rows, each once: forwards, backwards, each of the case ids ``wanted`` by itself, as far as that is needed.
+
+        Raises BadInputError where opening the journal would touch a file elsewhere.
+        """
+        refuse_traps(self._folder)
         seen = set[str]()
         for path in self._variants():
             with closing(_opened(path)) as database:
@@ -108,6 +113,7 @@ class JournalScan:
 
 def copy_of(folder: Path, target: Path) -> Path:
     """The journal and what lies beside it, copied: opening the copy changes nothing in ``folder``."""
+    refuse_traps(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name in (JOURNAL, LEFTOVER):
         if (folder / name).is_file():

@@ -53,6 +53,7 @@ class _Content(_Part):
     journal: _Journal | None = None
     engine: _Engine | None = None
     bounds: _Bounds | None = None
+    sums: Literal["SHA256SUMS"] | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> _Content:

@@ -25,7 +25,7 @@ from uqharness.campaign.folder.manifest import (
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
-from uqharness.files import inner_folder, write_bytes
+from uqharness.files import inner_folder, remove, write_bytes
 from uqharness.flight import (
     COEFFICIENTS,
     FlightResult,
@@ -108,7 +108,7 @@ def rerun_case(folder: Path, case_id: str) -> Rerun:
     stored = _stored(folder, case.case_id)
     target = inner_folder(folder, RERUN, case.case_id)
     record = target / "record.parquet"
-    record.unlink(missing_ok=True)
+    remove(record)
     # A case that ends the interpreter must end another one than ours.
     executor = ProcessExecutor(
         1, timeout_s=lambda flight: 120.0 + 0.5 * (flight.duration_s + flight.burn_in_s), retries=0

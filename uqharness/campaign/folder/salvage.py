@@ -24,6 +24,7 @@ from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.execution.processes import Executor
 from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
 from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.folder.engine_file import ENGINE_CHECK
 from uqharness.campaign.folder.files import is_sealed, table_digests
 from uqharness.campaign.folder.journal_recovery import LEFTOVER, JournalScan, copy_of
 from uqharness.campaign.folder.manifest import (
@@ -43,11 +44,12 @@ from uqharness.campaign.folder.store import JOURNAL, Store, outcome_of, run_lock
 from uqharness.campaign.folder.verify import part_folders
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.checksums import enter, faults
 from uqharness.errors import BadInputError
 
 _WORK = ".salvage"
 _BATCH = 1000
-_OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv")
+_OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,11 @@ def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
     """DamageError where the journal is not whole; a file whose writer was killed is looked at in a copy."""
     if is_sealed(manifest) and not (folder / JOURNAL).exists():
         raise DamageError(folder / JOURNAL, "it is gone", folder)
+    if is_sealed(manifest):
+        # Its flights may be sound where its free pages are not.
+        for fault in faults(folder, within=False):
+            if fault.name == JOURNAL:
+                raise DamageError(folder / JOURNAL, fault.problem, folder)
     with _work_folder(folder) as work:
         place = folder
         if (folder / LEFTOVER).exists():
@@ -341,6 +348,7 @@ def _keep_copy(folder: Path) -> list[str]:
                 os.link(source, target)
             except OSError:  # a file system without second names
                 part = target.with_name(f".{target.name}.part")
+                part.unlink(missing_ok=True)  # it may be a link
                 shutil.copyfile(source, part)
                 os.replace(part, target)
     return [aside.name]
@@ -364,6 +372,7 @@ def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
 def _put_aside(path: Path) -> str:
     aside = _free_name(path)
     os.replace(path, aside)
+    enter(path)
     return aside.name
 
 

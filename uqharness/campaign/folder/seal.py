@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import read_regular
+from uqharness import checksums
 from uqharness.campaign.cases import Case
 from uqharness.campaign.folder.digests import DamageError
-from uqharness.campaign.folder.files import table_digests
-from uqharness.campaign.folder.manifest import write_manifest
+from uqharness.campaign.folder.engine_file import ENGINE_CHECK, MOST_CHECK_BYTES
+from uqharness.campaign.folder.files import TABLE_NAMES, table_digests
+from uqharness.campaign.folder.manifest import MANIFEST, write_manifest
 from uqharness.campaign.folder.manifest_content import COMPLETE
 from uqharness.campaign.folder.store import JOURNAL, Store
 from uqharness.campaign.folder.tables import make_tables, write_tables
@@ -25,7 +29,19 @@ def sealed(
     digests = dict(manifest.get("tables", {})) | {
         name: sha256_hex(content) for name, content in tables.items()
     }
-    return {**manifest, "state": COMPLETE, "tables": digests, "journal": store.summary()}
+    check = store.folder / ENGINE_CHECK
+    with contextlib.suppress(OSError):
+        digests[ENGINE_CHECK] = sha256_hex(read_regular(check, MOST_CHECK_BYTES))
+    ending = {"state": COMPLETE, "tables": digests, "journal": store.summary()}
+    return {**manifest, **ending, "sums": checksums.SUMS}
+
+
+def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
+    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes. Raises BadInputError."""
+    damaged = {} if earlier is None else dict(earlier.damaged)
+    for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
+        damaged.pop(name, None)  # they have just been held against digests of their own, or written
+    checksums.write_sums(folder, checksums.Earlier(damaged))
 
 
 def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.folder.engine_file import merge_checks
 from uqharness.campaign.folder.manifest import (
@@ -24,7 +25,7 @@ from uqharness.campaign.folder.manifest import (
     write_manifest,
 )
 from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
-from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sealed
+from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, seal_files, sealed
 from uqharness.campaign.folder.store import JOURNAL, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
 from uqharness.errors import BadInputError
@@ -115,6 +116,7 @@ def merge(folder: Path) -> Merged:
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         for part in (*folders, *([folder] if old is not None else [])):
             _refuse_damage(part, read_manifest(part))
+        earlier = checksums.take_away(folder)
         write_manifest(folder, manifest | {"state": INTERRUPTED})
         with Store(folder) as store:
             for part in folders:
@@ -126,7 +128,10 @@ def merge(folder: Path) -> Merged:
                 write_tables(folder, tables)
                 merge_checks(folder, folders)
                 write_manifest(folder, sealed(manifest, store, tables))
-            return _merged(folder, cases, store.statuses(), missing, folders, ())
+            statuses = store.statuses()
+        if not missing:
+            seal_files(folder, earlier)
+        return _merged(folder, cases, statuses, missing, folders, ())
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:

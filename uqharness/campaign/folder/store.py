@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid.foreign.regular_files import require_regular
+from sysid.foreign.regular_files import open_regular, require_regular
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.digests import (
     DamageError,
@@ -31,12 +31,12 @@ from uqharness.campaign.folder.digests import (
     row_digest,
     summed,
 )
+from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
-from uqharness.files import lock_at_once
+from uqharness.files import lock_at_once, open_no_link
 from uqharness.flight import STATUSES
 
 JOURNAL = "journal.sqlite"
-LOCK = "run.lock"
 
 SCHEMA = (
     """CREATE TABLE outcome (
@@ -47,6 +47,10 @@ SCHEMA = (
 COLUMNS = "case_id, status, reason, flown_s, metrics, undefined, digest"
 # A row of some 1200 bytes has no room on a page of 4096 with others and would take a page more: 4.7 kB a flight instead of 1.4.
 _PAGE_BYTES = 8192
+_BESIDE = ("-journal", "-wal", "-shm")
+"""Endings of the files that SQLite keeps beside a database; the first is the rollback file."""
+_ROLLBACK_MAGIC = bytes.fromhex("d9d505f920a163d7")
+"""Begins a rollback file, and ends one that names a super journal (SQLite's file format, section 3.1)."""
 # Far above any row; a damaged length then asks for no memory.
 LONGEST_BYTES = 16_000_000
 
@@ -91,6 +95,7 @@ class Store:
     def _begun(self) -> bool:
         """Whether there is a file that SQLite may have written to. Raises BadInputError for what is no file of its kind."""
         # Looked at, not opened: closing a second handle would drop the locks that SQLite holds in this process.
+        refuse_traps(self.folder)
         try:
             require_regular(self._path)
         except FileNotFoundError:
@@ -234,6 +239,35 @@ class Store:
             raise self._damage(f"cannot be read ({type(error).__name__})") from None
 
 
+def journal_trap(folder: Path) -> str:
+    """What SQLite would do elsewhere if it opened the journal of a folder, in words; "" if nothing.
+
+    SQLite follows a link in the place of a journal or of the files beside it, and writes there. A rollback file may name a "super
+    journal", which SQLite removes; this program's never does.
+    """
+    for name in (JOURNAL, *(f"{JOURNAL}{ending}" for ending in _BESIDE)):
+        path = folder / name
+        if path.is_symlink():
+            return f"{path}: is a link to {os.readlink(path)}, and SQLite would write there"
+    leftover = folder / f"{JOURNAL}{_BESIDE[0]}"
+    with contextlib.suppress(FileNotFoundError), open_regular(leftover) as handle:
+        size = os.fstat(handle.fileno()).st_size
+        handle.seek(max(size - len(_ROLLBACK_MAGIC), 0))
+        if size >= 2 * len(_ROLLBACK_MAGIC) and handle.read() == _ROLLBACK_MAGIC:
+            return f"{leftover}: names another file, which SQLite would remove"
+    return ""
+
+
+def refuse_traps(folder: Path) -> None:
+    """BadInputError where opening the journal would touch a file elsewhere."""
+    try:
+        trap = journal_trap(folder)
+    except OSError as error:
+        trap = f"{error.filename}: cannot be read: {error.strerror or error}"
+    if trap:
+        raise BadInputError(f"{trap}; remove that file, or fly into another --out")
+
+
 def create_tables(database: sqlite3.Connection) -> None:
     """Make the tables of an empty journal, all or none. Raises sqlite3.Error."""
     with database:
@@ -337,16 +371,16 @@ def run_lock(folder: Path) -> Iterator[None]:
         # Not even opened: closing a second handle would drop the lock of the first.
         raise _in_use(folder, f"process {os.getpid()}, this one")
     try:
-        handle = path.open("a+", encoding="utf-8")
+        handle = os.fdopen(open_no_link(path), "r+", encoding="utf-8")
     except OSError as error:
         raise BadInputError(
-            f"{folder}: cannot be written: {error.strerror or error}; choose another --out"
+            f"{path}: cannot be written: {error.strerror or error}; remove it or choose another --out"
         ) from None
     with handle:
         # Somebody who only asks whether a run is on holds the lock for an instant, so one refusal is not yet an answer.
         if not _try_lock(handle.fileno(), attempts=5):
             handle.seek(0)
-            raise _in_use(folder, handle.read().strip() or "unknown process")
+            raise _in_use(folder, handle.read(200).strip() or "unknown process")
         _held.add(key)
         try:
             handle.seek(0)
@@ -356,6 +390,10 @@ def run_lock(folder: Path) -> Iterator[None]:
             yield
         finally:
             _held.discard(key)
+            # Empty between runs: what stands in it belongs to no result.
+            with contextlib.suppress(OSError):
+                handle.seek(0)
+                handle.truncate()
 
 
 def is_running(folder: Path) -> bool:
@@ -364,7 +402,7 @@ def is_running(folder: Path) -> bool:
     if str(path.resolve()) in _held:
         return True
     try:
-        with path.open("r+", encoding="utf-8") as handle:
+        with os.fdopen(open_no_link(path, make=False), "r+b") as handle:
             # Closing the handle gives the lock back at once.
             return not _try_lock(handle.fileno())
     except OSError:

@@ -1,9 +1,14 @@
-"""Is a campaign's folder as it was written? Manifest, journal, tables and shards, each looked at for itself. Changes nothing."""
+"""Is a folder of results as it was written? Changes nothing.
+
+Manifest, journal, tables and shards of a campaign are each looked at for themselves; every other file of a campaign, and those of a
+study or a refinement, by the digest in SHA256SUMS.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +21,8 @@ from uqharness.campaign.folder.journal_recovery import LEFTOVER, JournalScan, co
 from uqharness.campaign.folder.manifest import MANIFEST, has_digests, read_manifest
 from uqharness.campaign.folder.manifest_content import COMPLETE
 from uqharness.campaign.folder.shards import SHARDS
-from uqharness.campaign.folder.store import JOURNAL, Store, is_running
+from uqharness.campaign.folder.store import JOURNAL, Store, is_running, journal_trap
+from uqharness.checksums import SUMS, SumsError, faults, read_sums, through_a_link
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
 
@@ -68,15 +74,45 @@ class JournalFound:
 
 
 def verify(folder: Path) -> Verified:
-    """Look at a campaign's folder and at its shards. Raises BadInputError for what is no such folder."""
-    parts = part_folders(folder)
+    """Look at a folder of a campaign, study or refinement and those within. Raises BadInputError for any other folder."""
     own = (folder / MANIFEST).exists() or (folder / JOURNAL).exists()
-    if not own and not parts:
+    parts = [*part_folders(folder), *_sealed_within(folder)]
+    sealed = (folder / SUMS).exists() or (folder / SUMS).is_symlink()
+    if not own and not parts and not sealed:
         raise BadInputError(
-            f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}, no {SHARDS}/)"
+            f"{folder}: not a folder of a campaign, a study or a refinement (no {MANIFEST}, no "
+            f"{JOURNAL}, no {SHARDS}/, no {SUMS})"
         )
     complete, items = _verify_own(folder) if own else (None, ())
-    return Verified(folder, complete, items, tuple(verify(part) for part in parts))
+    # A campaign that is not complete has none yet, or those of an earlier end.
+    files = _file_items(folder, items) if sealed and complete is not False else ()
+    return Verified(
+        folder, complete, (*items, *files), tuple(verify(part) for part in dict.fromkeys(parts))
+    )
+
+
+def _sealed_within(folder: Path) -> list[Path]:
+    """Folders within a study or refinement that have sums of their own."""
+    with contextlib.suppress(SumsError, OSError):
+        sums = read_sums(folder)
+        names = () if sums is None else sums.folders
+        return [folder / name for name in names if not through_a_link(folder, name)]
+    return []
+
+
+def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
+    """Files that are not as SHA256SUMS lists them, then the others, counted in one item."""
+    known = {item.name: item for item in items}
+    found = faults(folder, within=False)
+    for fault in found:
+        if fault.name not in known or known[fault.name].state == WHOLE:
+            yield Item(fault.name, MISSING if fault.missing else DAMAGED, fault.problem)
+    with contextlib.suppress(SumsError, OSError):
+        if (sums := read_sums(folder)) is None:
+            yield Item(SUMS, DAMAGED, "it is not this program's")
+        else:
+            whole = len(set(sums.files) - {fault.name for fault in found})
+            yield Item(SUMS, WHOLE, f"{whole} of {len(sums.files)} files as they were written")
 
 
 def part_folders(folder: Path) -> list[Path]:
@@ -102,12 +138,17 @@ def _verify_own(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
         return manifest["state"] == COMPLETE, (old, *(Item(name, NO_DIGEST) for name in names))
     journal = _journal_item(folder, manifest)
     tables = () if manifest is None else tuple(_table_items(folder, manifest))
+    lost = manifest is not None and "sums" in manifest and not (folder / SUMS).exists()
+    if lost and is_sealed(manifest):
+        tables = (*tables, Item(SUMS, MISSING, "the same run command writes it again"))
     return (None if manifest is None else manifest["state"] == COMPLETE), (first, journal, *tables)
 
 
 def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
     sealed = manifest is not None and is_sealed(manifest)
     try:
+        if trap := journal_trap(folder):
+            return Item(JOURNAL, DAMAGED, trap)
         require_regular(folder / JOURNAL)
     except FileNotFoundError:
         if manifest is None or sealed:

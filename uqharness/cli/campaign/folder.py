@@ -20,6 +20,7 @@ from uqharness.campaign.folder import (
 )
 from uqharness.cli.campaign.run import failures, say_rewritten
 from uqharness.cli.options import describe
+from uqharness.cli.report import note_damage
 from uqharness.errors import BadInputError
 from uqharness.report import draw_rerun, shown_cases, write_campaign_report
 
@@ -67,7 +68,13 @@ def add_status(parser: argparse.ArgumentParser) -> None:
 
 def add_report(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``report``."""
-    describe(parser, _report, "Write report.html and the figures.", _REPORT_EXAMPLE)
+    describe(
+        parser,
+        _report,
+        "Write report.html and the figures.",
+        _REPORT_EXAMPLE,
+        no="files of the folder are not as they were written",
+    )
     add_folder(parser)
     parser.add_argument(
         "--no-tracks", action="store_true", help="do not fly two flights again for the ground track"
@@ -131,7 +138,7 @@ def _report(args: argparse.Namespace) -> int:
             print(f"  Flown again for the ground track: {', '.join(flown)}.")
         for sentence in report.verdict:
             print(f"  {sentence}")
-    return 0
+    return note_damage(args.folder, report)
 
 
 def _fly_shown(folder: Path) -> list[str]:

@@ -16,7 +16,7 @@ SUMMARY = {"rows": 2, "digest": "a" * 64}
 
 
 def store(summary=SUMMARY):
-    return SimpleNamespace(summary=lambda: summary, finished=dict)
+    return SimpleNamespace(summary=lambda: summary, finished=dict, folder=Path("nowhere"))
 
 
 def test_a_sealed_manifest_holds_the_digest_of_every_table():
@@ -27,6 +27,7 @@ def test_a_sealed_manifest_holds_the_digest_of_every_table():
         "cases": 2,
         "journal": SUMMARY,
         "tables": {"area.csv": "b" * 64, "x.csv": sha256_hex(b"new")},
+        "sums": "SHA256SUMS",
     }
     assert old["tables"]["x.csv"] == "c" * 64
 
@@ -59,7 +60,7 @@ class _NoRounds:
 
 def mended(folder: Path) -> tuple[str, ...]:
     manifest = {"tables": {name: sha256_hex(b"x") for name in ("pbox.parquet", "area.csv")}}
-    journal = SimpleNamespace(summary=SUMMARY.copy, outcomes=tuple)
+    journal = SimpleNamespace(summary=SUMMARY.copy, outcomes=tuple, folder=folder)
     return mend_tables(folder, manifest, None, (), journal)
 
 
