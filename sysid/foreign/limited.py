@@ -57,8 +57,8 @@ def read_raw(
     for kind, *content in _ask(path, dialect, order, progress):
         if kind == "table":
             name, instance, time_s, fields, place = content
-            order = place if len(place) else None
-            messages[name, instance] = MessageTable(time_s, fields, order)
+            rows = place if len(place) else None
+            messages[name, instance] = MessageTable(time_s, fields, rows)
         else:
             (about,) = content
     return RawLog(

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.units import percent
+from sysid.units import counted, percent
 from uqharness.campaign.folder.files import is_sealed, read_checked, read_decisions
 from uqharness.campaign.rounds import ALL_CORNERS
 from uqharness.campaign.statements import STATEMENTS
@@ -76,10 +76,8 @@ def lines(answers: Sequence[Answer]) -> list[str]:
     """A summary, then one line per condition."""
     if not answers:
         return []
-    first, counted = answers[0], Counter(answer.answer for answer in answers)
-    summary = ", ".join(
-        f"{counted[word]} {_WORDS.get(word, word)}" for word in _ORDER if counted[word]
-    )
+    first, count = answers[0], Counter(answer.answer for answer in answers)
+    summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
     found = [
         f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g} m? {summary}"
     ]

@@ -139,7 +139,7 @@ def _verify_own(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
     journal = _journal_item(folder, manifest)
     tables = () if manifest is None else tuple(_table_items(folder, manifest))
     lost = manifest is not None and "sums" in manifest and not (folder / SUMS).exists()
-    if lost and is_sealed(manifest):
+    if lost and manifest is not None and is_sealed(manifest):
         tables = (*tables, Item(SUMS, MISSING, "the same run command writes it again"))
     return (None if manifest is None else manifest["state"] == COMPLETE), (first, journal, *tables)
 

@@ -170,9 +170,9 @@ def _add(
                 else add_functions(edit, declared)
             )
             return edit.plus(document, append_child(document, total, [product.line()]))
-        function = _author_style(edit, aircraft, w, terms[0][2])
-        if function is not None:
-            slot, lines = function
+        in_axis = _author_style(edit, aircraft, w, terms[0][2])
+        if in_axis is not None:
+            slot, lines = in_axis
             return add_to_axis(add_functions(edit, declared), slot, lines)
     part = name.rpartition("/")[2]
     for coefficient, number, factors in terms:

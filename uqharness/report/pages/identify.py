@@ -173,9 +173,9 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
         note=True,
     )
     figure = _change(parameters, prefix)
-    parts = [words, *([Figures((figure,))] if figure else []), table]
-    parts += [Words(f"({number}) {reason}", note=True) for number, reason in enumerate(notes, 1)]
-    return Section("Parameters", tuple(parts))
+    figures = (Figures((figure,)),) if figure else ()
+    reasons = [Words(f"({number}) {reason}", note=True) for number, reason in enumerate(notes, 1)]
+    return Section("Parameters", (words, *figures, table, *reasons))
 
 
 def _shared_reasons(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -77,7 +77,9 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
     monkeypatch.setattr(verbs, "rerun_case", again)
     monkeypatch.setattr(verbs, "draw_rerun", lambda found: ())
     # The page itself is the last test's.
-    page = SimpleNamespace(path=flown / "report.html", figures=(), verdict=(), damaged=(), rewritten=())
+    page = SimpleNamespace(
+        path=flown / "report.html", figures=(), verdict=(), damaged=(), rewritten=()
+    )
     monkeypatch.setattr(verbs, "write_campaign_report", lambda folder: page)
     out = flown / "out"
     capsys.readouterr()
