@@ -44,9 +44,10 @@ from uqharness.campaign.folder.tables import make_tables, write_tables
 from uqharness.campaign.grouping import groups_of
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec.read import naming_keys
 from uqharness.errors import BadInputError
 from uqharness.files import PART
-from uqharness.flight import FlightSpec
+from uqharness.flight import TURBULENCE_W20_KT, FlightSpec
 from uqharness.parallel import usable_cores
 from uqharness.simulator import read_xml
 
@@ -167,7 +168,9 @@ def run_campaign(
         if Cost(size, 0, None, processes, settled.engine).is_long:
             told(None, 0)
         elif size.flights > MANY:
-            told(_pace_of_a_few(settled, mission, engines), 0)
+            with naming_keys(spec):
+                pace = _pace_of_a_few(settled, mission, engines)
+            told(pace, 0)
     cases = build_cases(spec, mission)
     rounds = Rounds(spec, cases, folder)
     if shard is not None:
@@ -212,9 +215,10 @@ def run_campaign(
                         lambda case: one_ulp_off_alone(engines, case),
                         store.outcomes(),
                     )
-                summary = _fly_missing(
-                    store, finished, rounds, executor, engines, judge, on_progress, told
-                )
+                with naming_keys(spec):
+                    summary = _fly_missing(
+                        store, finished, rounds, executor, engines, judge, on_progress, told
+                    )
             except BaseException:
                 # On a full disk this fails too, and the first reason is the one to hear.
                 with contextlib.suppress(BadInputError):
@@ -251,11 +255,12 @@ def check_campaign(
     engines = Engines.of(None)
     spec = _with_own_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, None)
-    if settled.engine != BATCH:
-        return settled, validate_model(engines.fly, one_case(settled.spec, mission))
-    cases = one_case_each(settled.spec, mission)
-    judge = Judge(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
-    return settled, _checked_start(judge, engines, cases)
+    with naming_keys(spec):
+        if settled.engine != BATCH:
+            return settled, validate_model(engines.fly, one_case(settled.spec, mission))
+        cases = one_case_each(settled.spec, mission)
+        judge = Judge(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
+        return settled, _checked_start(judge, engines, cases)
 
 
 def _pace_of_a_few(settled: Settled, mission: Mission, engines: Engines) -> Pace | None:
@@ -331,6 +336,11 @@ def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
             for outcome in batch:
                 _refuse_if_not_flown(outcome, brief)
         return measured_pace(flown, brief, case.flight)
+
+
+def _most_turbulent(cases: Sequence[Case]) -> Case:
+    """Pick the check flight: where turbulence cannot be flown, no calm flight is made before that is noticed."""
+    return max(cases, key=lambda case: TURBULENCE_W20_KT[case.turbulence])
 
 
 def _checked_start(judge: Judge, engines: Engines, cases: Sequence[Case]) -> Pace | None:
@@ -438,7 +448,7 @@ def _fly_missing(
             continue
         if not checked:
             pace = (
-                validate_model(engines.fly, missing[0])
+                validate_model(engines.fly, _most_turbulent(missing))
                 if judge is None
                 else _checked_start(judge, engines, missing or wanted)
             )

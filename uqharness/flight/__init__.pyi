@@ -6,6 +6,7 @@ from .contact import contact_points as contact_points
 from .dryden import DrydenGusts as DrydenGusts
 from .dryden import DrydenParameters as DrydenParameters
 from .dryden import dryden_parameters as dryden_parameters
+from .dryden import refuse_above_ceiling as refuse_above_ceiling
 from .fly import OPTIONAL_SIGNALS as OPTIONAL_SIGNALS
 from .fly import as_model_has as as_model_has
 from .fly import fly_one_ulp_off as fly_one_ulp_off
@@ -49,9 +50,11 @@ from .scoring import Recorded as Recorded
 from .seeds import flight_seed as flight_seed
 from .seeds import named_stream as named_stream
 from .seeds import numbered_stream as numbered_stream
+from .spec import BELOW_CEILING as BELOW_CEILING
 from .spec import COEFFICIENTS as COEFFICIENTS
 from .spec import DEFAULT_TURBULENCE_SOURCE as DEFAULT_TURBULENCE_SOURCE
 from .spec import STATUSES as STATUSES
+from .spec import TURBULENCE_CEILING_M as TURBULENCE_CEILING_M
 from .spec import TURBULENCE_W20_KT as TURBULENCE_W20_KT
 from .spec import FlightResult as FlightResult
 from .spec import FlightSpec as FlightSpec

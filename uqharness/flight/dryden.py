@@ -33,6 +33,7 @@ from uqharness.flight.gust_filters import (
     numpy_recursion,
 )
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
+from uqharness.flight.spec import BELOW_CEILING, TURBULENCE_CEILING_M
 
 Array = npt.NDArray[np.float64]
 Component = Literal["u", "v", "w", "p", "q", "r"]
@@ -84,9 +85,9 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
     _positive(V_mps=V_mps, b_m=b_m)
     if not W20_kt >= 0.0:
         raise BadInputError(f"W20_kt = {W20_kt}: the wind at 20 ft is 0 or more knots")
-    if not h_m <= 1000.0 * FT_M:
+    if not h_m <= TURBULENCE_CEILING_M:
         raise BadInputError(
-            f"h_m = {h_m}: the low-altitude model reaches from the ground to 304.8 m (1000 ft)"
+            f"h_m = {h_m:g}: the low-altitude model reaches from the ground to 304.8 m (1000 ft)"
         )
     h_ft = max(h_m / FT_M, 10.0)
     profile = 0.177 + 0.000823 * h_ft
@@ -110,6 +111,15 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
         T_q_s=4.0 * b_m / (math.pi * V_mps),  # 3.7.5, Phi_q
         T_r_s=3.0 * b_m / (math.pi * V_mps),  # 3.7.5, Phi_r
     )
+
+
+def refuse_above_ceiling(turbulence: str, h_m: float) -> None:
+    """Raise BadInputError if a flight begins higher than the low-altitude model reaches."""
+    if not h_m <= TURBULENCE_CEILING_M:
+        raise BadInputError(
+            f'turbulence = "{turbulence}": the flight begins {h_m:.0f} m above the ground, and the low-altitude model of '
+            f"MIL-F-8785C reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+        )
 
 
 def dryden_psd(

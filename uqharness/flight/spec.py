@@ -16,6 +16,15 @@ TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
 )
 """Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
 
+TURBULENCE_CEILING_M = 304.8
+"""Height above the ground up to which the low-altitude model of MIL-F-8785C is defined: 1000 ft (3.7.3.4)."""
+
+BELOW_CEILING = (
+    'begin lower, or fly with turbulence = "none", or with turbulence_source = "jsbsim" if the aircraft has the air '
+    "system (docs/air.md)"
+)
+"""What to do about a flight that begins above TURBULENCE_CEILING_M."""
+
 DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
 """Which Dryden model flies unless asked otherwise: the one without a mean gust in a turn (docs/air.md)."""
 

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from sysid.units import FT_M
 from uqharness.flight.branching import Split
-from uqharness.flight.dryden import DrydenGusts, dryden_parameters, gust_blocks
+from uqharness.flight.dryden import (
+    DrydenGusts,
+    dryden_parameters,
+    gust_blocks,
+    refuse_above_ceiling,
+)
 from uqharness.flight.gust_filters import PAGE_STEPS
 from uqharness.flight.levels import BLOCK_STEPS, level_blocks
 from uqharness.flight.spec import (
@@ -237,6 +242,7 @@ def _gust_blocks(
         TURBULENCE_W20_KT[spec.turbulence],
         float(fdm["metrics/bw-ft"]) * FT_M,
     )
+    refuse_above_ceiling(spec.turbulence, air[1])
     if splits:
         branching = DrydenGusts(dryden_parameters(*air), dt_s, spec.seed_turbulence, splits=splits)
         return (branching.page().T[: steps - first] for first in range(0, steps, PAGE_STEPS))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import tomlkit
 
+import uqharness as uq
 from tests.helpers.page_checks import problems
 from uqharness.campaign.aircraft import make_copy
 from uqharness.campaign.cases import build_cases
@@ -156,7 +160,6 @@ def test_the_copy_is_made_once_and_mended_when_it_is_broken(flown):
             "no steady flight at 140 m/s.*uqharness modes c172p",
             marks=pytest.mark.slow,
         ),
-        ("altitude_m = 200", "altitude_m = 2000", "low-altitude model"),
         ("sensor_noise = false", "sensor_noise = true", "sensor_noise = false"),
         (
             "sensor_noise = false",
@@ -217,3 +220,58 @@ def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
     case = frame["case_id"].iloc[3]
     assert main(["campaign", "rerun", str(out), "--case", case, "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["same_as_stored"] is True
+
+
+HIGH = CAMPAIGN.replace("altitude_m = 200", "altitude_m = 305").replace(
+    'turbulence = "light"', 'turbulence = ["none", "light"]'
+)
+ABOVE_MODEL = '[start] altitude_m = 305: [aleatory] turbulence = ["light"]'
+
+
+def test_a_start_above_the_turbulence_model_names_its_key_before_anything_flies(tmp_path, capsys):
+    path = write(tmp_path, HIGH)
+    for command in (["check", str(path)], ["run", str(path), "--out", str(tmp_path / "out")]):
+        assert main(["campaign", *command]) == 2
+        error = capsys.readouterr().err
+        assert f"{path}:9: {ABOVE_MODEL}" in error
+        assert "304.8 m" in error
+        assert 'turbulence = "none"' in error
+    with pytest.raises(BadInputError) as refusal:
+        uq.run_campaign(tomllib.loads(HIGH), tmp_path / "out")
+    assert str(refusal.value).startswith(ABOVE_MODEL)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("altitude_m = 305", "altitude_m = 304.8"),
+        ('["none", "light"]', '"none"'),
+        ('["none", "light"]', '"light"\nturbulence_source = "jsbsim"'),
+    ],
+)
+def test_a_start_within_the_turbulence_model_or_without_it_is_read(tmp_path, old, new):
+    assert HIGH.count(old) == 1
+    assert read_campaign(write(tmp_path, HIGH.replace(old, new))).start is not None
+
+
+@pytest.mark.parametrize("engine", ["batch", "jsbsim"])
+def test_a_script_that_starts_above_the_turbulence_model_names_its_key(flown, tmp_path, engine):
+    folder, _ = flown
+    aircraft = tmp_path / "c172p"
+    shutil.copytree(folder / "out" / "aircraft" / "c172p", aircraft)
+    start = aircraft / "steady-start.xml"
+    text = start.read_text()
+    assert text.count('<altitudeMSL unit="M"> 200 ') == 1
+    start.write_text(text.replace('unit="M"> 200 ', 'unit="M"> 600 '))
+    shutil.copy(folder / "out" / "steady-mission.xml", tmp_path / "high.xml")
+    sections = tomllib.loads(HIGH)
+    del sections["start"]
+    sections["campaign"] |= {"aircraft": "c172p", "mission": "high.xml", "engine": engine}
+    path = write(tmp_path, tomlkit.dumps(sections))
+    line = path.read_text().splitlines().index('turbulence = ["none", "light"]') + 1
+    with pytest.raises(BadInputError) as refusal:
+        run_campaign(read_campaign(path), tmp_path / "out", workers=1)
+    assert str(refusal.value).startswith(
+        f'{path}:{line}: [aleatory] turbulence = "light": the flight begins 600 m above the ground'
+    )

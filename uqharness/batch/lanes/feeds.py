@@ -33,6 +33,7 @@ from uqharness.flight import (
     Split,
     TransientDriver,
     dryden_parameters,
+    refuse_above_ceiling,
 )
 
 Array = NDArray[np.float64]
@@ -178,6 +179,7 @@ class Feeder:
 
     def _gusts(self, key: tuple[int, str, Air, Splits]) -> HostGusts:
         seed, turbulence, (speed, height, span), splits = key
+        refuse_above_ceiling(turbulence, height)
         made = HostGusts(
             dryden_parameters(speed, height, TURBULENCE_W20_KT[turbulence], span),
             self._lanes.dt_s,

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from uqharness.campaign.inputs import read_inputs
-from uqharness.campaign.spec.campaign import CampaignSpec, Document
+from uqharness.campaign.spec.campaign import AleatorySection, CampaignSpec, Document
 from uqharness.campaign.spec.epistemic import MOST_SAMPLES
 from uqharness.campaign.spec.stop import without_flights
 from uqharness.errors import BadInputError
-from uqharness.toml import explain, line_of, read_toml
+from uqharness.flight import BELOW_CEILING, TURBULENCE_CEILING_M
+from uqharness.toml import as_toml, explain, line_of, read_toml
 
 
 def read_campaign(path: str | Path) -> CampaignSpec:
@@ -49,6 +52,7 @@ def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
     Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not belong together, and where
     [epistemic] asks for what its bounds do not hold.
     """
+    _agree_with_turbulence_model(spec)
     _agree_with_metrics(spec)
     _agree_with_form(spec)
     found, said = _planned(spec)
@@ -79,6 +83,34 @@ def _agree_with_metrics(spec: CampaignSpec) -> None:
             f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
             f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
         )
+
+
+def _agree_with_turbulence_model(spec: CampaignSpec) -> None:
+    """Refuse a [start] above the turbulence model; the height of a script's start is found out by flying it."""
+    air, start = spec.aleatory, spec.start
+    turbulent = [name for name in air.turbulence if name != "none"]
+    if start is None or not turbulent or air.turbulence_source != "spec":
+        return
+    if start.altitude_m > TURBULENCE_CEILING_M:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m = {start.altitude_m:g}: "
+            f"[aleatory] turbulence = {as_toml(turbulent)} is the low-altitude model of MIL-F-8785C, which "
+            f"reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+        )
+
+
+@contextlib.contextmanager
+def naming_keys(spec: CampaignSpec) -> Iterator[None]:
+    """Put file, line and section before a flight's refusal that begins with the name of a key of [aleatory]."""
+    try:
+        yield
+    except BadInputError as error:
+        key = str(error).partition(" = ")[0]
+        if type(error) is not BadInputError or key not in AleatorySection.model_fields:
+            raise
+        # A campaign from a Python dictionary has no lines.
+        place = f"{spec.path}:{line_of(spec.source, ('aleatory', key))}: " if spec.source else ""
+        raise BadInputError(f"{place}[aleatory] {error}") from None
 
 
 def _agree_with_form(spec: CampaignSpec) -> None:
