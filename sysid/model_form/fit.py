@@ -142,7 +142,11 @@ def _moving(
         else full_polynomial(len(design.states), design.order)
     )
     terms = tuple(t for t in wanted if not any(t[k] for k in still))
-    note = f"{coefficient}: {names} hardly varied; the bounds do not depend on it, and any other value is outside the data"
+    them = "it" if len(still) == 1 else "them"
+    note = (
+        f"{coefficient}: {names} hardly varied; the bounds do not depend on {them}, and any other value is outside "
+        "the data"
+    )
     return terms or (tuple(0 for _ in design.states),), (note,)
 
 

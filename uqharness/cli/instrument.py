@@ -243,7 +243,7 @@ def _text(report: dict[str, Any]) -> str:
         "Increments, and where the XML adds them.",
     ]
     rows = [
-        {"Coefficient": r["coefficient"], "Added to axes": r["axis"], "At": r["where"]}
+        {"Coefficient": r["coefficient"], "Added to axes": r["axis"], "At": Path(r["where"]).name}
         for r in report["coefficients"]
     ]
     lines += text_table(rows)

@@ -208,10 +208,19 @@ def make_bounds(
         notes=(
             *(n for f in flights for n in f.notes),
             *said,
-            *(n for f in fitted.values() for n in f.notes),
+            *_notes_of(fitted),
         ),
         warnings=tuple(_warnings(aircraft, flights, hashes, form, walks, options.cutoffs)),
     )
+
+
+def _notes_of(fitted: Mapping[str, FittedBounds]) -> list[str]:
+    """Return the notes of all coefficients; one that several share names them and stands once."""
+    coefficients: dict[str, list[str]] = {}
+    for c, f in fitted.items():
+        for note in f.notes:
+            coefficients.setdefault(note.removeprefix(f"{c}: "), []).append(c)
+    return [f"{', '.join(names)}: {text}" for text, names in coefficients.items()]
 
 
 def _fit(

@@ -23,6 +23,8 @@ def test_every_table_has_its_headings(tmp_path, capsys):
     assert ["File", "Change", "Lines of the change"] in words
     edited = next(row for row in words if row[:2] == ["c172p.xml", "edited"])
     assert int(edited[2]) > 0
+    places = [row[2] for row in words if row and row[0] in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")]
+    assert [place.partition(":")[0] for place in places] == ["c172p.xml"] * 6
 
 
 def test_a_dry_run_says_that_nothing_was_written(tmp_path, capsys):

@@ -198,6 +198,9 @@ def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights
     }.items():
         assert document["coefficients"][c]["mean_width"] < limit
     assert any("beta_rad" in n and "hardly varied" in n for n in document["notes"])
+    # Coefficients whose note is the same share one.
+    texts = [n.partition(": ")[2] for n in document["notes"] if "hardly varied" in n]
+    assert len(texts) == len(set(texts)) < 6
 
 
 @pytest.mark.slow

@@ -160,7 +160,8 @@ def _why_not_judged(channel: str) -> str:
 
 
 def _milli(value: float | None) -> str:
-    return shown(None if value is None else 1e3 * value, ".1f")
+    # Adding 0 takes the sign off what rounds to zero.
+    return shown(None if value is None else round(1e3 * value, 1) + 0.0, ".1f")
 
 
 def ratio_figure(

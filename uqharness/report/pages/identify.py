@@ -12,6 +12,7 @@ from uqharness.replay import CHANNELS, HISTORIES, read_histories, shown_channel,
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
 from uqharness.report.parts import (
+    Bullets,
     Cell,
     Figure,
     Figures,
@@ -174,7 +175,8 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     )
     figure = _change(parameters, prefix)
     figures = (Figures((figure,)),) if figure else ()
-    reasons = [Words(f"({number}) {reason}", note=True) for number, reason in enumerate(notes, 1)]
+    lines = tuple(f"({number}) {reason}" for number, reason in enumerate(notes, 1))
+    reasons = (Bullets(lines, key=True),) if lines else ()
     return Section("Parameters", (words, *figures, table, *reasons))
 
 

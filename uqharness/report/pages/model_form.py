@@ -130,7 +130,7 @@ def _beside_noise(parts: Parts) -> str:
     """Write the size of the model error beside the sensors' noise in a sample."""
     if not parts.noise > 0.0:
         return "no sensor noise"
-    return f"{significant(_limit(parts) / (1.96 * parts.noise))} times the sensor noise"
+    return f"{significant(_limit(parts) / (1.96 * parts.noise))} times that of the sensor noise"
 
 
 def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:

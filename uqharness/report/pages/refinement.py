@@ -171,8 +171,10 @@ def _largest_fall(gap: Mapping[str, Any]) -> str:
     )
     quantity, unit, factor = shown_channel(name)
     before, after, noise = (factor * rows[name][k] for k in RMS)
+    first, last = f"{before:.3g}", f"{after:.3g}"
+    change = f"stays at {last}" if first == last else f"goes from {first} to {last}"
     return (
-        f"On the test flights the error of {quantity} goes from {before:.3g} to {after:.3g} {unit} (rms), "
+        f"On the test flights the error of {quantity} {change} {unit} (rms), "
         f"beside noise of {noise:.3g} {unit}."
     )
 

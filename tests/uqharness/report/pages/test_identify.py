@@ -9,6 +9,7 @@ from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
+from uqharness.report.write import write_report
 
 
 @pytest.fixture
@@ -93,3 +94,5 @@ def test_a_reason_that_parameters_share_stands_once(identified):
     words = said(identified, parameters=rows)
     assert words.count(reason) == 1
     assert words.count("not-identified (1)") == len(rows) == 3
+    # The terminal shows the table, so it shows what (1) stands for.
+    assert write_report(identified).text.count(f"(1) {reason}") == 1

@@ -164,7 +164,7 @@ def test_bounds_say_where_there_is_model_error_and_where_none_was_found(bounded)
     form.write(bounded / "model-form.json")
     words = words_of(page_of(bounded))
     sizes = re.search(
-        r"Model error, at most \(95 %\): Cm ±\S+ \((\S+) times the sensor noise\)\.", words
+        r"Model error, at most \(95 %\): Cm ±\S+ \((\S+) times that of the sensor noise\)\.", words
     )
     assert sizes is not None
     assert float(sizes[1]) > 0.0
