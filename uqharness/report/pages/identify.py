@@ -88,7 +88,11 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Say, ...]:
         said.append(Say(text, "warn" if known else "bad"))
     else:
         said.append(Say(f"All {len(parameters)} parameters are identified."))
-    said += _filter_left(fit["fit"]) if fit.get("method") == FILTER else _output_left(fit["fit"])
+    said += (
+        _filter_left(fit["fit"], bool(known))
+        if fit.get("method") == FILTER
+        else _output_left(fit["fit"])
+    )
     return tuple(said)
 
 
@@ -113,7 +117,7 @@ def _output_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
     return []
 
 
-def _filter_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
+def _filter_left(channels: Mapping[str, Mapping[str, Any]], identified: bool) -> list[Say]:
     """Whether filter error's innovations are white. Their size says nothing: the gusts of a sample are in it."""
     level = WHITENESS_LEVEL / max(len(channels), 1)
     coloured = {
@@ -130,6 +134,9 @@ def _filter_left(channels: Mapping[str, Mapping[str, Any]]) -> list[Say]:
         )
         text = f"Filter error does not explain the flights: its innovations can be predicted from their past: {worst}."
         return [Say(f"{text} A model term, or the noise of a state, is missing{_NOT_SAID}", "warn")]
+    if not identified:
+        # White innovations do not vouch for a model whose estimates were refused for another reason.
+        return [Say("Filter error's innovations are white.")]
     return [
         Say(
             "Filter error's innovations are white: the model and the process noise found explain the flights.",
