@@ -8,5 +8,5 @@ __init__.pyi.
 
 import lazy_loader
 
-__version__ = "0.27.0"
+__version__ = "0.28.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

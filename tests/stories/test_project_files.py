@@ -141,7 +141,10 @@ def test_the_changelog_begins_with_this_release():
     coming = re.fullmatch(r"\d+\.\d+\.\d+ \(not yet released\)", releases[0]) is not None
     released = releases[1:] if coming else releases
     assert all(
-        re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)|Unreleased", name) for name in released
+        re.fullmatch(
+            r"[\d.]+( to [\d.]+)? \(\d{4}-\d\d-\d\d( to \d{4}-\d\d-\d\d)?\)|Unreleased", name
+        )
+        for name in released
     )
     assert version.removesuffix(".dev0") in (
         releases[0] if version not in released[0] else released[0]
