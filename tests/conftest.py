@@ -12,6 +12,7 @@ import pytest
 
 from tests.helpers.flying_here import flying_here
 from tests.helpers.places import TESTS
+from uqharness.isolation import SUPERVISED
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
@@ -28,6 +29,9 @@ def pytest_configure() -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_IGN:
             default = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
             signal.signal(number, default)
+    # The suite is its own supervisor: functions that run in a worker elsewhere run in the test's
+    # process, where stand-ins reach them. tests/uqharness/test_isolation.py uses the worker.
+    os.environ[SUPERVISED] = str(os.getpid())
 
 
 @pytest.fixture(scope="session")

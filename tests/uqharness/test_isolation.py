@@ -19,11 +19,17 @@ from tests.helpers.isolated_calls import call_twice, chatter, sleeping
 from uqharness.child_process import child_environment
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.isolation import ProcessEndedError, run_isolated
+from uqharness.isolation import SUPERVISED, ProcessEndedError, run_isolated
 from uqharness.simulator import find_aircraft
 
 MODULO = """<function name="aero/modulo"><product><value>0</value><mod><value>7</value>
  <floor><difference><value>{}</value><property>{}</property></difference></floor></mod></product></function>"""
+
+
+@pytest.fixture(autouse=True)
+def without_supervisor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody would report the end of the test's process: the worker is used, as in a script."""
+    monkeypatch.delenv(SUPERVISED, raising=False)
 
 
 def dividing(folder: Path, start: str, falling: str) -> Path:
