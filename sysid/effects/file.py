@@ -17,6 +17,8 @@ from sysid.foreign.parsed_text import ParseError, parse_toml
 from sysid.foreign.regular_files import read_regular_text
 
 _KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
+_MOST_CHARACTERS = 2000
+"""Of a text of an effect: some paragraphs."""
 
 
 def read_effects(path: Path) -> list[Effect]:
@@ -36,6 +38,7 @@ def read_effects(path: Path) -> list[Effect]:
             path,
         )
     out: list[Effect] = []
+    numbers: dict[str, int] = {}
     for number, row in enumerate(rows, 1):
         where = f"[[effect]] {number}"
         if not isinstance(row, dict) or {"coefficient", "term"} - set(row):
@@ -46,10 +49,27 @@ def read_effects(path: Path) -> list[Effect]:
             )
         if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
+        # The texts go into pages and into comments of the refined XML, which has no place for control characters.
+        for key, text in row.items():
+            if len(text) > _MOST_CHARACTERS:
+                raise LogError(
+                    f"{key} has {len(text)} characters; allowed are {_MOST_CHARACTERS}", path, where
+                )
+            if control := [c for c in text if ord(c) < 32 and c not in "\n\r\t"]:
+                raise LogError(
+                    f"{key} has the control character {control[0]!r}; give plain text", path, where
+                )
         try:
             effect = coefficient_effect(row["coefficient"], row["term"])
         except ValueError as error:
             raise LogError(str(error), path, where) from None
+        if effect.key in numbers:
+            raise LogError(
+                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give each effect once",
+                path,
+                where,
+            )
+        numbers[effect.key] = number
         told = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
         out.append(replace(effect, odds=0.0, **told))
     return out

@@ -157,6 +157,13 @@ def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
         )
 
 
+def _number(word: str) -> float:
+    """Read a number as ArduPilot does: Python's underscores and digits of other scripts are none."""
+    if "_" in word or not word.isascii():
+        raise ValueError(word)
+    return float(word)
+
+
 def parse_parameters(text: str) -> dict[str, float]:
     """Parameters of a `.parm` or `.param` file: a name and a value a line, with blanks, a comma or tabs between; # comments.
 
@@ -171,12 +178,13 @@ def parse_parameters(text: str) -> dict[str, float]:
         if len(words) == 5 and words[0].isdigit() and words[1].isdigit():
             words = words[2:4]
         try:
-            name, value = words[0], float(words[1])
+            name, value = words[0], _number(words[1])
         except (IndexError, ValueError):
             raise ValueError(
                 f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
             ) from None
-        if not name.replace("_", "").isalnum() or not math.isfinite(value):
+        plain = name.isascii() and name.replace("_", "").isalnum()
+        if not plain or not math.isfinite(value):
             raise ValueError(
                 f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
             )

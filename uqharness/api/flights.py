@@ -311,6 +311,7 @@ def log_info(
     *,
     aircraft: AnyAircraft | None = None,
     signal_map: AnyPath | None = None,
+    flight_number: int | None = None,
 ) -> LogInfo:
     """Read a flight log and say what it holds and what it is good for, as ``uqharness log info`` does.
 
@@ -322,6 +323,8 @@ def log_info(
         Whose airframe.toml turns servo outputs into angles.
     signal_map : str or Path, optional
         Signal map of your own, TOML (docs/logs.md).
+    flight_number : int, optional
+        Which flight of a log that holds several boots, from 1; by default the longest.
 
     Returns
     -------
@@ -343,8 +346,10 @@ def log_info(
     """
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     card = None if aircraft is None else carded_aircraft(aircraft).folder
+    boot = None if flight_number is None else whole("flight_number", flight_number, 1)
     with notebook_line("log_info"):
-        return report_of_log(import_log(argument_path("log", log), own_map, card))
+        record = import_log(argument_path("log", log), own_map, card, flight_number=boot)
+        return report_of_log(record)
 
 
 def given_aircraft(aircraft: AnyAircraft) -> Aircraft:

@@ -1,17 +1,18 @@
 """Commands in Python whose result is a document: margins, differences, campaigns checked, studies, pages, dossiers.
 
-They run the command in a process of its own and return what its ``--json`` prints.
+They return what the command's ``--json`` prints. Those that load an aircraft or write a page run the command in a process of its
+own; those that read a folder of results call the library.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from uqharness.api.flights import AnyAircraft, AnyPath
-from uqharness.arguments import one_of, path, whole
+from uqharness.arguments import flag, instance, number, one_of, path, whole
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
 from uqharness.errors import BadInputError, TerminatedError
@@ -209,6 +210,416 @@ def verify(folder: AnyPath) -> dict[str, Any]:
     True
     """
     return _document(["campaign", "verify", str(path("folder", folder))])
+
+
+def campaign_status(folder: AnyPath) -> dict[str, Any]:
+    """Read the progress of a campaign, also while it runs, as ``uqharness campaign status`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a campaign.
+
+    Returns
+    -------
+    dict
+        ``state`` (complete, running or interrupted), ``cases``, ``done``, ``failed``, ``statuses``, ``engine`` and ``answers``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign, or is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> status = uq.campaign_status("results")
+    >>> status["state"], status["done"], status["failed"]
+    ('complete', 2, 0)
+    """
+    # Imported here, as below: `import uqharness` loads no numerical library.
+    from uqharness.campaign.folder import read_status
+
+    return read_status(path("folder", folder)).as_dict()
+
+
+def campaign_report(folder: AnyPath, *, tracks: bool = True) -> dict[str, Any]:
+    """Write the page and the figures of a campaign, as ``uqharness campaign report`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a campaign.
+    tracks : bool
+        Whether the worst and the median flight of a short campaign are flown again for the ground track.
+
+    Returns
+    -------
+    dict
+        ``report``, the page's path; ``figures``, ``verdict``, and ``flown_again``, ids of cases.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign, or is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.campaign_report("results", tracks=False)["flown_again"]
+    []
+    """
+    words = ["campaign", "report", str(path("folder", folder))]
+    return _document(words + ([] if flag("tracks", tracks) else ["--no-tracks"]))
+
+
+def merge_campaign(folder: AnyPath) -> dict[str, Any]:
+    """Bring the shards of a campaign together and write its tables, as ``uqharness campaign merge`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The ``--out`` of the runs with ``--shard``.
+
+    Returns
+    -------
+    dict
+        ``cases``, ``done``, ``missing``, ``statuses`` and ``shards``. Flights are missing where ``missing`` is not 0: fly the
+        shards that lack, then merge again.
+
+    Raises
+    ------
+    BadInputError
+        For a folder without shards, and one whose shards are of different campaigns.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.merge_campaign("missing")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    from uqharness.campaign.folder import merge
+
+    return merge(path("folder", folder)).as_dict()
+
+
+def rerun_case(folder: AnyPath, case: str) -> dict[str, Any]:
+    """Fly one case of a campaign again with full output and a plot, as ``uqharness campaign rerun`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a campaign.
+    case : str
+        Case id, or the beginning of one.
+
+    Returns
+    -------
+    dict
+        ``case_id``, ``status``, ``reason``, ``same_as_stored`` (None: not flown before), ``differences`` and ``files``.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown case, and an aircraft that has changed.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.rerun_case("results", flown.cases["case_id"][0])["same_as_stored"]
+    True
+    """
+    case = instance("case", case, str, "the id of a case, or the beginning of one,")
+    return _document(["campaign", "rerun", str(path("folder", folder)), f"--case={case}"])
+
+
+def salvage_campaign(
+    folder: AnyPath,
+    *,
+    campaign: AnyPath | None = None,
+    hours: float | None = None,
+    samples: int | None = None,
+    workers: int | None = None,
+    yes: bool = False,
+) -> dict[str, Any]:
+    """Repair a damaged campaign, as ``uqharness campaign salvage`` does: keep sound flights, fly the others again.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a campaign, or that of a shard.
+    campaign : str or Path, optional
+        The campaign file, where manifest.json is damaged or missing.
+    hours, samples
+        As `run_campaign` got them, with ``campaign``.
+    workers : int, optional
+        Processes; by default one a core.
+    yes : bool
+        Whether more than a day of flying is agreed to.
+
+    Returns
+    -------
+    dict
+        ``kept``, ``flown`` and ``missing`` flights, ``statuses``, files ``rewritten`` and put ``aside``, and the same of ``shards``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that cannot be repaired; nothing is lost then.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.salvage_campaign("results")["kept"]
+    2
+    """
+    words = ["campaign", "salvage", str(path("folder", folder))]
+    words += _files(campaign=campaign)
+    sizes = {"--hours": hours, "--samples": samples, "--workers": given_workers(workers)}
+    words += [str(w) for pair in sizes.items() if pair[1] is not None for w in pair]
+    return _document(words + (["--yes"] if flag("yes", yes) else []))
+
+
+def campaign_convergence(
+    folder: AnyPath, *, repeats: int = 10, metric: str | Sequence[str] = ()
+) -> dict[str, Any]:
+    """Study the convergence of a campaign over flights and epistemic samples, as ``uqharness campaign convergence`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a complete campaign; convergence.csv and figures are written into it.
+    repeats : int
+        Number of parts into which the flights are divided.
+    metric : str or sequence of str
+        Columns of cases.parquet; by default the usual ones.
+
+    Returns
+    -------
+    dict
+        ``table`` and ``figures``, paths of what was written, and ``rows``, those of the table.
+
+    Raises
+    ------
+    BadInputError
+        For too few flights or samples, and an unknown metric.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 4, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> found = uq.campaign_convergence("results", repeats=2, metric="speed_median_mps")
+    >>> found["rows"][0]["metric"], found["rows"][0]["flights"]
+    ('speed_median_mps', 2)
+    """
+    from uqharness.campaign import convergence_document, write_convergence
+    from uqharness.report import convergence_section, write_figures
+
+    place = path("folder", folder)
+    results = write_convergence(place, _several(metric), whole("repeats", repeats, 2))
+    sections = [convergence_section(item) for item in results if item.repeats or item.growth]
+    figures = write_figures(place, sections, "Convergence")
+    return convergence_document(place, results, figures)
+
+
+def campaign_area(
+    folder: AnyPath, *, flight: AnyPath | None = None, value: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Compare real flights with a campaign's p-boxes by the area metric, as ``uqharness campaign area`` does.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of a complete campaign; area.csv is written into it.
+    flight : str or Path, optional
+        Table of flights, .csv or .parquet: one row a flight, columns as in cases.parquet.
+    value : Mapping, optional
+        Metrics of a single flight, such as ``{"cross_track_median_m_measured": 9.41}``.
+
+    Returns
+    -------
+    dict
+        ``table``, the path of area.csv, and ``rows``: of each metric and condition the ``area`` by which the flights lie outside
+        the p-box in the metric's unit, ``beyond_chance`` and the ``verdict``.
+
+    Raises
+    ------
+    BadInputError
+        Where no flight is given, or none has a metric of the campaign.
+
+    References
+    ----------
+    S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive capability for the thermal challenge problem, 2008.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 4, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> inside = float(flown.cases["speed_median_mps"][0])
+    >>> found = uq.campaign_area("results", value={"speed_median_mps": inside})
+    >>> {row["verdict"] for row in found["rows"]}
+    {'no contradiction'}
+    """
+    from uqharness.campaign import area_document, read_flights, write_area
+
+    place = path("folder", folder)
+    values = instance("value", {} if value is None else value, Mapping, "a mapping of metrics")
+    measured = {str(name): number(f"value: {name}", item) for name, item in values.items()}
+    table = None if flight is None else path("flight", flight)
+    return area_document(place, write_area(place, read_flights(table, measured)))
+
+
+def sensitivity(
+    folder: AnyPath | None = None,
+    *,
+    interior: AnyPath | None = None,
+    modal: Literal["as_corrected", "as_published"] | None = None,
+    repeats: int = 10,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Rank uncertain coefficients by the width they give to the p-box, as ``uqharness sensitivity`` does.
+
+    `uqharness.sensitivity` is the package too: ``uq.sensitivity.run_study`` takes any function.
+
+    Parameters
+    ----------
+    folder : str or Path, optional
+        Folder of a finished campaign of corners.
+    interior : str or Path, optional
+        A campaign of levels between the bounds, to check that its flights lie inside the corners' p-box.
+    modal : {"as_corrected", "as_published"}, optional
+        The dissertation's modal example, in place of a folder.
+    repeats : int
+        With ``modal``: independent repeats.
+    seed : int
+        Of the repeats or of the resampling.
+
+    Returns
+    -------
+    dict
+        What ``uqharness sensitivity --json`` prints (docs/sensitivity.md).
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is no finished campaign of corners, and where both or neither of folder and modal are given.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.sensitivity("missing")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    words = ["sensitivity"] + ([] if folder is None else [str(path("folder", folder))])
+    words += _files(interior=interior)
+    words += [] if modal is None else ["--modal", modal]
+    words += ["--repeats", str(whole("repeats", repeats, 2)), "--seed", str(whole("seed", seed))]
+    return _document(words)
+
+
+def export_log(
+    log: AnyPath,
+    aircraft: AnyAircraft,
+    out: AnyPath,
+    *,
+    format: Literal["flightgear"] = "flightgear",
+    signal_map: AnyPath | None = None,
+    flight_number: int | None = None,
+    lat_deg: float | None = None,
+    lon_deg: float | None = None,
+    alt_m: float | None = None,
+    rate_hz: float = 30.0,
+) -> dict[str, Any]:
+    """Write a flight as files that FlightGear plays back, as ``uqharness log export`` does.
+
+    Parameters
+    ----------
+    log : str or Path
+        Record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg).
+    aircraft : str, Path or Aircraft
+        Whose airframe.toml turns servo outputs into angles.
+    out : str or Path
+        Folder for the files.
+    format : {"flightgear"}
+        Program that shows it.
+    signal_map : str or Path, optional
+        Signal map of your own, TOML (docs/logs.md).
+    flight_number : int, optional
+        Which flight of a log that holds several boots, from 1; by default the longest.
+    lat_deg, lon_deg, alt_m : float, optional
+        Start point [deg, deg, m above sea level]; by default the log's.
+    rate_hz : float
+        Rows per second [1/s].
+
+    Returns
+    -------
+    dict
+        ``files``, ``rows``, ``rate_hz`` [1/s] and ``columns``.
+
+    Raises
+    ------
+    BadInputError
+        For a log without position or attitude, and one that does not say where it began.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=2).write("doublet.parquet")
+    >>> uq.export_log("doublet.parquet", "espaaro", "shown", lat_deg=37.2, lon_deg=-80.4)["rows"]
+    61
+    """
+    one_of("format", format, ("flightgear",))
+    words = ["log", "export", str(path("log", log)), "--aircraft", _aircraft(aircraft)]
+    words += ["--out", str(path("out", out)), "--format", format]
+    words += _files(map=signal_map)
+    numbers = {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_m": alt_m, "rate_hz": rate_hz}
+    for name, value in numbers.items():
+        # With an equals sign: a negative number is no option.
+        option = f"--{name.replace('_', '-')}"
+        words += [] if value is None else [f"{option}={number(name, value)!r}"]
+    if flight_number is not None:
+        words += ["--flight-number", str(whole("flight_number", flight_number, 1))]
+    return _document(words)
 
 
 def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[str, Any]:

@@ -5,9 +5,9 @@ from .aircraft import noise_notes as noise_notes
 from .aircraft import put_bounds as put_bounds
 from .aircraft import system_file as system_file
 from .answers import lines as lines
-from .area import AREAS as AREAS
-from .area import compare as compare
+from .area import area_document as area_document
 from .area import read_flights as read_flights
+from .area import write_area as write_area
 from .carried import ENOUGH_EXCURSIONS as ENOUGH_EXCURSIONS
 from .cases import Case as Case
 from .cases import Mission as Mission
@@ -23,9 +23,9 @@ from .conditions import pboxes as pboxes
 from .conditions import samples as samples
 from .convergence import CONVERGENCE as CONVERGENCE
 from .convergence import Converged as Converged
-from .convergence import as_rows as as_rows
+from .convergence import convergence_document as convergence_document
 from .convergence import sentences as sentences
-from .convergence import study as study
+from .convergence import write_convergence as write_convergence
 from .cost import Cost as Cost
 from .cost import refuse_if_long as refuse_if_long
 from .cost import size_of as size_of

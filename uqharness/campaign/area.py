@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ import pyarrow as pa
 from sysid.errors import LogError
 from sysid.logs.importers import read_small_table
 from uqharness.campaign.conditions import CONFIDENCE, Condition, in_condition, pboxes
-from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.folder.files import read_cases, record_table
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.campaign.rounds import band_confidence
 from uqharness.errors import BadInputError
@@ -131,3 +132,20 @@ def table(found: Sequence[Compared]) -> bytes:
         ]
         writer.writerow([item.metric, item.condition.label, part.flights, *numbers, item.verdict])
     return buffer.getvalue().encode()
+
+
+def write_area(folder: Path, flights: pd.DataFrame) -> list[Compared]:
+    """Compare flights as `compare` does and write area.csv. Raises BadInputError."""
+    result = compare(folder, flights)
+    record_table(folder, AREAS, table(result))
+    return result
+
+
+def area_document(folder: Path, result: Sequence[Compared]) -> dict[str, Any]:
+    """The document of ``campaign area --json``."""
+    rows = [
+        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
+        | asdict(item.found)
+        for item in result
+    ]
+    return {"table": str(folder / AREAS), "rows": rows}

@@ -16,7 +16,7 @@ from sysid.units import percent
 from uqharness.campaign.columns import ERROR_METRICS
 from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition
 from uqharness.campaign.folder.case_table import CASES
-from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.folder.files import read_cases, record_table
 from uqharness.campaign.folder.manifest import read_complete
 from uqharness.errors import BadInputError
 from uqharness.statistics import Growth, Repeats, growth, repeats
@@ -189,3 +189,21 @@ def sentences(found: Sequence[Converged]) -> list[str]:
                 f"area; one more lies outside, at any value, with a chance of at most {percent(whole.chance_of_more)}"
             )
     return lines
+
+
+def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list[Converged]:
+    """Study convergence as `study` does and write convergence.csv. Raises BadInputError."""
+    result = study(folder, metrics, number)
+    record_table(folder, CONVERGENCE, table(result))
+    return result
+
+
+def convergence_document(
+    folder: Path, result: Sequence[Converged], figures: Sequence[Path]
+) -> dict[str, Any]:
+    """The document of ``campaign convergence --json``."""
+    return {
+        "table": str(folder / CONVERGENCE),
+        "figures": list(map(str, figures)),
+        "rows": as_rows(result),
+    }

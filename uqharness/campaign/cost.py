@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.cases import Case, Mission, Part, build_cases
 from uqharness.campaign.execution.flying import BATCH, JSBSIM
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.spec.epistemic import SAMPLED
@@ -23,6 +24,10 @@ DAY_S = 86_400.0
 
 FASTEST_HOURS_PER_CORE_HOUR = {JSBSIM: 10_000.0, BATCH: 1_000_000.0}
 """Ten times what the E-SPAARO flies at 100 Hz: a campaign too long at this pace is too long, and need not be tried out."""
+
+TRIAL_CONDITIONS = 32
+"""Conditions that are tried out before a campaign, at most: work that does not grow with the grid of winds and turbulences. Each
+condition's first whole flight is compared with JSBSim in any case, while the campaign flies."""
 
 _CALIBRATION_S = 60.0
 # A model this slow is known well enough from its check flight.
@@ -43,6 +48,8 @@ class Size:
     flight_s: float
     at_most: bool
     interior: int = 0
+    tried: int = 0
+    """Conditions that are tried out before it."""
 
     @property
     def hours(self) -> float:
@@ -144,6 +151,7 @@ def size_of(spec: CampaignSpec, shards: int = 1) -> Size:
         flight_s,
         at_most,
         spec.interior_samples * _draws(spec),
+        len(trial_conditions(air.wind_mps, air.turbulence)),
     )
 
 
@@ -179,8 +187,25 @@ def with_conditions(
     )
 
 
+def trial_conditions(
+    winds_mps: Collection[float], turbulences: Collection[str]
+) -> tuple[tuple[float, str], ...]:
+    """Conditions of a grid that are tried out: all, or at most `TRIAL_CONDITIONS` of them.
+
+    Each turbulence is among them with winds evenly spaced over the sorted ones, the weakest and the strongest included.
+    """
+    each = max(2, TRIAL_CONDITIONS // len(turbulences))
+    ordered = sorted(winds_mps)
+    if len(ordered) > each:
+        last = len(ordered) - 1
+        places = {round(step * last / (each - 1)) for step in range(each)}
+        chosen = {ordered[place] for place in places}
+        winds_mps = [wind for wind in winds_mps if wind in chosen]
+    return tuple(itertools.product(winds_mps, turbulences))
+
+
 def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
-    """A flight of each condition, made without making the others."""
+    """A flight of each condition that is tried out, made without making the others."""
     section = spec.epistemic
     changes: dict[str, object] = {"samples": 1} if section.samples is not None else {}
     if section.method in ("corners", "levels"):
@@ -191,10 +216,12 @@ def one_case_each(spec: CampaignSpec, mission: Mission) -> tuple[Case, ...]:
             "interior": 0,
             "nominal": None,
         }
-    air = spec.aleatory.model_copy(update={"flights": 1})
+    air = spec.aleatory
+    conditions = trial_conditions(air.wind_mps, air.turbulence)
     return build_cases(
-        dataclasses.replace(spec, aleatory=air, epistemic=section.model_copy(update=changes)),
+        dataclasses.replace(spec, epistemic=section.model_copy(update=changes)),
         mission,
+        Part(range(1), conditions),
     )
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from uqharness.campaign.cases import Case, Mission
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.cost import Pace, one_case_each
+from uqharness.campaign.cost import Pace, one_case_each, trial_conditions
 from uqharness.campaign.engine_check import compared, condition_of, spread
 from uqharness.campaign.engines import Earlier, Engines, Settled, laid_out, settle
 from uqharness.campaign.execution.flying import BATCH, JSBSIM, JUDGE, ONE_ULP_OFF
@@ -42,7 +42,9 @@ def throwaway_process() -> ProcessExecutor:
 def compare_start(
     engines: Engines, cases: Sequence[Case], process: ProcessExecutor
 ) -> list[CheckRow]:
-    """Fly the first seconds of some cases of each condition in both engines; what came of it, a row a metric.
+    """Fly the first seconds of some cases of some conditions in both engines; what came of it, a row a metric.
+
+    The conditions are those of `trial_conditions`: all of a grid that is not large.
 
     Raises BadInputError where they cannot be flown at all.
     """
@@ -50,7 +52,15 @@ def compare_start(
     by_condition: dict[Condition, list[Case]] = {}
     for case in cases:
         by_condition.setdefault(condition_of(case), []).append(case)
-    for members in by_condition.values():
+    winds, turbulences = (
+        list(dict.fromkeys(values))
+        for values in zip(*((air.wind_mps, air.turbulence) for air in by_condition), strict=True)
+    )
+    # A shard need not hold a case of each condition.
+    tried = {
+        Condition(*pair) for pair in trial_conditions(winds, turbulences)
+    } & by_condition.keys()
+    for members in (by_condition[air] for air in by_condition if air in tried):
         picked = [
             _brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]
         ]

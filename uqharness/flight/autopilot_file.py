@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
+from sysid.foreign.regular_files import open_regular
 from sysid.logs import parse_parameters
 from uqharness.errors import BadInputError
 from uqharness.flight.autopilot_gains import AutopilotGains, autopilot_gains
@@ -29,7 +30,7 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
         aircraft or a file without such gains.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(_MOST_BYTES + 1)
     except OSError as error:
         raise BadInputError(

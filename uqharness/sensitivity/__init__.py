@@ -16,4 +16,8 @@ Source: L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
 
 import lazy_loader
 
+from uqharness.callable_module import make_callable
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+make_callable(__name__, "uqharness.api.results")

@@ -74,6 +74,9 @@ def test_a_file_of_own_effects(tmp_path):
     assert (effect.key, effect.physics) == ("effect/Cm/p_hat^2*CT", "mine")
 
 
+_OWN = '[[effect]]\ncoefficient = "Cm"\nterm = "p_hat^2"\n'
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -82,6 +85,11 @@ def test_a_file_of_own_effects(tmp_path):
         ('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', "is no factor"),
         ('[[effect]]\ncoefficient = "Cm"\nterm = "alpha"\nsize = 3\n', "unknown key 'size'"),
         ("a = 1\n", "needs tables"),
+        (f'{_OWN}name = "a\\u0000b"\n', r"name has the control character '\\x00'"),
+        (f'{_OWN}physics = "\\u001b[31mred"\n', r"physics has the control character '\\x1b'"),
+        (f'{_OWN}regime = "{"x" * 2001}"\n', "regime has 2001 characters; allowed are 2000"),
+        (f"{_OWN}sign = 3\n", "sign must be text"),
+        (f"{_OWN}[[effect]]\ncoefficient = 'Cm'\nterm = 'p_hat*p_hat'\n", "is .*effect.* 1 too"),
     ],
 )
 def test_a_wrong_file_of_own_effects_is_refused(tmp_path, text, said):

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 
+import numpy as np
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from tests.helpers.engine_fakes import Flown, engines
-from uqharness.campaign.cases import build_cases
+from tests.helpers.engine_fakes import Flown, Understanding, engines
+from uqharness.campaign.cases import Part, build_cases
+from uqharness.campaign.cost import TRIAL_CONDITIONS, size_of, trial_conditions
+from uqharness.campaign.engines import reasons_against
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.first_seconds import (
     CASES_EACH,
@@ -65,3 +69,44 @@ def test_the_pace_is_that_of_many_lanes_however_few_cases_there_are(cases):
         fly_group=lambda engine, flights: [fakes.diverges(flight) for flight in flights],
     )
     assert batch_pace(failing, cases, SerialExecutor()) is None
+
+
+def test_the_work_before_a_campaign_does_not_grow_with_its_grid_of_conditions(tmp_path):
+    winds = tuple(float(wind) for wind in np.random.default_rng(1).permutation(2000) * 0.002)
+    air = {"wind_mps": winds, "turbulence": ("light", "moderate")}
+    spec = fakes.small_spec(tmp_path, 1, **air).with_engine("batch")
+    flown, read = [], []
+
+    @dataclass(frozen=True)
+    class Reading(Understanding):
+        def refusals(self, spec, varying):
+            read.append(spec.wind_mps)
+            return ()
+
+    def group(engine, flights):
+        flown.extend((flight.wind_mps, flight.turbulence) for flight in flights)
+        return Flown()(engine, flights)
+
+    counted = replace(engines(Flown(), Reading()), fly_group=group)
+    mission = find_mission(spec)
+    assert reasons_against(spec, mission, counted) == ()
+    assert len(read) == TRIAL_CONDITIONS
+    cases = build_cases(spec, mission, Part(range(1), tuple(product(*air.values()))))
+    compare_start(
+        counted,
+        [case for case in cases if case.epistemic_id == cases[0].epistemic_id],
+        SerialExecutor(),
+    )
+    assert len(flown) == 2 * TRIAL_CONDITIONS
+    assert {air for _, air in flown} == {"light", "moderate"}
+    tried = {wind for wind, _ in flown}
+    # The extremes are among them, and no wind of the grid is far from one that was flown.
+    assert (min(tried), max(tried)) == (0.0, max(winds))
+    assert np.max(np.diff(sorted(tried))) <= 2 * max(winds) / TRIAL_CONDITIONS * 1.1
+    assert size_of(spec).tried == TRIAL_CONDITIONS < size_of(spec).conditions
+
+
+def test_every_condition_of_a_small_grid_is_tried_out():
+    assert len(trial_conditions((3.0, 0.0, 6.0), ("none", "severe"))) == 6
+    # A grid of one wind in each turbulence, and of two winds, keeps both.
+    assert trial_conditions((5.0,), ("light",)) == ((5.0, "light"),)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -32,6 +33,12 @@ def test_formats_of_ground_stations(tmp_path: Path, text: str):
         (b"RLL2SRV_TCONST 1\nRLL_RATE_P 0.3\nRLL2SRV_TCONST,-1\n", "line 3: RLL2SRV_TCONST -1"),
         (b"RLL_RATE_P 0.3\nhello\n", "line 2: 'hello' is no parameter"),
         (b"\0\1\2", "is no parameter file"),
+        (b"RLL_RATE_P nan\n", "line 1: 'RLL_RATE_P nan' is no parameter"),
+        (b"RLL_RATE_P 1e999\n", "line 1: 'RLL_RATE_P 1e999' is no parameter"),
+        (b"RLL_RATE_P 1_8\n", "line 1: 'RLL_RATE_P 1_8' is no parameter"),
+        ("RLL_RATE_P \u0661\u0668\n".encode(), "line 1: 'RLL_RATE_P \u0661\u0668' is no"),
+        (b"RLL_RATE_P\x1b[31m 1\n", "line 1: 'RLL_RATE_P\x1b[31m 1' is no parameter"),
+        (b"RLL_RATE_P " + b"9" * 99_999 + b"\n", "line 1: 'RLL_RATE_P 9999"),
         (b"", "holds no parameter"),
         (b"FW_RR_P 0.05\n", "these are PX4's parameters"),
     ],
@@ -48,3 +55,13 @@ def test_a_file_that_is_not_there(tmp_path: Path):
         BadInputError, match=r"none\.param: No such file.*give an ArduPilot parameter file"
     ):
         read_gains(tmp_path / "none.param", PROPERTIES)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_a_pipe_and_a_device_are_not_waited_for(tmp_path: Path):
+    pipe = tmp_path / "pipe.param"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInputError, match="is a pipe, not a regular file"):
+        read_gains(pipe, PROPERTIES)
+    with pytest.raises(BadInputError, match="is a device, not a regular file"):
+        read_gains(Path("/dev/zero"), PROPERTIES)

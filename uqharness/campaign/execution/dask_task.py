@@ -20,15 +20,17 @@ from uqharness.campaign.execution.dask_orders import (
     group_function,
     order_from,
 )
-from uqharness.campaign.execution.flying import why_not
+from uqharness.campaign.execution.flying import BATCH, JSBSIM, JUDGE, ONE_ULP_OFF, why_not
 from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import CaseOutcome
+from uqharness.campaign.execution.worker import CaseOutcome, Group
 from uqharness.campaign.folder.manifest import binding_versions
 from uqharness.child_process import CHILD_ENVIRONMENT
 from uqharness.errors import BadInputError
 from uqharness.simulator import folder_hash
 
 ABSENT = "not there"
+_LONGEST_S, _FASTEST_HZ = 1e7, 1e5
+"""Above what a campaign file allows; a flight without an end would hold the worker for good."""
 
 
 def content_of(aircraft: Path, script: Path) -> tuple[str, str]:
@@ -49,8 +51,7 @@ def fly_order(text: str) -> str:
 
 def _flown(order: Order) -> list[CaseOutcome]:
     fly = group_function(order)
-    if not order.group.cases:
-        raise BadInputError("malformed order on the Dask cluster: no case in it")
+    _refuse_unfit(order.group)
     _, flight = order.group.cases[0]
     _refuse_unlike(order.versions, order.content, flight.aircraft, flight.script)
     _refuse_without_engine(order.group.engine)
@@ -64,6 +65,34 @@ def _flown(order: Order) -> list[CaseOutcome]:
     finally:
         _idle.append((order.fly, executor))
     return [found[case_id] for case_id in order.case_ids]
+
+
+def _refuse_unfit(group: Group) -> None:
+    """Refuse a group that no campaign sends: its files would not be compared, or its flights would not end."""
+    if not group.cases:
+        raise BadInputError("malformed order on the Dask cluster: no case in it")
+    if group.engine not in (BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
+        raise BadInputError(
+            f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are {BATCH} and {JSBSIM}"
+        )
+    if len({case_id for case_id, _ in group.cases}) < len(group.cases):
+        raise BadInputError("malformed order on the Dask cluster: one case twice")
+    if len({(flight.aircraft, flight.script) for _, flight in group.cases}) > 1:
+        raise BadInputError(
+            "malformed order on the Dask cluster: its cases are of several aircraft or scripts"
+        )
+    for _, flight in group.cases:
+        limits = {
+            "duration_s": (flight.duration_s, _LONGEST_S),
+            "burn_in_s": (flight.burn_in_s, _LONGEST_S),
+            "record_rate_hz": (flight.record_rate_hz, _FASTEST_HZ),
+        }
+        for name, (value, most) in limits.items():
+            # NaN is within no limits.
+            if not 0.0 <= value <= most:
+                raise BadInputError(
+                    f"malformed order on the Dask cluster: {name} {value:g}; allowed is 0 to {most:g}"
+                )
 
 
 def _refuse_without_engine(name: str) -> None:

@@ -60,6 +60,16 @@ class Merged:
     shards: tuple[str, ...]
     rewritten: tuple[str, ...] = ()
 
+    def as_dict(self) -> dict[str, Any]:
+        """The document of ``campaign merge --json``."""
+        return {
+            "cases": self.cases,
+            "done": self.cases - self.missing,
+            "missing": self.missing,
+            "statuses": self.statuses,
+            "shards": list(self.shards),
+        }
+
 
 def parse_shard(text: str) -> Shard:
     """``2/8`` as a shard. Raises BadInputError."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.answers import Answer, read_answers
+from uqharness.campaign.answers import Answer, as_json, read_answers
 from uqharness.campaign.execution.flying import JSBSIM
 from uqharness.campaign.folder.digests import DamageError
 from uqharness.campaign.folder.files import is_sealed
@@ -44,6 +44,21 @@ class Status:
     def done(self) -> int:
         """Number of finished flights."""
         return sum(self.statuses.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The document of ``campaign status --json``."""
+        return {
+            "state": self.state,
+            "cases": self.cases,
+            "done": self.done,
+            "failed": self.done - self.statuses.get("ok", 0),
+            "statuses": dict(self.statuses),
+            "engine": self.engine,
+            "engine_why": list(self.why),
+            "joint_level": self.joint_level,
+            "joint": list(self.joint),
+            "answers": as_json(self.answers),
+        }
 
 
 def read_status(folder: Path) -> Status:

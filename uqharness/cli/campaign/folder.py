@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.campaign import engine_words, lines
-from uqharness.campaign.answers import as_json
 from uqharness.campaign.folder import (
     RERUN,
     merge,
@@ -108,15 +107,7 @@ def _status(args: argparse.Namespace) -> int:
     found = read_status(args.folder)
     done, statuses = found.done, dict(found.statuses)
     if args.json:
-        document = {
-            "state": found.state,
-            "cases": found.cases,
-            "done": done,
-            "failed": done - statuses.get("ok", 0),
-        }
-        document |= {"statuses": statuses, "engine": found.engine, "engine_why": list(found.why)}
-        document |= {"joint_level": found.joint_level, "joint": list(found.joint)}
-        print(json.dumps(document | {"answers": as_json(found.answers)}))
+        print(json.dumps(found.as_dict()))
     else:
         summary = f"{args.folder}: {found.state}, {done} of {found.cases} flights done, {failures(statuses)}"
         summary += f"\nengine {engine_words(found.engine, found.why)}"
@@ -168,13 +159,7 @@ def _merge(args: argparse.Namespace) -> int:
     say_rewritten(merged.folder, merged.rewritten)
     done = merged.cases - merged.missing
     if args.json:
-        found = {
-            "cases": merged.cases,
-            "done": done,
-            "missing": merged.missing,
-            "statuses": merged.statuses,
-        }
-        print(json.dumps(found | {"shards": list(merged.shards)}))
+        print(json.dumps(merged.as_dict()))
     else:
         print(
             f"{merged.folder}: {done} of {merged.cases} flights from {len(merged.shards)} shards, {failures(merged.statuses)}"

@@ -201,6 +201,11 @@ def _check(args: argparse.Namespace) -> int:
         print(json.dumps(_cost_json(cost) | found))
     else:
         told = [f"{cost.words}{asked}", f"engine {settled.words}", *joint, *remarks]
+        if cost.size.tried < cost.size.conditions:
+            told.append(
+                f"{cost.size.tried} of {cost.size.conditions} conditions were tried out: each turbulence with its weakest and "
+                "strongest wind and winds between them"
+            )
         print("\n".join(f"{args.campaign}: {line}" for line in told))
     return 0
 
@@ -212,6 +217,7 @@ def _cost_json(cost: Cost) -> dict[str, Any]:
         "at_most": size.at_most,
         "flights_each": size.aleatory,
         "conditions": size.conditions,
+        "conditions_tried": size.tried,
         "epistemic_samples": size.epistemic,
         "interior_samples": size.interior,
         "flight_hours": size.hours,

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
 from pathlib import Path
 
-from uqharness.campaign import AREAS, CONVERGENCE, as_rows, compare, read_flights, sentences, study
-from uqharness.campaign.area import table as area_table
-from uqharness.campaign.convergence import table
-from uqharness.campaign.folder import record_table
+from uqharness.campaign import (
+    CONVERGENCE,
+    area_document,
+    convergence_document,
+    read_flights,
+    sentences,
+    write_area,
+    write_convergence,
+)
 from uqharness.cli.campaign.folder import add_folder
 from uqharness.cli.options import describe, whole
 from uqharness.errors import BadInputError
@@ -76,27 +80,18 @@ def add_area(parser: argparse.ArgumentParser) -> None:
 
 
 def _convergence(args: argparse.Namespace) -> int:
-    found = study(args.folder, args.metric, args.repeats)
-    record_table(args.folder, CONVERGENCE, table(found))
+    result = write_convergence(args.folder, args.metric, args.repeats)
     sections = [
-        convergence_section(item) for item in found if item.repeats is not None or item.growth
+        convergence_section(item) for item in result if item.repeats is not None or item.growth
     ]
     paths = write_figures(args.folder, sections, "Convergence")
     if args.json:
-        print(
-            json.dumps(
-                {
-                    "table": str(args.folder / CONVERGENCE),
-                    "figures": list(map(str, paths)),
-                    "rows": as_rows(found),
-                }
-            )
-        )
+        print(json.dumps(convergence_document(args.folder, result, paths)))
     else:
         print(
             "\n".join(
                 [
-                    *sentences(found),
+                    *sentences(result),
                     f"{args.folder / CONVERGENCE}: written, with {len(paths)} figures",
                 ]
             )
@@ -105,22 +100,18 @@ def _convergence(args: argparse.Namespace) -> int:
 
 
 def _area(args: argparse.Namespace) -> int:
-    found = compare(args.folder, read_flights(args.flight, dict(map(_value, args.value))))
-    record_table(args.folder, AREAS, area_table(found))
-    rows = [
-        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
-        | asdict(item.found)
-        for item in found
-    ]
+    flights = read_flights(args.flight, dict(map(_value, args.value)))
+    result = write_area(args.folder, flights)
+    document = area_document(args.folder, result)
     if args.json:
-        print(json.dumps({"table": str(args.folder / AREAS), "rows": rows}))
+        print(json.dumps(document))
     else:
-        for row in rows:
+        for row in document["rows"]:
             print(
                 f"{row['metric']}, {row['condition']}: {row['flights']} flights, area {row['area']:.3g} outside the p-box, "
                 f"{row['beyond_chance']:.3g} beyond chance: {row['verdict']}"
             )
-    return int(any(item.verdict == "outside" for item in found))
+    return int(any(item.verdict == "outside" for item in result))
 
 
 def _value(text: str) -> tuple[str, float]:

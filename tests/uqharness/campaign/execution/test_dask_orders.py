@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.execution import dask_task
 from uqharness.campaign.execution.dask_orders import (
     MODULES_VARIABLE,
     OWN_FLIGHT,
@@ -221,3 +222,30 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
 def test_an_order_without_versions_is_refused(tmp_path):
     assert "jsbsim unknown there" in fly_order(order_text(replace(ORDER, versions=())))
     assert "no case in it" in fly_order(order_text(replace(ORDER, group=Group("jsbsim", ()))))
+
+
+def test_an_order_that_no_campaign_sends_is_not_flown(monkeypatch):
+    def never(*_):
+        raise AssertionError("the order came to the flights")
+
+    monkeypatch.setattr(dask_task, "_take", never)
+    case_id, item = ORDER.group.cases[0]
+    for cases, reason in (
+        (((case_id, item), (case_id, item)), "one case twice"),
+        (((case_id, item), ("2", replace(item, script=Path("/etc/passwd")))), "several aircraft"),
+        (((case_id, item), ("2", replace(item, aircraft=Path("/etc")))), "several aircraft"),
+        (((case_id, replace(item, duration_s=1e300)),), r"duration_s 1e+300; allowed"),
+        (((case_id, replace(item, duration_s=math.inf)),), "duration_s inf; allowed"),
+        (((case_id, replace(item, burn_in_s=math.nan)),), "burn_in_s nan; allowed"),
+        (((case_id, replace(item, record_rate_hz=1e12)),), "record_rate_hz 1e+12; allowed"),
+    ):
+        group = replace(ORDER.group, cases=cases)
+        answer = json.loads(fly_order(order_text(replace(ORDER, group=group, fly=OWN_FLIGHT))))
+        assert answer["outcomes"] is None
+        assert reason in answer["refused"]
+    group = replace(ORDER.group, engine="warp")
+    refused = fly_order(order_text(replace(ORDER, group=group, fly=OWN_FLIGHT)))
+    assert "engine 'warp'; allowed are batch and jsbsim" in refused
+    # What a campaign sends comes as far as its files, which are not on this machine.
+    sent = fly_order(order_text(replace(ORDER, fly=OWN_FLIGHT)))
+    assert "is not here" in sent
