@@ -107,10 +107,16 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
 
     Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
-    from uqharness.campaign.aircraft import find_copied_mission, named_aircraft, needs_copy
+    from uqharness.campaign.aircraft import (
+        find_copied_mission,
+        named_aircraft,
+        needs_copy,
+        require_plugin,
+    )
     from uqharness.simulator import content_hash, find_script
 
     aircraft = named_aircraft(spec)
+    require_plugin(spec, aircraft)
     script = (
         None
         if spec.start is not None
