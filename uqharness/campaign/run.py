@@ -116,13 +116,13 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
     from uqharness.simulator import content_hash, find_script
 
     aircraft = named_aircraft(spec)
-    require_plugin(spec, aircraft)
     script = (
         None
         if spec.start is not None
         else find_script(spec.campaign.mission, spec.path.resolve().parent)
     )
     if needs_copy(spec):
+        require_plugin(spec, aircraft)
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
     script_hash = sha256_hex(read_xml(script))
