@@ -27,6 +27,7 @@ from uqharness.files import lock_at_once
 
 LOCK = "owner.lock"
 _NAME = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
+_COPY = re.compile(rf"[^\s'\"]*/{_NAME.pattern}/[^/\s]+/(?:aircraft/)?")
 _TRIES = 20
 
 
@@ -75,6 +76,11 @@ def scratch_folder(purpose: str = "") -> Scratch:
             # Systems empty their folder of temporary files now and then.
             os.close(_homes.pop(os.getpid()).lock)
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
+
+
+def without_scratch(text: str) -> str:
+    """A message with the place of a process's own copies left out: "c310/c310.xml:68" is the user's aircraft all the same."""
+    return _COPY.sub("", text)
 
 
 @dataclass

@@ -182,7 +182,7 @@ def _restart_finding(listed: list[Boot], chosen: Boot, flight_number: int | None
         for boot in listed
     )
     text = (
-        f"the clock begins again {len(listed) - 1} time(s): the file holds flights {flights};"
+        f"the clock begins again {'once' if len(listed) == 2 else f'{len(listed) - 1} times'}: the file holds flights {flights};"
         f" flight {chosen.number} is read ({how}), --flight-number reads another"
     )
     numbers = {"flights": float(len(listed)), "flight_number": float(chosen.number)}

@@ -125,6 +125,8 @@ _LATITUDE, _LONGITUDE = (
     r"lon|lng|long|longitude|gps_lon(?:gitude)?",
 )
 _PAIR_FIELDS = frozenset({"north_m", "east_m"})
+# Before a capital that begins a word: RollRate, accX, GPSAlt; in AoA, AoS and RoC it belongs to the same word.
+_CAMEL = re.compile(r"(?<=[a-z])(?<![A-Z][a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
 _INDICATED = re.compile(r"ias|cas|eas|indicated")
 _FOREIGN_SIGNALS = ("V_mps", "alpha_rad", "beta_rad", "rpm", "thrust_N")
 _NO_SENSORS = re.compile(
@@ -299,9 +301,7 @@ def _split(field: str) -> tuple[str, str | None]:
     bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", field)
     if bracket and not bracket.group(1).isdigit():
         unit, field = bracket.group(1).lower(), field[: bracket.start()]
-    words = re.findall(
-        r"[a-z]+\d*|\d+", re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[{}]", "", field)).lower()
-    )
+    words = re.findall(r"[a-z]+\d*|\d+", _CAMEL.sub(" ", re.sub(r"[{}]", "", field)).lower())
     if unit is None:
         for count in (3, 2, 1):
             suffix = "/".join(words[-count:])

@@ -388,13 +388,27 @@ def _describe(
         if instance.valid.all():
             continue
         share = 100.0 * float(np.mean(~instance.valid))
-        where = ""
-        if not all(instance.time_s[~instance.valid][[0, -1]] == instance.time_s[[0, -1]]):
-            bad = instance.time_s[~instance.valid]
-            where = f" between {bad[0]:.1f} and {bad[-1]:.1f} s"
+        where = _where(instance) if instance.valid.any() else ""
         parts.append(f"{share:.3g} % of the rows of {name} are no data{where} ({instance.reason})")
+    if rule.fields:
+        parts[0] = f"{', '.join(rule.fields)}: {parts[0]}"
     severity = "warning" if invalid or len(read) > 1 else "info"
     return Finding("sensor-choice", "", severity, ", ".join(parts), {})
+
+
+def _where(instance: _Instance) -> str:
+    """The spans in which an instance's rows are no data."""
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[True], instance.valid, [True]]).astype(np.int8))
+    )
+    spans = [
+        f"{instance.time_s[first]:.1f} to {instance.time_s[end - 1]:.1f}"
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    if len(spans) <= _MOST_SPANS:
+        return f" from {' and '.join(spans)} s"
+    bad = instance.time_s[~instance.valid]
+    return f" in {len(spans)} spans between {bad[0]:.1f} and {bad[-1]:.1f} s"
 
 
 def _spans(

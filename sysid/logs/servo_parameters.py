@@ -88,6 +88,8 @@ def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
 
 
 def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    if any(key == "SYS_AUTOSTART" or key.startswith("RC_MAP_") for key in parameters):
+        return  # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
     for name, usual in USUAL.items():
         n = int(
             parameters.get(

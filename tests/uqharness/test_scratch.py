@@ -14,13 +14,13 @@ import pytest
 
 from uqharness import scratch
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.scratch import scratch_folder, without_scratch
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills and forks as POSIX has them")
 
 _HOLD = """
 import sys, time
-from uqharness.scratch import scratch_folder
+from uqharness.scratch import scratch_folder, without_scratch
 held = scratch_folder("held")
 (held.path / "big").write_text("x")
 print(held.path, flush=True)
@@ -201,3 +201,12 @@ def test_no_place_for_temporary_files_is_one_sentence(
     monkeypatch.setattr(scratch, "_homes", {})
     with pytest.raises(BadInputError, match="set TMPDIR"):
         scratch_folder()
+
+
+def test_a_message_about_a_copy_names_the_aircraft_and_not_the_copy_s_place(tmp_path):
+    with scratch_folder("card") as folder:
+        copy = folder.path / "aircraft" / "c310" / "c310.xml"
+        text = f"mission: {copy}:68: no thrust; see '{folder.path / 'c310'}'"
+        assert without_scratch(text) == "mission: c310/c310.xml:68: no thrust; see 'c310'"
+    others = f"{tmp_path / 'aircraft' / 'c310.xml'}:3: /tmp/uqharness-plane/c310.xml"
+    assert without_scratch(others) == others

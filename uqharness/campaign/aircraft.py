@@ -37,6 +37,7 @@ _COPIED = "aircraft"
 _UNFINISHED = ".aircraft-"
 _SENSOR = b"sensor/V-mps"
 """Property by which a sensors system is recognised."""
+_ACTIVE = b"uq/active"  # the switch of the plugin's deltas
 
 
 def needs_copy(spec: CampaignSpec) -> bool:
@@ -54,6 +55,15 @@ def has_sensors(aircraft: Aircraft) -> bool:
     """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is added to."""
     paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
     return any(_SENSOR in path.read_bytes() for path in paths)
+
+
+def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
+    """Raise BadInputError where the campaign moves coefficients and nothing in the aircraft's files adds their deltas."""
+    if spec.epistemic.method == "none" or not spec.epistemic.coefficients:
+        return
+    paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
+    if not any(_ACTIVE in path.read_bytes() for path in paths):
+        system_file(aircraft)
 
 
 def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:

@@ -108,7 +108,12 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
 
     Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
-    from uqharness.campaign.aircraft import find_copied_mission, named_aircraft, needs_copy
+    from uqharness.campaign.aircraft import (
+        find_copied_mission,
+        named_aircraft,
+        needs_copy,
+        require_plugin,
+    )
     from uqharness.simulator import content_hash, find_script
 
     aircraft = named_aircraft(spec)
@@ -118,6 +123,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
         else find_script(spec.campaign.mission, spec.path.resolve().parent)
     )
     if needs_copy(spec):
+        require_plugin(spec, aircraft)
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
     script_hash = sha256_hex(read_xml(script))

@@ -20,6 +20,7 @@ from uqharness import __version__
 from uqharness.cli.commands import Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.heartbeat import heartbeat
+from uqharness.scratch import without_scratch
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -127,7 +128,7 @@ class _Notes(logging.Handler):
         """Print it, in place of a line that moves."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=drawing(sys.stderr))
-        print(f"note: {record.getMessage()}", file=sys.stderr)
+        print(f"note: {without_scratch(record.getMessage())}", file=sys.stderr)
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -140,7 +141,7 @@ def _run(argv: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return code
     except BadInputError as error:
-        print(f"uqharness: error: {error}", file=sys.stderr)
+        print(f"uqharness: error: {without_scratch(str(error))}", file=sys.stderr)
         return 2
     except EnginesDifferError as error:
         print(f"uqharness: {error}", file=sys.stderr)

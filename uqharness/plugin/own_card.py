@@ -7,7 +7,7 @@ import logging
 from uqharness.plugin.apply import instrument_aircraft
 from uqharness.plugin.instrument import Bounds
 from uqharness.scratch import Scratch, scratch_folder
-from uqharness.simulator import Aircraft, content_hash, find_aircraft
+from uqharness.simulator import Aircraft, check_loadable, content_hash, find_aircraft
 
 _LOG = logging.getLogger("uqharness")
 _made: dict[str, tuple[Scratch, Aircraft]] = {}
@@ -22,6 +22,9 @@ def with_card(aircraft: Aircraft) -> Aircraft:
         return aircraft
     key = content_hash(aircraft)
     if key not in _made:
+        check_loadable(
+            aircraft
+        )  # names the user's file; later checks would name the copy and its lines
         scratch = scratch_folder("card")
         folder = scratch.path / "aircraft" / aircraft.folder.name
         folder.parent.mkdir()

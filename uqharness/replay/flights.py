@@ -64,6 +64,8 @@ _START_S, _LEAST_LINE = 0.4, 6
 _CHANCE = 0.01
 """Probability by which noise about a straight line looks bent."""
 MAX_GAP_SHARE = 0.5
+STANDING_MPS = 3.0
+"""Airspeed below which nothing flies: the smallest gliders need more."""
 AS_COMMANDED = 1e-3
 """Of its command's range: a position that is never further off is no measurement beside it."""
 
@@ -170,8 +172,15 @@ def read_flight(
 
 def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> FlightRecord:
     """A record's free flight. Raises BadInputError, naming ``where``, where it is in degrees or another aircraft's."""
-    if record.metadata.dialect != "record" and record.metadata.free_flight_s:
-        record = record.between(*record.metadata.free_flight_s[0])
+    if record.metadata.dialect != "record":
+        if record.metadata.free_flight_s:
+            record = record.between(*record.metadata.free_flight_s[0])
+        elif _stands(record):
+            phase = next((f for f in record.metadata.findings if f.code == "flight-phase"), None)
+            raise BadInputError(
+                f"{where}: {phase.message if phase else 'it never flew'}; a log with free flight is needed "
+                "(uqharness log info shows it)"
+            )
     wrong = next((f for f in record.metadata.findings if in_degrees(f)), None)
     if wrong is not None and record.metadata.dialect == "record":
         raise BadInputError(
@@ -184,6 +193,13 @@ def in_free_flight(record: FlightRecord, aircraft: Aircraft, where: object) -> F
             "its surface angles follow that card: import the log again with --aircraft, or name that aircraft"
         )
     return record
+
+
+def _stands(record: FlightRecord) -> bool:
+    """Whether a record's airspeed is that of an aircraft on the ground."""
+    speed = record["V_mps"] if "V_mps" in record else np.empty(0)
+    speed = speed[np.isfinite(speed)]
+    return bool(len(speed)) and float(np.quantile(speed, 0.9)) < STANDING_MPS
 
 
 def measured_surfaces(records: Sequence[FlightRecord]) -> tuple[str, ...]:

@@ -187,6 +187,12 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
     same = np.isfinite(ours[said]) == np.isfinite(theirs[said])
     if said[0] and bool(same.all()) and not (apart > _AGREES + spread[said] / size).any():
         return program
+    if not said[0]:
+        _LOG.warning(
+            "replays are flown by JSBSim, which is slower: the flight diverges from its first row, so the batch engine cannot be"
+            " compared with JSBSim"
+        )
+        return None
     worst = np.nanmax(np.where(np.isfinite(apart), apart, np.inf), axis=0, initial=0.0)
     channel = (*RAW, *program.extra)[int(np.argmax(worst))]
     _LOG.warning(

@@ -11,7 +11,7 @@ import logging
 import math
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ _MOMENTS = ("ixx", "iyy", "izz")
 _PRODUCTS = ("ixy", "ixz", "iyz")
 _TO_KGM2 = {"KG*M2": 1.0, "SLUG*FT2": SLUG_FT2_KGM2}
 _TRIANGLE_TOLERANCE = 0.01  # inertia in an XML has two or three digits
-_noted: set[str] = set()
+_noted: set[tuple[str, str]] = set()
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,10 @@ def check_physical(aircraft: HasFiles) -> None:
     _check_sizes(_section(aircraft, files, root, "metrics"))
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
     if rotor := rotor_place(aircraft):
-        _note(f"{rotor}; it is not trimmed, so commands that start from steady flight refuse it")
+        place, _, text = rotor.partition(": ")
+        _note(
+            place, f"{text}; it is not trimmed, so commands that start from steady flight refuse it"
+        )
 
 
 def rotor_place(aircraft: HasFiles) -> str:
@@ -160,9 +163,10 @@ def _check_inertia(mass: _Section | None) -> None:
         )
     if high > (1.0 + _TRIANGLE_TOLERANCE) * (low + middle):
         _note(
-            f"{place}: impossible inertia, {values}: the largest exceeds the sum of the others by "
+            place,
+            f"impossible inertia, {values}: the largest exceeds the sum of the others by "
             f"{100.0 * (high / (low + middle) - 1.0):.0f} %, which no body has; check {', '.join(_MOMENTS)} "
-            "and their units"
+            "and their units",
         )
 
 
@@ -176,8 +180,9 @@ def _principal(
     return float(low), float(middle), float(high)
 
 
-def _note(text: str) -> None:
-    """Say it once per process."""
-    if text not in _noted:
-        _noted.add(text)
-        _LOG.warning("%s", text)
+def _note(place: str, text: str) -> None:
+    """Say it once per process, and not again of a copy that this process made of the aircraft."""
+    key = Path(place).name.rpartition(":")[0], text
+    if key not in _noted:
+        _noted.add(key)
+        _LOG.warning("%s: %s", place, text)

@@ -15,7 +15,7 @@ from uqharness.simulator.gate import Passed
 
 _LOG = logging.getLogger("uqharness")
 _KEPT = 8
-_said: set[str] = set()
+_said: set[tuple[str, str]] = set()
 
 
 class Named(HasFiles, Protocol):
@@ -95,11 +95,13 @@ def _put(path: Path, file: Passed) -> None:
 
 
 def _say(path: str, file: Passed) -> None:
-    if not file.taken_out or path in _said:
+    if not file.taken_out:
         return
-    _said.add(path)
     counts = Counter(tag for tag, _ in file.taken_out)
     what = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
+    if (key := (Path(path).name, what)) in _said:
+        return  # also a copy that this process made of an aircraft
+    _said.add(key)
     lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
     _LOG.info(
         "%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft",

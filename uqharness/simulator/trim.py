@@ -229,6 +229,11 @@ class _Found:
                 f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}] "
                 "of airframe.toml if the aircraft has more travel"
             )
+        if axis == 2 and left[2] > 0.0:
+            return (
+                f"{remains} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg: the wing "
+                "does not carry the aircraft at this speed and height, so try a faster or lower flight"
+            )
         return (
             f"no equilibrium: {remains} where all accelerations are least (alpha "
             f"{math.degrees(self.trim.alpha_rad):.3g} deg), although no control is at its limit; "

@@ -20,6 +20,7 @@ _SIXTH = (
 )  # sixth differences over white noise: 1 + 36 + 225 + 400 + 225 + 36 + 1 in variance
 _COARSE = 1e-4  # of the usual step, beyond which a channel's own step hides a quiet motion
 _ALONE = 0.25  # of the longest stand-still that any other may last
+_LEAST_NOISE = 0.2  # of the usual step from sample to sample; motion alone stays far below it
 _BITS = (8, 16)
 _ON_LATTICE = 1e-3  # of a step, by which a logged number may miss a whole multiple
 _WRAPS = tuple(
@@ -119,12 +120,13 @@ def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, i
     first, last = int(begins[longest]), int(ends[longest])
     around = max(20, round(1.0 / step_s))
     before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
-    lively = all(
-        len(side) > 10 and np.mean(np.abs(np.diff(side)) > least) > _COMMON
-        for side in (before, after)
-    )
+    sides = [side for side in (before, after) if len(side) > 10]
+    lively = bool(sides) and all(np.mean(np.abs(np.diff(side)) > least) > _COMMON for side in sides)
     if noisy:
-        lively = lively and all(_noisy(side) for side in (before, after))
+        lively = lively and all(_noisy(side) for side in sides)
+    if len(sides) == 1:
+        # It stood still to an end of the log. A simulation without noise does so too, in its steady flight.
+        lively = lively and _noise(sides[0]) > _LEAST_NOISE * _median(np.abs(np.diff(sides[0])))
     others = np.delete(ends - begins, longest)
     alone = not len(others) or int(others.max()) < _ALONE * (last - first)
     return (first, last) if lively and alone and (last - first) * step_s > _STUCK_S else None

@@ -1,7 +1,8 @@
 """Which column of a table holds its times, and in which unit.
 
 A map's `[signals.time_s]` decides. Without one the column's name decides, and among several names the column whose values
-increase; a unit comes from the name ("time_us", "Time [ms]") or, where the name has none, from the size of the steps.
+increase; then a column of times written as text, then one of equal steps. A unit comes from the name ("time_us", "Time [ms]")
+or, where the name has none, from the size of the steps.
 """
 
 from __future__ import annotations
@@ -61,10 +62,13 @@ def times_of(
     name = next((n for n, v in readable.items() if v is not None and _increases(v)), None)
     findings = []
     if name is None:
-        name = _even_column({n: v for n, v in fields.items() if n not in named})
+        unnamed = {n: v for n, v in fields.items() if n not in named}
+        clock = _written_times(unnamed)
+        name = clock or _even_column(unnamed)
         if name is not None:
-            text = f"{name} has equal steps and is taken for the time: no column is named as one"
-            mend = f'[signals.time_s]\nfield = "{name}"\nunit = "s"'
+            reason = "holds increasing times of day" if clock else "has equal steps"
+            text = f"{name} {reason} and is taken for the time: no column is named as one"
+            mend = f'[signals.time_s]\nfield = "{name}"' + ("" if clock else '\nunit = "s"')
             findings.append(Finding("time-column", "time_s", "warning", text, {}, "", mend))
             readable[name] = _values(fields[name])
     if name is None and named:
@@ -78,8 +82,8 @@ def times_of(
             )
     if name is None:
         raise LogError(
-            'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us or ns);'
-            f" {listed(list(fields))}",
+            'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us or ns; times like'
+            f" 2024-05-01T12:00:00.02 need no unit); {listed(list(fields))}",
             path,
         )
     values = readable[name]
@@ -145,6 +149,15 @@ def _increases(values: FloatArray) -> bool:
         return False
     # Single damaged stamps are left out later, but a clock that begins again and again does not get on.
     return float(good[-1] - good[0]) > 0.4 * steps.size * float(np.median(steps))
+
+
+def _written_times(fields: Mapping[str, NDArray[Any]]) -> str | None:
+    """The one column of text that reads as increasing times; None for none or several."""
+    texts = {n: v for n, v in fields.items() if v.dtype == object and len(v) >= 10}
+    times = [
+        name for name, text in texts.items() if (t := _values(text)) is not None and _increases(t)
+    ]
+    return times[0] if len(times) == 1 else None
 
 
 def _even_column(fields: Mapping[str, NDArray[Any]]) -> str | None:

@@ -19,8 +19,8 @@ DEG = 180.0 / np.pi
 STRANGE = {
     # column: signal, factor of what is written over the record
     "TAS_KT": ("V_mps", 3600.0 / 1852.0),
-    "Alpha": ("alpha_rad", DEG),
-    "Beta": ("beta_rad", DEG),
+    "AoA (deg)": ("alpha_rad", DEG),
+    "AoS": ("beta_rad", DEG),
     "Bank Angle": ("phi_rad", DEG),
     "Pitch [deg]": ("theta_rad", DEG),
     "Heading": ("psi_rad", DEG),

@@ -55,6 +55,9 @@ def test_arduplane_before_servo_parameters() -> None:
     found = outputs(old)
     assert set(found) == {"elevator"}  # a trim alone says nothing of the sense
     assert (found["elevator"][0].channel, found["elevator"][0].sense) == (2, 1.0)
+    # PX4 calibrates its receiver's inputs by parameters of the same names.
+    assert outputs({**old, "RC_MAP_PITCH": 2.0}) == {}
+    assert outputs({**old, "SYS_AUTOSTART": 2100.0}) == {}
 
 
 def test_px4() -> None:

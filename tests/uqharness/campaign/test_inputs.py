@@ -21,7 +21,7 @@ from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import describe, spec_of
-from uqharness.campaign.run import run_campaign
+from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
@@ -544,6 +544,30 @@ def test_bounds_need_the_plugin(tmp_path, bounded):
         BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'
     ):
         run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+
+
+def test_constant_bounds_need_the_plugin_too(tmp_path):
+    text = """[campaign]
+aircraft = "c172p"
+mission = "steady"
+seed = 1
+[start]
+V_mps = 55
+altitude_m = 500
+[aleatory]
+flights = 2
+duration_s = 20
+[epistemic]
+method = "{}"
+coefficients = ["Cm"]
+bounds = {{ Cm = 0.002 }}
+"""
+    path = tmp_path / "campaign.toml"
+    path.write_text(text.format("corners"))
+    with pytest.raises(BadInputError, match="add the plugin first: uqharness instrument c172p"):
+        find_mission(read_campaign(path), tmp_path)
+    path.write_text(text.split("method")[0] + 'method = "none"\n')
+    assert find_mission(read_campaign(path), tmp_path).source is not None
 
 
 def test_noise_defaults_to_what_the_aircraft_has(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 from uqharness.cli.main import main
@@ -34,6 +36,19 @@ def test_an_aircraft_that_does_not_load_is_refused_in_jsbsim_s_words(tmp_path):
         "<fdm_config name='broken' version='2.0'><metrics></metrics></fdm_config>"
     )
     with pytest.raises(BadInputError):
+        with_card(find_aircraft(folder))
+
+
+def test_a_misspelt_property_is_named_in_the_user_s_file(tmp_path):
+    folder = tmp_path / "plane"
+    shutil.copytree(find_aircraft("c172p").folder, folder)
+    text = (folder / "c172p.xml").read_text()
+    (folder / "c172p.xml").unlink()
+    text = text.replace("aero/alpha-rad<", "aero/alpha-radd<", 1)
+    (folder / "plane.xml").write_text(text)
+    line = next(k for k, x in enumerate(text.splitlines(), 1) if "aero/alpha-radd" in x)
+    message = rf"^{folder}: .* nothing defines: aero/alpha-radd \(plane.xml:{line}\)"
+    with pytest.raises(BadInputError, match=message):
         with_card(find_aircraft(folder))
 
 

@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
+from sysid.record import FlightRecord, Metadata
 from tests.helpers.flown import fly
-from uqharness.replay.flights import measured_outputs, measured_surfaces, prepare, segments
+from uqharness.errors import BadInputError
+from uqharness.replay.flights import (
+    in_free_flight,
+    measured_outputs,
+    measured_surfaces,
+    prepare,
+    segments,
+)
 from uqharness.replay.model import CONTROLS
+from uqharness.simulator import find_aircraft
 
 
 def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
@@ -196,3 +205,22 @@ def test_a_segment_that_begins_with_a_fast_roll_starts_where_it_began(roll_s):
 def test_a_straight_beginning_still_averages_the_noise():
     off = starts_of_p(lambda t: 0.02 + 0.1 * t)
     assert np.sqrt(np.mean(off**2)) < 0.6
+
+
+@pytest.mark.parametrize(("speed", "flew"), [(0.4, False), (-2.5, False), (7.0, True)])
+def test_a_log_that_stood_on_the_ground_is_refused(speed, flew):
+    """A slow glider flies, whatever the log's own rule says of it; a parked aircraft does not."""
+    n = 400
+    record = FlightRecord(
+        {"time_s": 0.02 * np.arange(n), "V_mps": np.full(n, speed)},
+        Metadata(
+            dialect="ulog",
+            findings=(Finding("flight-phase", "", "info", "it never flew: slow", {}),),
+        ),
+    )
+    aircraft = find_aircraft("espaaro")
+    if flew:
+        assert len(in_free_flight(record, aircraft, "x.ulg")) == n
+        return
+    with pytest.raises(BadInputError, match=r"x\.ulg: it never flew: slow; a log with free flight"):
+        in_free_flight(record, aircraft, "x.ulg")

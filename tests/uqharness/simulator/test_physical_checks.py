@@ -86,6 +86,8 @@ def test_an_inertia_that_no_body_has_is_noted_once(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "uqharness"):
         physical_checks.check_physical(aircraft)
         physical_checks.check_physical(aircraft)
+        copy = shutil.copytree(aircraft.folder, tmp_path / "copy" / aircraft.folder.name)
+        physical_checks.check_physical(find_aircraft(copy))
     (record,) = caplog.records
     assert f"{aircraft.xml}:9: impossible inertia" in record.getMessage()
     assert "exceeds the sum of the others by 100 %" in record.getMessage()

@@ -133,6 +133,14 @@ def test_a_wing_that_does_not_carry_is_named():
     assert "does not carry" in result.reason
 
 
+def test_a_stalled_wing_is_named_before_alpha_is_at_its_limit():
+    result = find_trim(find_aircraft("c310"), SteadyCondition(20.0))
+    assert "downward acceleration" in result.reason
+    assert "does not carry" in result.reason
+    alpha = float(re.search(r"most lift, ([\d.]+) deg", result.reason).group(1))
+    assert 5.0 < alpha < 28.0
+
+
 @pytest.mark.parametrize(("name", "V_mps"), [("T38", 40.0)])
 def test_a_failing_trim_takes_few_evaluations(name, V_mps, monkeypatch):
     """A count of models loaded, which is the time that a search takes, on any machine."""

@@ -136,3 +136,24 @@ def test_computed_angles_of_flow_are_estimates_of_the_record() -> None:
     meta = Metadata(dialect="dataflash", estimates=("alpha_rad",), findings=(finding,))
     kept = check_again(replace(record, metadata=meta))
     assert [f.channel for f in kept if f.code == "estimate"] == ["alpha_rad"]
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.7])
+def test_a_sensor_that_stops_for_good_is_stuck(smoothing: float) -> None:
+    """A blocked pitot tube stays blocked to the end of the log; ArduPilot logs airspeed low-passed."""
+    draws = np.random.default_rng(2).normal(0.0, 0.3, 1000)
+    noise = np.zeros(1000)
+    for k in range(1, 1000):
+        noise[k] = smoothing * noise[k - 1] + (1.0 - smoothing) * draws[k]
+    values = 20.0 + np.sin(0.01 * np.arange(1000)) + noise
+    values[600:] = 14.0
+    assert stuck(values, 0.02, noisy=False) == (600, 999)
+    assert stuck(values[::-1].copy(), 0.02, noisy=False) == (0, 399)
+
+
+def test_a_simulation_without_noise_may_stand_at_its_ends() -> None:
+    """A steady flight before the first manoeuvre and after the last is no fault of a sensor."""
+    values = np.sin(0.02 * np.arange(1000))
+    values[:300] = values[300]
+    assert stuck(values, 0.02, noisy=False) is None
+    assert stuck(values[::-1].copy(), 0.02, noisy=False) is None

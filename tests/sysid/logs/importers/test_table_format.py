@@ -90,6 +90,7 @@ def clock(t: float) -> str:
         ("odd", "us", 'message = "csv"\nfield = "odd"\nscale = 1e-6'),
         ("stamp", "iso", 'field = "stamp"\nunit = "iso"'),
         ("UTC time", "iso", ""),
+        ("Zeitstempel", "iso", ""),
         ("Lcl Time", "day", ""),
     ],
 )
