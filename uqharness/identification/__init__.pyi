@@ -15,7 +15,6 @@ from .replay_fit import fit_replays as fit_replays
 from .replay_fit import jumping_in as jumping_in
 from .result import Identification as Identification
 from .servos import SERVOS as SERVOS
-from .servos import ServoChoice as ServoChoice
 from .servos import choose_servos as choose_servos
 from .start import coefficient_gaps as coefficient_gaps
 from .start import equation_error_start as equation_error_start

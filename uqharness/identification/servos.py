@@ -28,9 +28,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.identification.start import equation_error_start
 from uqharness.parallel import worker_map
-from uqharness.replay import CONTROLS, Flight
-from uqharness.replay.flights import control_columns
-from uqharness.replay.layout import LATE_ROWS
+from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft, engine
 
 SERVOS = ("auto", "card", "ideal")

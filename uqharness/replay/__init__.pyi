@@ -2,6 +2,7 @@ from .channel_units import axis_label as axis_label
 from .channel_units import shown_channel as shown_channel
 from .channel_units import with_shown_names as with_shown_names
 from .flights import Flight as Flight
+from .flights import control_columns as control_columns
 from .flights import in_free_flight as in_free_flight
 from .flights import measured_outputs as measured_outputs
 from .flights import numbers_of_files as numbers_of_files
@@ -28,6 +29,7 @@ from .in_lanes import ReplayJob as ReplayJob
 from .in_lanes import as_flown as as_flown
 from .in_lanes import fly_all as fly_all
 from .in_lanes import forget_programs as forget_programs
+from .layout import LATE_ROWS as LATE_ROWS
 from .layout import SHARES as SHARES
 from .layout import Layout as Layout
 from .layout import delayed as delayed
