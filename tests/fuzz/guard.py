@@ -89,7 +89,7 @@ class Guard:
             program = str(args[0] or args[1][0])
             if program != sys.executable and program not in _HARMLESS:
                 self.seen.append(f"starts {args[1]!r}")
-        elif event == "pickle.find_class":
+        elif event == "pickle.find_class" and not _in_isolation():
             self.seen.append(f"unpickles {args[0]}.{args[1]}")
 
     def _changed(self, deed: str, path: Any) -> None:
@@ -97,8 +97,19 @@ class Guard:
         if (
             not any(full == root or full.startswith(root + os.sep) for root in self._allowed)
             and full != os.devnull
+            and not (full.startswith("/dev/shm/pym-") and _in_isolation())
         ):
             self.seen.append(f"{deed} {full}")
+
+
+def _in_isolation() -> bool:
+    """Return whether `uqharness.isolation` speaks with its own worker, over a pipe and a clock."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code.co_filename.endswith(os.path.join("uqharness", "isolation.py")):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _from(folder: Any, path: Any) -> str:

@@ -62,7 +62,9 @@ nominal = false
 def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
     """A campaign file with an aircraft and a script beside it."""
     (folder / "plane").mkdir(parents=True, exist_ok=True)
-    (folder / "plane" / "plane.xml").write_text("<fdm_config/>")
+    (folder / "plane" / "plane.xml").write_text(
+        '<fdm_config><property value="0">sensor/V-mps</property></fdm_config>'
+    )
     (folder / "loiter.xml").write_text("<runscript/>")
     path = folder / "campaign.toml"
     path.write_text(text)

@@ -73,6 +73,13 @@ def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
     return spec.with_sensor_noise(has_sensors(aircraft))
 
 
+def with_default_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
+    """Return the campaign with ``sensor_noise`` settled by the aircraft that the mission flies."""
+    # A copy of the aircraft may not have been made yet; its sensors are those of its source.
+    source = mission.source if mission.source != Path() else mission.aircraft
+    return with_own_noise(spec, find_aircraft(source))
+
+
 def noise_notes(spec: CampaignSpec) -> list[str]:
     """That a campaign which says nothing of sensor noise flies without. Raises BadInputError."""
     aircraft = named_aircraft(spec)

@@ -162,7 +162,9 @@ def run_campaign(
         )
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
-    spec = _with_own_noise(spec, mission)
+    from uqharness.campaign.aircraft import with_default_noise
+
+    spec = with_default_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
     spec = settled.spec
     size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
@@ -242,15 +244,6 @@ def run_campaign(
     return dataclasses.replace(summary, engine=settled.engine)
 
 
-def _with_own_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
-    from uqharness.campaign.aircraft import with_own_noise
-    from uqharness.simulator import find_aircraft
-
-    # A copy of the aircraft may not have been made yet; its sensors are those of its source.
-    source = mission.source if mission.source != Path() else mission.aircraft
-    return with_own_noise(spec, find_aircraft(source))
-
-
 def check_campaign(
     spec: CampaignSpec, mission: Mission, scratch: Path
 ) -> tuple[Settled, Pace | None]:
@@ -259,7 +252,9 @@ def check_campaign(
     Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
     """
     engines = Engines.of(None)
-    spec = _with_own_noise(spec, mission)
+    from uqharness.campaign.aircraft import with_default_noise
+
+    spec = with_default_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, None)
     with naming_keys(spec):
         if settled.engine != BATCH:

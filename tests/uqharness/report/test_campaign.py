@@ -31,7 +31,9 @@ def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("report")
     fakes.campaign_file(root)
     (root / "espaaro").mkdir()
-    (root / "espaaro" / "espaaro.xml").write_text("<fdm_config/>")
+    (root / "espaaro" / "espaaro.xml").write_text(
+        '<fdm_config><property value="0">sensor/V-mps</property></fdm_config>'
+    )
     (root / "campaign.toml").write_text(fakes.CAMPAIGN.replace('"plane"', '"espaaro"'))
     out = root / "out"
     command = "uqharness campaign run 'a<b>&\"c\".toml' --out out"

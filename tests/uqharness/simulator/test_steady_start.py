@@ -166,7 +166,7 @@ def test_the_copy_is_made_once_and_mended_when_it_is_broken(flown):
             'sensor_noise = false\nturbulence_source = "jsbsim"',
             'turbulence_source = "spec"',
         ),
-        ('method = "none"', 'method = "corners"', "uq/.*does not exist"),
+        ('method = "none"', 'method = "corners"', "add the plugin first: uqharness instrument"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):

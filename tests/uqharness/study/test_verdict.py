@@ -24,7 +24,7 @@ from uqharness.study import verdict as chain_verdict
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 FOUR_CORNERS = fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")] + (
-    'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
+    'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\ninterior = 0\nnominal = false\n'
 )
 QUIET = {"excursions_15m": 0.0, "excursions_25m": 0.0}
 

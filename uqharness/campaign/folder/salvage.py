@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.foreign.regular_files import read_regular
+from uqharness.campaign.aircraft import with_default_noise
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.cost import Cost
 from uqharness.campaign.engines import Engines
@@ -214,6 +215,7 @@ def _known_campaign(
         _refuse_other_versions(folder)
         shard = _shard_of(folder)
         mission = find_mission(campaign, folder)
+        campaign = with_default_noise(campaign, mission)
         campaign = _in_the_engine_flown(folder, campaign, mission)
         cases = build_cases(campaign, mission)
         if shard is None:

@@ -57,7 +57,7 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
 def test_report(flown, capsys):
     capsys.readouterr()
     assert call("report", flown / "out", "--no-tracks") == 0
-    assert "report.html: written, with 3 figures" in capsys.readouterr().out
+    assert "report.html: written, with 6 figures" in capsys.readouterr().out
     assert call("report", flown / "out", "--json", "--no-tracks") == 0
     found = json.loads(capsys.readouterr().out)
     assert (len(found["figures"]), found["flown_again"]) == (6, [])

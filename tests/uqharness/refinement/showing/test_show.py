@@ -146,11 +146,11 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     evidence = refine_judge.evidence_of(chosen)
     same = refine_judge.left_out(chosen, evidence, [])
     for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
-        assert (one.key, one.value, one.std) == (
-            other.key,
-            pytest.approx(other.value),
-            pytest.approx(other.std),
-        )
+        # What is stated was estimated on replays, beside which the linear estimate is some per cent
+        # of a standard error off.
+        assert one.key == other.key
+        assert abs(one.value - other.value) < 0.1 * one.std
+        assert one.std == pytest.approx(other.std, rel=0.1)
     for name, (value, std) in chosen.parameters.items():
         assert abs(same.parameters[name][0] - value) < 0.1 * std
     none = refine_judge.left_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
