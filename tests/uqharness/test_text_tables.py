@@ -30,7 +30,7 @@ def test_rows_of_a_csv_are_read_back_as_they_were():
         (b"name\na\n", "t.csv: has no column value"),
         (b"name,value\na,x\n", "t.csv:2: value is 'x'"),
         (b"name,value\na,nan\n", "t.csv:2: value is 'nan'"),
-        (b"name,value\na,1\nb\n", "t.csv:3: value is None"),
+        (b"name,value\na,1\nb\n", "t.csv:3: has another number of columns"),
         (b"name,value\na,\n", "t.csv:2: value is ''"),
         (b"name,value\n\xff,1\n", "t.csv: not a text file in UTF-8"),
         (b'name,value\n"' + b"a" * 200_000 + b'",1\n', "t.csv: not a readable CSV table"),

@@ -164,7 +164,7 @@ def test_status_while_it_flies_and_after(tmp_path, capsys):
         ("7 m/s severe", "no"),
     ]
     assert main(["campaign", "status", str(tmp_path / "out")]) == 0
-    assert "at most 1 excursions per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
+    assert "at most 1 excursion per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
 
 
 def test_the_report_says_what_can_be_signed(tmp_path):

@@ -19,7 +19,8 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 
 TWO_CORNERS = (
     fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")].replace("duration_s = 150", "duration_s = 900")
-    + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\ninterior = 0\nnominal = false\n\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n'
+    + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\ninterior = 0\nnominal = false\n'
+    + "\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n"
 )
 EFFECT = {
     "name": "rolling moment due to elevator",

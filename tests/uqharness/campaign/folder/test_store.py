@@ -141,7 +141,7 @@ def test_a_read_only_folder_is_refused(tmp_path):
 
 CAMPAIGN = {
     "campaign": {"aircraft": "plane", "mission": "m.xml", "seed": 7},
-    "aleatory": {"flights": 4, "duration_s": 60.0},
+    "aleatory": {"flights": 4, "duration_s": 60.0, "sensor_noise": True},
     "epistemic": {"method": "none"},
 }
 
