@@ -156,6 +156,7 @@ DOCUMENTS = (
             "uqharness.campaign.folder.manifest:describe",
             "+tables",
             "+journal",
+            "+sums",
             "+digest",
             "+engine",
         ),

@@ -123,6 +123,7 @@ MANIFEST = {
     "engine": "what was asked for (auto, batch, jsbsim), and why the campaign flies in the engine of its settings",
     "hashes": "SHA-256 of aircraft, script and files named in the campaign",
     "tables": "once complete: table → SHA-256 of its bytes",
+    "sums": "once complete: name of the file with the SHA-256 of every file in the folder, SHA256SUMS",
     "journal": "once complete: rows, and digest (SHA-256) over the digests of all rows in the order of the case ids",
     "digest": "SHA-256 of all of the above, as JSON without spaces, keys in order",
 }

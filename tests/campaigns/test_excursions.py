@@ -21,7 +21,8 @@ pytestmark = pytest.mark.filterwarnings(
 SEVERE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 20").replace(
     "150", "3600"
 ) + (
-    'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n\n[metrics]\nexcursion_radius_m = [15, 20, 25]\n'
+    'coefficients = ["CX"]\nbounds = { CX = 0.008 }\ninterior = 0\nnominal = false\n'
+    "\n[metrics]\nexcursion_radius_m = [15, 20, 25]\n"
 )
 
 

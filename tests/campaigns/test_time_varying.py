@@ -88,7 +88,7 @@ def gentle(spec):
 
 
 CX_ALONE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 60") + (
-    'coefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
+    'coefficients = ["CX"]\nbounds = { CX = 0.008 }\ninterior = 0\nnominal = false\n'
 )
 
 
@@ -97,7 +97,9 @@ def folders(tmp_path_factory):
     tmp_path = tmp_path_factory.mktemp("study")
     texts = {
         "corners": CX_ALONE,
-        "walks": CX_ALONE.replace('"corners"', '"walk"\nsamples = 3\nwalk_rate_per_sqrt_s = 0.012'),
+        "walks": CX_ALONE.replace("interior = 0\nnominal = false\n", "").replace(
+            '"corners"', '"walk"\nsamples = 3\nwalk_rate_per_sqrt_s = 0.012'
+        ),
     }
     for name, text in texts.items():
         spec = read_campaign(fakes.campaign_file(tmp_path, text))

@@ -49,7 +49,7 @@ def points_flown(epistemic: Mapping[str, Any]) -> str:
 
     ``epistemic``: that section of a campaign's settings.
     """
-    method, interior = epistemic["method"], epistemic.get("interior", 0)
+    method, interior = epistemic.get("method"), epistemic.get("interior", 0)
     if method == "levels":
         return "combinations of levels"
     if method != "corners":

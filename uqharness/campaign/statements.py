@@ -277,7 +277,7 @@ def _statement(
         quiet_flights(acceptable * hours, largest, side, rule is not None) * hours,
         stands,
         "" if decided else reason,
-        points_flown(campaign["epistemic"]),
+        points_flown(campaign.get("epistemic", {})),
     )
 
 

@@ -17,7 +17,13 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 CAMPAIGN = {
     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0, "wind_mps": [0, 3]},
-    "epistemic": {"method": "corners", "coefficients": ["CX"], "bounds": {"CX": 0.008}},
+    "epistemic": {
+        "method": "corners",
+        "coefficients": ["CX"],
+        "bounds": {"CX": 0.008},
+        "interior": 0,
+        "nominal": False,
+    },
 }
 
 

@@ -71,7 +71,8 @@ def _refuse_unfit(group: Group) -> None:
     """Refuse a group that no campaign sends: its files would not be compared, or its flights would not end."""
     if not group.cases:
         raise BadInputError("malformed order on the Dask cluster: no case in it")
-    if group.engine not in (BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
+    # An executor that was given a function of its own names no engine.
+    if group.engine not in ("", BATCH, JSBSIM, JUDGE, ONE_ULP_OFF):
         raise BadInputError(
             f"malformed order on the Dask cluster: engine {group.engine[:40]!r}; allowed are {BATCH} and {JSBSIM}"
         )
