@@ -23,6 +23,11 @@ def make_callable(package: str, module: str) -> None:
         def __signature__(self) -> inspect.Signature:
             return inspect.signature(function())
 
+        @property
+        def __doc__(self) -> str | None:  # type: ignore[override]
+            """Return the function's documentation, which is what a user asks for."""
+            return inspect.getdoc(function())
+
         def __call__(self, *args: Any, **keywords: Any) -> Any:
             return function()(*args, **keywords)
 
