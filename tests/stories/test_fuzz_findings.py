@@ -149,7 +149,7 @@ def test_rows_longer_than_the_header(tmp_path):
     (tmp_path / "table.csv").write_text(
         "time_s,V_mps\n" + "".join(f"{k / 10},{20 + k},7,7\n" for k in range(50))
     )
-    assert "its columns are" in refusal(LogError, import_log, tmp_path / "table.csv")
+    assert "4 cells, the header 2" in refusal(LogError, import_log, tmp_path / "table.csv")
     (tmp_path / "table.csv").write_text(
         "time_s,V_mps\n\n" + "".join(f'{k / 10},"{20 + k}"\n' for k in range(50))
     )

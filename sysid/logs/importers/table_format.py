@@ -140,6 +140,10 @@ def _read_as(
     )
     if top is None or narrow < 2:
         return 0.0, None
+    first = [cell.strip() for cell in rows[0] if cell.strip()]
+    if any(is_number(cell.strip(), decimal) for cell in rows[top]) and len(first) > 1:
+        # Names that are fewer than the cells below them are names all the same: the reader counts both.
+        top = top if any(is_number(cell, decimal) for cell in first) else 0
     names = [cell.strip() for cell in rows[top]]
     body = [row[:narrow] for row in rows[top + 1 :] if len(row) == width]
     units: tuple[str, ...] = ()
@@ -164,7 +168,7 @@ def _read_as(
         tuple(names),
         units,
         len(numeric) + clocks,
-        len(rows[top]) < width,
+        len(rows[top]) == narrow < width,
     )
     return float(cells), table
 
