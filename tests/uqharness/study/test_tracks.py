@@ -29,6 +29,7 @@ turbulence = "light"
 
 [epistemic]
 method = "corners"
+interior = 0
 nominal = false
 coefficients = ["CY"]
 bounds = { CY = 0.05 }

@@ -20,7 +20,9 @@ def call(*words):
 
 def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    assert call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "out", "--serial") == 0
+    path = fakes.campaign_file(tmp_path)
+    (tmp_path / "plane" / "plane.xml").write_text("<fdm_config/>")
+    assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
     note, cost = captured.err.splitlines()
     assert "no sensors system: it is flown without sensor noise" in note
