@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
+"""Array of double precision, of any shape."""
 
 
-def as_array(value: ArrayLike, what: str) -> Array:
+def as_array(value: ArrayLike, what: str) -> FloatArray:
     """`value` as a float array; ValueError (never TypeError) when it is not numeric."""
     try:
         return np.asarray(value, dtype=float)
@@ -27,7 +28,7 @@ def is_many(value: Any) -> bool:
     return bool(first.ndim >= 1 if hasattr(first, "ndim") else np.ndim(first) == 2)
 
 
-def as_segments(value: Any, what: str, *, dropouts: bool) -> list[Array]:
+def as_segments(value: Any, what: str, *, dropouts: bool) -> list[FloatArray]:
     """Segments as (n, m) arrays from one array or a list of them; a 1-D array is one output.
 
     dropouts: NaN is allowed (a sample that was not measured). Infinite values never are.
@@ -55,7 +56,7 @@ def as_segments(value: Any, what: str, *, dropouts: bool) -> list[Array]:
     return parts
 
 
-def as_parameters(theta0: ArrayLike, what: str = "theta0") -> Array:
+def as_parameters(theta0: ArrayLike, what: str = "theta0") -> FloatArray:
     """A finite (k,) vector, k >= 1. Raises ValueError otherwise."""
     theta = np.atleast_1d(as_array(theta0, what)).copy()
     if theta.ndim != 1 or theta.size == 0:
@@ -86,7 +87,9 @@ def as_names(
     return given
 
 
-def as_bounds(bounds: Any, theta0: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
+def as_bounds(
+    bounds: Any, theta0: FloatArray, names: tuple[str, ...]
+) -> tuple[FloatArray, FloatArray]:
     """Lower and upper (k,) from None, k pairs (None = open end), two (k,) vectors or {name: (lo, hi)}.
 
     With k = 2 the form is read as pairs, one a parameter.

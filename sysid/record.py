@@ -21,7 +21,6 @@ from sysid.foreign.limited import read_record
 from sysid.foreign.parsed_text import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
 
-FloatArray = NDArray[np.float64]
 _METADATA_KEY = b"flight_record"
 _CSV_ROWS = 200_000
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import COMPONENTS, FT_M, KT_MPS, Component, dryden_gusts
 from uqharness.project_files import PROJECT_ROOT
@@ -20,7 +20,6 @@ from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging
 
-Array = npt.NDArray[np.float64]
 Source = Literal["jsbsim", "host", "plain-tustin", "plain-milspec"]
 
 AIR_XML = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
@@ -139,7 +138,7 @@ class Seen:
 
     source: Source
     condition: Condition
-    series: dict[Component, Array]
+    series: dict[Component, FloatArray]
 
     def q_slope_correlation(self) -> float:
         """Correlation of q with dw/dt; negative when q is the air's rotation -dw/dx."""
@@ -274,7 +273,7 @@ _ATTITUDE = tuple(f"attitude/{angle}-rad" for angle in ("phi", "theta", "psi"))
 _HOST = ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
 
 
-def _in_heading_axes(rows: Array, condition: Condition) -> dict[Component, Array]:
+def _in_heading_axes(rows: FloatArray, condition: Condition) -> dict[Component, FloatArray]:
     north, east, down, p, q, r, phi, theta, psi = rows.T
     wind_n, wind_e = steady_wind_mps(condition)
     gust_n, gust_e = north * FT_M - wind_n, east * FT_M - wind_e

@@ -19,15 +19,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 from scipy.signal import welch
 
 from campaigns.air.pinned import Condition, Seen, Source, measure
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import COMPONENTS, Component, dryden_psd, dryden_sigma
-
-Array = npt.NDArray[np.float64]
 
 BANDS_HZ = ((0.02, 0.1), (0.1, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
 
@@ -58,7 +56,7 @@ class Row:
         )
 
 
-def spectrum(series: Array, dt_s: float) -> tuple[Array, Array]:
+def spectrum(series: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Welch estimate, one-sided: frequency in Hz and density per Hz (16384 samples a segment, Hann, half overlap)."""
     frequency, density = welch(
         series, fs=1.0 / dt_s, nperseg=min(16384, len(series)), detrend=False
@@ -66,7 +64,9 @@ def spectrum(series: Array, dt_s: float) -> tuple[Array, Array]:
     return frequency[1:], density[1:]
 
 
-def specified_density(component: Component, frequency_hz: Array, condition: Condition) -> Array:
+def specified_density(
+    component: Component, frequency_hz: FloatArray, condition: Condition
+) -> FloatArray:
     """The specification's density per Hz."""
     args = (condition.V_mps, condition.h_m, condition.W20_kt, condition.b_m)
     return 2.0 * np.pi * dryden_psd(component, 2.0 * np.pi * frequency_hz, *args)

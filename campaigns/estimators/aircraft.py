@@ -15,7 +15,7 @@ import numpy as np
 from scipy import signal
 from scipy.linalg import expm
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 G, RHO, MASS, IXX, IYY, IZZ, IXZ = 9.81, 1.225, 21.34, 6.055, 8.26, 11.51, 0.25
 S, C, B, V0 = 1.97, 0.53, 3.66, 22.2
@@ -68,7 +68,7 @@ def _longitudinal_accelerations(x: Any, u: Any, theta: Any) -> tuple[Any, Any]:
     return ax, az
 
 
-def longitudinal_rate(x: Any, u: Any, theta: Any) -> Array:
+def longitudinal_rate(x: Any, u: Any, theta: Any) -> FloatArray:
     """dx/dt of V, alpha, q, theta (m/s, rad, rad/s, rad); V and vane include the gust; u = elevator."""
     ax, az = _longitudinal_accelerations(x, u, theta)
     cma, cmq, cmd, bias = theta[6], theta[7], theta[8], theta[11]
@@ -76,7 +76,7 @@ def longitudinal_rate(x: Any, u: Any, theta: Any) -> Array:
     return np.array([ax - G * x[3], az / V0 + x[2], moment, 0.0 * moment + x[2]])
 
 
-def longitudinal_output(x: Any, u: Any, theta: Any) -> Array:
+def longitudinal_output(x: Any, u: Any, theta: Any) -> FloatArray:
     """V, alpha, q, theta, ax, az."""
     ax, az = _longitudinal_accelerations(x, u, theta)
     return np.array([x[0] + 0.0 * ax, x[1] + 0.0 * ax, x[2] + 0.0 * ax, x[3] + 0.0 * ax, ax, az])
@@ -90,7 +90,7 @@ def _lateral_acceleration(x: Any, u: Any, theta: Any) -> Any:
     )
 
 
-def lateral_rate(x: Any, u: Any, theta: Any) -> Array:
+def lateral_rate(x: Any, u: Any, theta: Any) -> FloatArray:
     """dx/dt of beta, p, r, phi (rad, rad/s, rad/s, rad); u = aileron, rudder."""
     _, _, _, _, clb, clp, clr, cla, cld, cnb, cnp, cnr, cna, cnd, _, bias_p, bias_r = theta
     h, ay = B / (2.0 * V0), _lateral_acceleration(x, u, theta)
@@ -102,13 +102,15 @@ def lateral_rate(x: Any, u: Any, theta: Any) -> Array:
     return np.array([ay / V0 - x[2] + G / V0 * x[3], p_dot, r_dot, x[1] + 0.0 * p_dot])
 
 
-def lateral_output(x: Any, u: Any, theta: Any) -> Array:
+def lateral_output(x: Any, u: Any, theta: Any) -> FloatArray:
     """beta, p, r, phi, ay."""
     ay = _lateral_acceleration(x, u, theta)
     return np.array([x[0] + 0.0 * ay, x[1] + 0.0 * ay, x[2] + 0.0 * ay, x[3] + 0.0 * ay, ay])
 
 
-def matrices(plane: Plane, theta: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+def matrices(
+    plane: Plane, theta: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """A (4, 4), B (4, nu), state bias (4,), C (m, 4), D (m, nu), output bias (m,), read off the (linear) equations."""
     probes = 4 + plane.inputs + 1
     x, u = np.zeros((4, probes)), np.zeros((plane.inputs, probes))
@@ -129,17 +131,17 @@ class Plane:
     name: str
     truth: dict[str, float]
     biases: dict[str, float]
-    noise: Array
+    noise: FloatArray
     inputs: int
-    rate: Callable[[Any, Any, Any], Array]
-    output: Callable[[Any, Any, Any], Array]
+    rate: Callable[[Any, Any, Any], FloatArray]
+    output: Callable[[Any, Any, Any], FloatArray]
 
     @property
     def names(self) -> list[str]:
         """Parameters and biases, in the order of theta."""
         return [*self.truth, *self.biases]
 
-    def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
+    def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """True values +-25 % about nominal, biases of sensor size, and a start off by up to 30 % (biases 0)."""
         nominal = np.array(list(self.truth.values()))
         true = nominal * rng.uniform(0.75, 1.25, nominal.size)
@@ -154,7 +156,7 @@ LONGITUDINAL = Plane(
 LATERAL = Plane("lateral", LAT_TRUTH, LAT_BIASES, LAT_NOISE, 2, lateral_rate, lateral_output)
 
 
-def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
+def manoeuvres(plane: Plane, lengths: list[int]) -> list[FloatArray]:
     """Inputs (n, nu) in degrees: 3-2-1-1 and doublets, one pattern a segment, alternating between surfaces."""
     out = []
     for number, n in enumerate(lengths):
@@ -175,8 +177,8 @@ def manoeuvres(plane: Plane, lengths: list[int]) -> list[Array]:
 
 
 def simulate(
-    plane: Plane, theta: Array, inputs: list[Array], gusts: list[Array] | None = None
-) -> list[Array]:
+    plane: Plane, theta: FloatArray, inputs: list[FloatArray], gusts: list[FloatArray] | None = None
+) -> list[FloatArray]:
     """Outputs (n, m) a segment from zero perturbation; gusts (FINE n, 4): increments of the states by moving air, FINE a sample."""
     fine = 1 if gusts is None else FINE
     A, Bm, xb, Cm, D, yb = matrices(plane, theta)
@@ -208,7 +210,7 @@ def dryden(
     wind_kt: float,
     rng: np.random.Generator,
     height_m: float = 100.0,
-) -> list[Array]:
+) -> list[FloatArray]:
     """Increments (FINE n, 4) a segment of the air-relative states as Dryden gusts change (MIL-F-8785C, low altitude).
 
     wind_kt: wind at 20 ft, 15 = light. Longitudinal: u_g on V, w_g on alpha; lateral: v_g on beta. First and second
@@ -231,7 +233,7 @@ def dryden(
     return out
 
 
-def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> Array:
+def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Stationary samples (n,), FINE a record's, of sigma sqrt(2 tau)/(1 + tau s) driven by white noise."""
     a = np.exp(-DT / FINE / tau)
     white = rng.normal(size=n) * sigma * np.sqrt(1.0 - a**2)
@@ -239,7 +241,7 @@ def _first_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> 
     return np.asarray(signal.lfilter([1.0], [1.0, -a], white))
 
 
-def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> Array:
+def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Stationary samples (n,), FINE a record's, of sigma sqrt(tau) (1 + sqrt(3) tau s)/(1 + tau s)^2 driven by white noise."""
     A = np.array([[0.0, 1.0], [-1.0 / tau**2, -2.0 / tau]])
     gain = np.array([0.0, 1.0])
@@ -259,8 +261,8 @@ def _second_order(sigma: float, tau: float, n: int, rng: np.random.Generator) ->
 
 
 def fly(
-    plane: Plane, theta: Array, lengths: list[int], wind_kt: float, rng: np.random.Generator
-) -> tuple[list[Array], list[Array]]:
+    plane: Plane, theta: FloatArray, lengths: list[int], wind_kt: float, rng: np.random.Generator
+) -> tuple[list[FloatArray], list[FloatArray]]:
     """Inputs (n, nu) and noisy measurements (n, m) a segment; wind_kt 0 = calm air."""
     inputs = manoeuvres(plane, lengths)
     gusts = dryden(plane, lengths, wind_kt, rng) if wind_kt > 0.0 else None

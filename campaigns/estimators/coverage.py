@@ -16,7 +16,7 @@ import pandas as pd
 from scipy import stats
 
 from campaigns.estimators import aircraft
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.output_error import output_error
 from sysid.estimation.result import OutputErrorFit
@@ -56,7 +56,7 @@ CASES = tuple(
 class Draw:
     """One seed's outcome: truth, fit, seconds it took."""
 
-    truth: Array
+    truth: FloatArray
     fit: OutputErrorFit
     seconds: float
 

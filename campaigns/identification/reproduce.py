@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from campaigns.identification import round_trip
 from campaigns.identification.air_equations import (
@@ -36,6 +35,7 @@ from campaigns.identification.air_equations import (
     wind_axis_build,
 )
 from campaigns.identification.flights import FINE_STEP_S, PASSING_MPS, fly_flights
+from sysid.arrays import FloatArray
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.result import FilterErrorFit
 from uqharness.errors import BadInputError
@@ -51,7 +51,6 @@ from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 
-Array = NDArray[np.float64]
 MAX_ITERATIONS = 30  # a model of the right form needs some 20
 PUBLISHED = PROJECT_ROOT / "tests" / "reference"
 _STATE_ORDER = tuple(
@@ -125,11 +124,11 @@ class Data:
     """Manoeuvres of a flight as filter error takes them: per segment start (13,), inputs (n, 5) and half-way between (n-1, 5),
     outputs (n, 11), times (n,)."""
 
-    x0: list[Array]
-    u: list[Array]
-    u_middle: list[Array]
-    z: list[Array]
-    t: list[Array]
+    x0: list[FloatArray]
+    u: list[FloatArray]
+    u_middle: list[FloatArray]
+    z: list[FloatArray]
+    t: list[FloatArray]
 
 
 def read_data(path: Path, aircraft_name: str, step_s: float = FINE_STEP_S) -> Data:
@@ -203,7 +202,7 @@ def published(table: str) -> pd.DataFrame:
     )
 
 
-def true_values(case: Case, names: Sequence[str]) -> Array:
+def true_values(case: Case, names: Sequence[str]) -> FloatArray:
     """What the flown aircraft's XML says."""
     from uqharness.simulator.aircraft import open_aircraft
 

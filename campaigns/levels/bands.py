@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from sysid.arrays import FloatArray
 from uqharness.files import write_bytes
 from uqharness.statistics.common_air import common_air_half_width
-from uqharness.statistics.pbox import Array, band_half_width
+from uqharness.statistics.pbox import band_half_width
 from uqharness.text_tables import csv_text, text_table
 
 CONFIDENCE, SEED = 0.95, 20161224
@@ -58,11 +59,11 @@ class Level:
     bonferroni_width: float
 
 
-def distances(values: Array) -> Array:
+def distances(values: FloatArray) -> FloatArray:
     """(repeats, corners) largest distance of the empirical distribution functions of ``values`` (r, c, n) from the uniform one."""
     ordered = np.sort(values, axis=-1)
     steps = np.arange(1, values.shape[-1] + 1) / values.shape[-1]
-    found: Array = np.maximum(steps - ordered, ordered - steps + steps[0]).max(axis=-1)
+    found: FloatArray = np.maximum(steps - ordered, ordered - steps + steps[0]).max(axis=-1)
     return found
 
 

@@ -16,10 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from campaigns.excursions.full_size import plan
 from campaigns.loiter.full_size import CELL, PUBLISHED_FLIGHT
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes, write_text
 from uqharness.flight import FlightResult, FlightSpec
@@ -35,7 +35,6 @@ BEST, WORST = "011010", "100100"
 SIGNALS = {"cross_track": "m", "altitude": "m", "speed": "m/s"}
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 LINES = ("first", "second", "third", "limit")
-Array = NDArray[np.float64]
 
 
 def flights() -> dict[str, FlightSpec]:
@@ -52,7 +51,7 @@ def flights() -> dict[str, FlightSpec]:
     }
 
 
-def errors(result: FlightResult) -> dict[str, Array]:
+def errors(result: FlightResult) -> dict[str, FloatArray]:
     """|error| (n,) of a flight, sorted, by signal, true and ``_measured``. Raises BadInputError for one that did not end well."""
     if result.status != "ok":
         raise BadInputError(
@@ -62,7 +61,7 @@ def errors(result: FlightResult) -> dict[str, Array]:
     return {name: np.sort(np.abs(result.signals[name])) for name in names}
 
 
-def table(found: Mapping[str, Mapping[str, Array]]) -> bytes:
+def table(found: Mapping[str, Mapping[str, FloatArray]]) -> bytes:
     """one-flight.csv: a row per flight and signal."""
     rows = []
     for words, signals in found.items():
@@ -81,7 +80,7 @@ def table(found: Mapping[str, Mapping[str, Array]]) -> bytes:
     return csv_text(rows).encode()
 
 
-def drawing(found: Mapping[str, Mapping[str, Array]]) -> str:
+def drawing(found: Mapping[str, Mapping[str, FloatArray]]) -> str:
     """one-flight.svg: a chart per signal, a line per flight."""
     charts = []
     share = np.linspace(0.0, 1.0, 201)

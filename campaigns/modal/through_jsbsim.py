@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, Study
 from uqharness.sensitivity.modal import (
@@ -29,7 +29,6 @@ from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
-Array = NDArray[np.float64]
 _LONGITUDINAL = (0, 2, 4)
 _STEPS = np.array([0.05, 0.05, 1e-3, 1e-3])  # u, w [m/s], q [rad/s], theta [rad]
 _THRUST = "propulsion/thrust-N"
@@ -44,8 +43,8 @@ class ModalTrim:
 
     aircraft: Aircraft
     V_mps: float
-    x: Array
-    solve: Array
+    x: FloatArray
+    solve: FloatArray
 
 
 def nominal_trim(aircraft: Aircraft, V_mps: float = V_MPS) -> ModalTrim:
@@ -63,21 +62,23 @@ def nominal_trim(aircraft: Aircraft, V_mps: float = V_MPS) -> ModalTrim:
     return ModalTrim(aircraft, V_mps, x, np.linalg.inv(np.stack(columns, axis=1)))
 
 
-def _controls(x: Array) -> dict[str, float]:
+def _controls(x: FloatArray) -> dict[str, float]:
     return {"elevator": float(x[1]), "throttle": float(x[2]), "aileron": 0.0, "rudder": 0.0}
 
 
-def _level(V_mps: float, x: Array) -> BodyState:
+def _level(V_mps: float, x: FloatArray) -> BodyState:
     alpha = float(x[0])
     return BodyState(V_mps * math.cos(alpha), 0.0, V_mps * math.sin(alpha), 0.0, alpha, 0.0)
 
 
-def _residual(aircraft: Aircraft, V_mps: float, x: Array, properties: Mapping[str, float]) -> Array:
+def _residual(
+    aircraft: Aircraft, V_mps: float, x: FloatArray, properties: Mapping[str, float]
+) -> FloatArray:
     acceleration, _ = force_state(aircraft, _level(V_mps, x), _controls(x), 0.0, properties)
     return acceleration[list(_LONGITUDINAL)]
 
 
-def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> Array:
+def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> FloatArray:
     """(3,) trim with changed properties, by chords from the nominal one. Raises BadInputError if it does not come to rest."""
     x = start.x
     for _ in range(15):
@@ -88,12 +89,12 @@ def trim_again(start: ModalTrim, properties: Mapping[str, float]) -> Array:
     raise BadInputError(f"no level flight at {start.V_mps:g} m/s with {dict(properties)}")
 
 
-def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Array, float]:
+def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[FloatArray, float]:
     """A (4, 4) over (u, w, q, theta) about the trim with ``properties``, and the slope of thrust with u [N per m/s]."""
     x = trim_again(start, properties)
     centre, controls = _level(start.V_mps, x), _controls(x)
 
-    def derivative(step: Array) -> tuple[Array, float]:
+    def derivative(step: FloatArray) -> tuple[FloatArray, float]:
         state = BodyState(
             centre.u + step[0],
             0.0,
@@ -119,7 +120,7 @@ def linear_model(start: ModalTrim, properties: Mapping[str, float]) -> tuple[Arr
     return A, slope
 
 
-def outputs_of(start: ModalTrim, values: Mapping[str, float]) -> Array:
+def outputs_of(start: ModalTrim, values: Mapping[str, float]) -> FloatArray:
     """(3,) phugoid damping, short-period damping and frequency [rad/s] with these coefficients."""
     A, _ = linear_model(start, {f"aero/{name}": value for name, value in values.items()})
     phugoid_zeta, _, zeta, wn = longitudinal_modes(A)
@@ -150,7 +151,7 @@ def jsbsim_study(
     return Study(names, lower, upper, centre, 0.01 * centre, np.empty((0, d)), False, outputs)
 
 
-def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, Array]]:
+def what_is_left_out(aircraft: Aircraft) -> list[tuple[str, FloatArray]]:
     """From the chapter's linear model to JSBSim's, one term after another.
 
     Each with its phugoid zeta and wn [rad/s] and short-period zeta and wn.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import Residuals, together
 from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.model_form.coverage import coverage
 from sysid.model_form.fit import FitOptions, FittedBounds, fit_bounds
 from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, ModelForm
@@ -37,7 +38,6 @@ from .flights import (
     quiet_flight,
 )
 
-FloatArray = NDArray[np.float64]
 CARDS = {"default": 1.0, "card x 2": 2.0, "card / 2": 0.5}
 """Ways of making bounds -> factor by which the card's noise is off."""
 EXACT = "noise known"

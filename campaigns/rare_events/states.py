@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.campaign.rare.predicted import Predicted
-
-Array = NDArray[np.float64]
 
 _PLAIN = {
     "airspeed": "nav/V-mps",
@@ -48,7 +47,7 @@ NAMES = tuple(
 """The regressors: each state, and its products with sine and cosine of the place on the circle: the wind has a direction."""
 
 
-def regressors(values: Mapping[str, Array], distance_m: Array) -> Array:
+def regressors(values: Mapping[str, FloatArray], distance_m: FloatArray) -> FloatArray:
     """(..., len(NAMES)) of PROPERTIES (...) and the distance from the circle (...) [m]; SI units and radians."""
     north, east = values[_PLACE[0]], values[_PLACE[1]] - CENTRE_EAST_M
     away = np.maximum(np.sqrt(north * north + east * east), 1e-6)
@@ -73,7 +72,9 @@ class LoiterScore:
     predicted: Predicted
     properties: tuple[str, ...] = PROPERTIES
 
-    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
         """(paths,) [-]: 0 at the radius, negative inside it."""
         return self.predicted.score(regressors(values, distance_m), distance_m)
 
@@ -83,20 +84,22 @@ class Recorder:
     """A score that records the states that it is asked about, for ``fit``; paths are not to be split."""
 
     properties: tuple[str, ...] = PROPERTIES
-    _seen: list[Mapping[str, Array]] = field(default_factory=list)
-    _distances: list[Array] = field(default_factory=list)
+    _seen: list[Mapping[str, FloatArray]] = field(default_factory=list)
+    _distances: list[FloatArray] = field(default_factory=list)
 
-    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
         """(paths,) [m]: the distance."""
         self._seen.append(values)
         self._distances.append(distance_m)
         return distance_m
 
-    def distances(self) -> Array:
+    def distances(self) -> FloatArray:
         """(paths, checkpoints) [m] of the flights that came to their end."""
         return np.stack(self._distances, axis=1)[self._whole()]
 
-    def values(self) -> dict[str, Array]:
+    def values(self) -> dict[str, FloatArray]:
         """Each property (paths, checkpoints) of the same flights."""
         whole = self._whole()
         return {

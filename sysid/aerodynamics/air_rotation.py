@@ -21,7 +21,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from sysid.aerodynamics.coefficients import at_cg, half_width, kernel, smooth
@@ -36,11 +35,11 @@ from sysid.aerodynamics.residuals import (
 )
 from sysid.aerodynamics.segmentation import Piece
 from sysid.aerodynamics.sensor_noise import RATES
+from sysid.arrays import FloatArray
 from sysid.linalg.recursions import first_order
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
-FloatArray = NDArray[np.float64]
 CHANNELS = (
     "V_mps",
     "alpha_rad",

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 CUTOFF_HZ = 6.0
 """Default cut-off of differentiator and smoother: four times the fastest rigid-body mode of a 20 kg aeroplane."""
 

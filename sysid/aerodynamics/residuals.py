@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import CUTOFF_HZ, MassProperties, demanded, half_width, smooth
 from sysid.aerodynamics.polynomial import STATES
 from sysid.aerodynamics.segmentation import Piece
 from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 AIRSPEED_CUTOFF_HZ = 2.0
 Way = Literal["smoothed", "differentiated", "both"]
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.flight_equations import Along, Body, flow_rates, loops, sines
 from sysid.aerodynamics.gust_states import GustStates
+from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
-FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 AIR = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
 """States that forces depend on, in the order of the slopes; the rates are those relative to the air."""

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.vocabulary import SURFACES
 
-FloatArray = NDArray[np.float64]
 MIN_S = 2.0
 MAX_S = 20.0
 _EXCITED_DEG = (

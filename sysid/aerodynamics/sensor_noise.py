@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from sysid.aerodynamics.coefficients import half_width, kernel
@@ -33,9 +32,9 @@ from sysid.aerodynamics.residuals import (
     steady_airspeed,
 )
 from sysid.aerodynamics.segmentation import Piece
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
 RATES = ("p_radps", "q_radps", "r_radps")
 FORCED = ("V_mps", "alpha_rad", "beta_rad", *RATES)

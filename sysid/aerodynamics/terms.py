@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 _POWERS = {
     "alpha2": ("alpha", 2),

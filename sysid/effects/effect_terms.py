@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 VARIABLES: Mapping[str, str] = {
     "alpha": "rad",
     "beta": "rad",

@@ -20,14 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
+from sysid.arrays import FloatArray
 from sysid.effects.prediction import start_fitted
 from sysid.estimation import Process, Seen, carried, gains, slopes
 from sysid.parallel import ALONE, Processes, Shared
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
+from sysid.arrays import FloatArray
 from sysid.estimation import STARTS, Gains, Process, Seen, Whitened, carried, gains, path_from
 
-FloatArray = NDArray[np.float64]
 _REMEMBERED = 24
 """Columns of a segment that are remembered of those made again: those that stand and the few that compete."""
 _AT_ONCE = 256

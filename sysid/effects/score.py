@@ -19,10 +19,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.effects.prediction import White
 from sysid.estimation import coloured_information
 
-FloatArray = NDArray[np.float64]
 Index = NDArray[np.intp]
 Estimate = tuple[float, float, float]
 """Value, standard error corrected for colour, and that of white residuals."""

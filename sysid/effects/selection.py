@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.distributions import normal_quantile
 from sysid.effects.catalogue import TWINS
@@ -27,7 +26,6 @@ from sysid.effects.score import (
 )
 from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
 
-FloatArray = NDArray[np.float64]
 DRAWS, DRAWN_IN = 40_000, 8
 LOOKED_AT = 12
 TURNS = 3

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.effects.catalogue import coefficient_effect, words
 from sysid.effects.effect_terms import VARIABLES
 from sysid.effects.score import DEPENDENT, Evidence, projected, solve
 from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
-FloatArray = NDArray[np.float64]
 SPANS = 10
 """Spans between knots over the range of the data. The penalty and not the knots decides how much a curve bends; a bump narrower
 than two spans is smeared."""

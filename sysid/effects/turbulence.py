@@ -21,16 +21,15 @@ from typing import Any
 
 import numpy as np
 from cachetools import LRUCache
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
+from sysid.arrays import FloatArray
 from sysid.effects.gust_score import AirLikelihood, Score
 from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import Process
 from sysid.parallel import ALONE, Processes
 
-FloatArray = NDArray[np.float64]
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
 """Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0

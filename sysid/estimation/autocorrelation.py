@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
 
 
 def integral_time(pieces: Sequence[FloatArray]) -> float:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.linalg.blocks import Blocks
 
 CROSS_LAGS = (
@@ -26,7 +26,7 @@ CROSS_LAGS = (
 )
 
 
-def autocovariance(segments: list[Array], max_lag: int) -> Array:
+def autocovariance(segments: list[FloatArray], max_lag: int) -> FloatArray:
     """Biased autocovariance at lags 0..max_lag of one series in segments (n,), NaN = missing; unit squared.
 
     Lag products never cross segments. With samples missing, each lag is averaged over the pairs that exist and then
@@ -47,7 +47,7 @@ def autocovariance(segments: list[Array], max_lag: int) -> Array:
     return np.asarray(mean * complete / max(complete[0], 1.0))
 
 
-def autoregression(covariance: Array, n: int) -> tuple[Array, float]:
+def autoregression(covariance: FloatArray, n: int) -> tuple[FloatArray, float]:
     """Coefficients a (p,) of v(t) = sum a_i v(t-i) + e and var(e): Levinson's recursion, Schwarz's criterion.
 
     covariance (L+1,) from lag 0; n samples behind it. A white series gets order 0. Orders beyond a lag at which the
@@ -76,7 +76,7 @@ def max_order(n: int) -> int:
     return int(min(10.0 * np.log10(n), n // 8)) if n >= 32 else 0
 
 
-def _innovations(segment: Array, models: list[Array]) -> Array:
+def _innovations(segment: FloatArray, models: list[FloatArray]) -> FloatArray:
     """The residual (n, m) filtered to white by its autoregressions; NaN where a needed sample is missing."""
     out = np.full(segment.shape, np.nan)
     for channel, model in enumerate(models):
@@ -87,7 +87,7 @@ def _innovations(segment: Array, models: list[Array]) -> Array:
     return out
 
 
-def _cross_covariance(parts: list[Array], max_lag: int) -> tuple[Array, Array]:
+def _cross_covariance(parts: list[FloatArray], max_lag: int) -> tuple[FloatArray, FloatArray]:
     """Covariances (L+1, m, m) of e(t+l) with e(t), and the number of pairs behind each; NaN = missing."""
     m = parts[0].shape[1]
     total, pairs = np.zeros((max_lag + 1, m, m)), np.zeros((max_lag + 1, m, m))
@@ -101,7 +101,7 @@ def _cross_covariance(parts: list[Array], max_lag: int) -> tuple[Array, Array]:
     return total, pairs
 
 
-def residual_models(residual: list[Array]) -> tuple[list[Array], Array]:
+def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
     """Per output the autoregression (p,) of the residual and its innovation variance (m,); (n, m) a segment."""
     models, variances = [], []
     for channel in range(residual[0].shape[1]):
@@ -116,7 +116,9 @@ def residual_models(residual: list[Array]) -> tuple[list[Array], Array]:
     return models, np.array(variances)
 
 
-def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array]) -> Array:
+def coloured_information(
+    sensitivity: list[FloatArray] | Blocks, residual: list[FloatArray]
+) -> FloatArray:
     """The bracket of (MK): (k, k), for sensitivities (n, m, k) and residuals (n, m), one pair a segment.
 
     Both are expected divided by the noise's square root, so that white residuals of unit variance return sum S'S.
@@ -182,7 +184,7 @@ def coloured_information(sensitivity: list[Array] | Blocks, residual: list[Array
     return bracket
 
 
-def _root(spectrum: Array) -> Array:
+def _root(spectrum: FloatArray) -> FloatArray:
     """R (F, m, m) with R^H R the nearest non-negative Hermitian matrices: estimated cross-spectra may stray below zero."""
     values, vectors = np.linalg.eigh(spectrum)
     return np.asarray(

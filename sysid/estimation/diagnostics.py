@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.distributions import chi2_tail
 from sysid.estimation.coloured import autocovariance, residual_models
 
@@ -25,13 +25,13 @@ class Colour:
     """Per output (m,): Ljung-Box p-value, predictable share of the residual's variance, share of its power below a
     tenth of the Nyquist frequency (0.1 if white), share explained by the simulated motion."""
 
-    p_value: Array
-    predictable: Array
-    slow: Array
-    explained: Array
+    p_value: FloatArray
+    predictable: FloatArray
+    slow: FloatArray
+    explained: FloatArray
 
 
-def ljung_box(segments: list[Array], lags: int) -> float:
+def ljung_box(segments: list[FloatArray], lags: int) -> float:
     """p-value of Ljung and Box's test (Biometrika 65, 1978): Q = n(n+2) sum r_l^2/(n-l) against chi-square(lags)."""
     n = int(sum(np.isfinite(part).sum() for part in segments))
     covariance = autocovariance(segments, lags)
@@ -42,7 +42,7 @@ def ljung_box(segments: list[Array], lags: int) -> float:
     return float(chi2_tail(q, lags))
 
 
-def _slow_share(segments: list[Array]) -> float:
+def _slow_share(segments: list[FloatArray]) -> float:
     low = total = 0.0
     for part in segments:
         power = np.abs(np.fft.rfft(np.nan_to_num(part))) ** 2
@@ -52,7 +52,7 @@ def _slow_share(segments: list[Array]) -> float:
     return low / total if total > 0.0 else float("nan")
 
 
-def _explained(residual: list[Array], motion: list[Array]) -> Array:
+def _explained(residual: list[FloatArray], motion: list[FloatArray]) -> FloatArray:
     """Adjusted share (m,) of each residual that is a quadratic function of the simulated motion (no cross products
     beyond 6 outputs); what turbulence does is no function of it, what a wrong model does is."""
     stacked, outputs = np.concatenate(residual), np.concatenate(motion)
@@ -75,7 +75,7 @@ def _explained(residual: list[Array], motion: list[Array]) -> Array:
     return share
 
 
-def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
+def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -> Colour:
     """Judge residuals (n, m), one array a segment, NaN = dropout; motion: the simulated outputs, same shapes."""
     m = residual[0].shape[1]
     n = min(
@@ -95,7 +95,7 @@ def colour(residual: list[Array], motion: list[Array] | None = None) -> Colour:
 
 
 def colour_warnings(
-    found: Colour, std: Array, std_crb: Array, method: str, *, calm_air: bool = False
+    found: Colour, std: FloatArray, std_crb: FloatArray, method: str, *, calm_air: bool = False
 ) -> list[str]:
     """One sentence of at most 60 words on residuals coloured enough to matter, [] when they are not.
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
-ModelFunction = Callable[[Array, Array, Array], Any]
+ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,17 @@ class Model:
     outputs: int
     broadcasts: bool
 
-    def rate(self, x: Array, u: Array, theta: Array) -> Array:
+    def rate(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
         """f in lanes, (nx, L)."""
         return self._call(self.f, x, u, theta, self.states)
 
-    def output(self, x: Array, u: Array, theta: Array) -> Array:
+    def output(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
         """g in lanes, (m, L)."""
         return self._call(self.g, x, u, theta, self.outputs)
 
-    def _call(self, function: ModelFunction, x: Array, u: Array, theta: Array, rows: int) -> Array:
+    def _call(
+        self, function: ModelFunction, x: FloatArray, u: FloatArray, theta: FloatArray, rows: int
+    ) -> FloatArray:
         if self.broadcasts:
             return np.asarray(function(x, u, theta), dtype=float)
         out = np.empty((rows, x.shape[1]))
@@ -48,7 +50,15 @@ class Model:
             ).ravel()
         return out
 
-    def step(self, x: Array, k1: Array, middle: Array, u1: Array, theta: Array, dt: Array) -> Array:
+    def step(
+        self,
+        x: FloatArray,
+        k1: FloatArray,
+        middle: FloatArray,
+        u1: FloatArray,
+        theta: FloatArray,
+        dt: FloatArray,
+    ) -> FloatArray:
         """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to u1."""
         k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
         k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
@@ -57,7 +67,12 @@ class Model:
 
 
 def make_model(
-    f: ModelFunction, g: ModelFunction, x: Array, u: Array, theta: Array, outputs: int
+    f: ModelFunction,
+    g: ModelFunction,
+    x: FloatArray,
+    u: FloatArray,
+    theta: FloatArray,
+    outputs: int,
 ) -> Model:
     """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
 
@@ -117,12 +132,12 @@ class Record:
     middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others the mean of both ends.
     """
 
-    u: Array
-    z: Array
-    dt: Array
+    u: FloatArray
+    z: FloatArray
+    dt: FloatArray
     lengths: tuple[int, ...]
     held: bool
-    middle: Array | None = None
+    middle: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -131,20 +146,20 @@ class Innovations:
     missing; e, what is new in an output given those before it in the same sample (0 where missing); s, its variance
     (1 there). With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
 
-    raw: Array
-    e: Array
-    s: Array
+    raw: FloatArray
+    e: FloatArray
+    s: FloatArray
 
 
 def run_filter(
     model: Model,
     record: Record,
-    theta: Array,
-    q: Array,
-    r: Array,
-    x0: Array,
-    p0: Array,
-    difference: Array,
+    theta: FloatArray,
+    q: FloatArray,
+    r: FloatArray,
+    x0: FloatArray,
+    p0: FloatArray,
+    difference: FloatArray,
     every: int,
 ) -> Innovations | None:
     """Filter every point through every segment; None if a value stops being finite.
@@ -169,7 +184,9 @@ def run_filter(
     phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
     work = np.empty_like(P)  # fresh memory for every product would cost more than the product
 
-    def jacobian(function: Callable[[Array, Array, Array], Array], u: Array) -> tuple[Array, Array]:
+    def jacobian(
+        function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
         spread = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
         blocks = function(spread, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
@@ -235,7 +252,7 @@ def run_filter(
     return Innovations(raw, e_all, s_all)
 
 
-def _transition(X: Array) -> Array:
+def _transition(X: FloatArray) -> FloatArray:
     """exp(X) of X (nx, nx, L) to fourth order."""
     identity = np.eye(X.shape[0])[:, :, None]
     out = identity + X / 4.0

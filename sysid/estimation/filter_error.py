@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid.arrays import Array, as_bounds, as_free, as_names, as_parameters, is_many
+from sysid.arrays import FloatArray, as_bounds, as_free, as_names, as_parameters, is_many
 from sysid.estimation.ekf import ModelFunction, make_model
 from sysid.estimation.filter_input import (
     measurement_noise,
@@ -208,9 +208,9 @@ def filter_error(
 
 def _from(
     problem: FilterProblem,
-    point: Array,
-    low: Array,
-    high: Array,
+    point: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
     tolerance: float,
     max_iterations: int,
 ) -> Minimum:
@@ -234,10 +234,10 @@ def _from(
 
 def _from_high_gain(
     problem: FilterProblem,
-    point: Array,
-    low: Array,
-    high: Array,
-    q: Array,
+    point: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    q: FloatArray,
     tolerance: float,
     max_iterations: int,
 ) -> Minimum | None:
@@ -259,9 +259,9 @@ def _from_high_gain(
 
 def _descend(
     problem: FilterProblem,
-    point: Array,
-    low: Array,
-    high: Array,
+    point: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
     tolerance: float,
     max_iterations: int,
 ) -> Minimum:

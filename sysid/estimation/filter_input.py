@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sysid.arrays import Array, as_array, as_free, as_parameters, as_segments, is_many
+from sysid.arrays import FloatArray, as_array, as_free, as_parameters, as_segments, is_many
 from sysid.estimation.ekf import Model, Record
 
 
 def read_record(
     x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None
-) -> tuple[Record, Array]:
+) -> tuple[Record, FloatArray]:
     """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
     outputs = as_segments(z, "z", dropouts=True)
     times = [part[:, 0] for part in as_segments(t, "t", dropouts=False)]
@@ -52,7 +52,7 @@ def read_record(
     return Record(U, Z, dt, tuple(lengths), held, middle), np.column_stack(starts)
 
 
-def _middle(u_middle: Any, inputs: list[Array], longest: int) -> Array:
+def _middle(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray:
     """Inputs half-way between samples, padded (longest - 1, nu, s)."""
     found = as_segments(u_middle, "u_middle", dropouts=False)
     wanted = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
@@ -80,7 +80,7 @@ def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
         raise ValueError(f"process_noise: {error}") from None
 
 
-def positive_vector(value: ArrayLike, size: int, what: str) -> Array:
+def positive_vector(value: ArrayLike, size: int, what: str) -> FloatArray:
     """``value`` as a vector (size,) of finite positive numbers; one number serves all. Raises ValueError that names ``what``."""
     vector = np.broadcast_to(as_array(value, what), (size,)).astype(float)
     if not (np.isfinite(vector).all() and (vector > 0.0).all()):
@@ -88,14 +88,14 @@ def positive_vector(value: ArrayLike, size: int, what: str) -> Array:
     return vector
 
 
-def output_spread(record: Record) -> Array:
+def output_spread(record: Record) -> FloatArray:
     """Standard deviation (m,) of each output, its size where it is constant."""
     flat = record.z.transpose(0, 2, 1).reshape(-1, record.z.shape[1])
     deviation, size = np.nanstd(flat, axis=0), np.nanmax(np.abs(flat), axis=0)
     return np.where(deviation > 1e-12 * size, deviation, np.where(size > 0.0, size, 1.0))
 
 
-def measurement_noise(record: Record) -> Array:
+def measurement_noise(record: Record) -> FloatArray:
     """First guess (m,) from third differences, which smooth motion does not reach: var = 20 sigma^2."""
     out = np.empty(record.z.shape[1])
     spread = output_spread(record)
@@ -108,7 +108,9 @@ def measurement_noise(record: Record) -> Array:
     return np.maximum(out, 1e-4 * spread)
 
 
-def state_scale(model: Model, record: Record, theta: Array, initial: Array, spread: Array) -> Array:
+def state_scale(
+    model: Model, record: Record, theta: FloatArray, initial: FloatArray, spread: FloatArray
+) -> FloatArray:
     """How far (nx,) each state may be off: the change that moves an output by its own spread; else its size, or 1."""
     nx = model.states
     scale = np.empty(nx)

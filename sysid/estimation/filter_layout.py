@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Layout:
     would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
     """
 
-    theta0: Array
+    theta0: FloatArray
     columns: NDArray[np.intp]
     noisy: NDArray[np.intp]
     outputs: int
@@ -36,12 +36,14 @@ class Layout:
         """Where the logarithms of the measurement noise stand."""
         return slice(self.process.stop, self.process.stop + self.outputs)
 
-    def pack(self, theta: Array, q: Array, r: Array, x0: Array) -> Array:
+    def pack(self, theta: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> FloatArray:
         """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start states (segments, nx)."""
         parts = [theta[self.columns], q[self.noisy], np.log(r)]
         return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
 
-    def unpack(self, vector: Array, x0: Array) -> tuple[Array, Array, Array, Array]:
+    def unpack(
+        self, vector: FloatArray, x0: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
         theta, q = self.theta0.copy(), np.zeros(self.states)
         a, b = self.columns.size, self.columns.size + self.noisy.size
@@ -53,8 +55,8 @@ class Layout:
         return theta, q, r, x0
 
     def limits(
-        self, lower: Array, upper: Array, scale: Array, spread: Array
-    ) -> tuple[Array, Array]:
+        self, lower: FloatArray, upper: FloatArray, scale: FloatArray, spread: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
         low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
         high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]

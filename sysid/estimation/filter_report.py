@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.estimation.coloured import coloured_information
 from sysid.estimation.diagnostics import colour, colour_warnings
 from sysid.estimation.ekf import Record
@@ -19,8 +19,8 @@ def assemble(
     problem: FilterProblem,
     best: Minimum,
     labels: tuple[str, ...],
-    low: Array,
-    high: Array,
+    low: FloatArray,
+    high: FloatArray,
     record: Record,
     many: bool,
 ) -> FilterErrorFit:

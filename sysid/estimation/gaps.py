@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation.autocorrelation import integral_time
 from sysid.estimation.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
 
-FloatArray = NDArray[np.float64]
 FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
 
 QUIET_SHARE = 0.5  # residual power beyond noise in quiet flight, over that in motion, above which the air is to blame

@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.units import significant
 
 S = TypeVar("S")
@@ -40,9 +40,9 @@ class Linearisation:
     exact: good enough to call convergence by; fresh: differenced at this very point, not carried on from another.
     """
 
-    gradient: Array
-    information: Array
-    predict: Callable[[Array], float]
+    gradient: FloatArray
+    information: FloatArray
+    predict: Callable[[FloatArray], float]
     exact: bool = True
     fresh: bool = True
 
@@ -54,11 +54,11 @@ Told = Callable[[int, float], None]
 class Problem(Protocol[S]):
     """A cost in k parameters; `evaluate` answers None where the model fails. An attribute ``told`` is called as Told says."""
 
-    def evaluate(self, theta: Array) -> tuple[float, S] | None:
+    def evaluate(self, theta: FloatArray) -> tuple[float, S] | None:
         """Cost at ``theta`` (k,) and the state that :meth:`linearise` needs; None where the model cannot be run."""
         ...
 
-    def linearise(self, theta: Array, state: S, central: bool) -> Linearisation:
+    def linearise(self, theta: FloatArray, state: S, central: bool) -> Linearisation:
         """Gradient and information at ``theta``, by central or forward differences."""
         ...
 
@@ -68,7 +68,7 @@ class Minimum:
     """theta (k,), its cost, cost_history of accepted points, iterations, converged, decrement: the last undamped step's
     expected length in standard errors; rejected: trial points refused; failed: those of them where the model failed."""
 
-    theta: Array
+    theta: FloatArray
     cost: float
     cost_history: list[float]
     iterations: int
@@ -80,13 +80,13 @@ class Minimum:
 
 
 def damped_step(
-    gradient: Array,
-    information: Array,
+    gradient: FloatArray,
+    information: FloatArray,
     damping: float,
-    down: Array,
-    up: Array,
+    down: FloatArray,
+    up: FloatArray,
     allowed: NDArray[np.bool_],
-) -> Array:
+) -> FloatArray:
     """The damped step (k,) within [-down, up]; those that would leave are put on their bound, the rest re-solved."""
     k = gradient.size
     step, fixed = np.zeros(k), ~allowed
@@ -112,10 +112,10 @@ def damped_step(
 
 def minimise(
     problem: Problem[S],
-    theta0: Array,
+    theta0: FloatArray,
     start: tuple[float, S],
-    lower: Array,
-    upper: Array,
+    lower: FloatArray,
+    upper: FloatArray,
     *,
     tolerance: float,
     max_iterations: int,

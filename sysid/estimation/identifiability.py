@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 RANK_TOLERANCE = (
     1e-9  # of the scaled information matrix's eigenvalues, against finite-difference error
@@ -28,13 +28,13 @@ class Identifiability:
 
     identified: NDArray[np.bool_]
     reason: tuple[str, ...]
-    vif: Array
-    inverse: Array
+    vif: FloatArray
+    inverse: FloatArray
     notes: tuple[str, ...]
 
 
 def assess(
-    information: Array, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE
+    information: FloatArray, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE
 ) -> Identifiability:
     """Judge the (k, k) information matrix of the parameters `names` (any units; it is scaled here)."""
     k = len(names)
@@ -70,9 +70,9 @@ def assess(
 
 
 def _inflation_notes(
-    values: Array,
-    vectors: Array,
-    inverse: Array,
+    values: FloatArray,
+    vectors: FloatArray,
+    inverse: FloatArray,
     names: list[str],
     reason: list[str],
     index: NDArray[np.intp],
@@ -96,7 +96,7 @@ def _inflation_notes(
     ]
 
 
-def masked_covariance(covariance: Array, identified: NDArray[np.bool_]) -> Array:
+def masked_covariance(covariance: FloatArray, identified: NDArray[np.bool_]) -> FloatArray:
     """`covariance` with NaN in every row and column of a parameter that is not identified."""
     out = covariance.copy()
     out[~identified, :] = np.nan

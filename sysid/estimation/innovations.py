@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.estimation.ekf import Innovations, Model, Record, run_filter
 from sysid.estimation.filter_layout import Layout
 from sysid.estimation.gauss_newton import Linearisation, Told
@@ -29,25 +29,25 @@ class State:
     whitened derivatives of e (N, m, K)."""
 
     base: Innovations
-    e: Array
-    s: Array
-    white: Array
-    sensitivity: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    e: FloatArray
+    s: FloatArray
+    white: FloatArray
+    sensitivity: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 @dataclass
 class Sensitivities:
     """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant updates hold on to."""
 
-    vector: Array
-    e: Array
-    s: Array
-    dE: Array
-    dS: Array
-    metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    vector: FloatArray
+    e: FloatArray
+    s: FloatArray
+    dE: FloatArray
+    dS: FloatArray
+    metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
-def _cost(white: Array, s: Array) -> float:
+def _cost(white: FloatArray, s: FloatArray) -> float:
     """1/2 sum [e^2/s + ln s] from e/sqrt(s) and s."""
     return 0.5 * float(np.sum(white**2)) + 0.5 * float(np.sum(np.log(s)))
 
@@ -59,19 +59,19 @@ class FilterProblem:
     model: Model
     record: Record
     layout: Layout
-    initial: Array
-    p0: Array
-    difference: Array
+    initial: FloatArray
+    p0: FloatArray
+    difference: FloatArray
     every: int
-    state_scale: Array
-    step: Array | None = None
+    state_scale: FloatArray
+    step: FloatArray | None = None
     told: Told | None = None
     runs: int = 0
     _last: Sensitivities | None = None
-    _fresh: tuple[Array, Array] | None = None
+    _fresh: tuple[FloatArray, FloatArray] | None = None
     _updates: int = 0
 
-    def _filter(self, vectors: list[Array]) -> Innovations | None:
+    def _filter(self, vectors: list[FloatArray]) -> Innovations | None:
         parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
         self.runs += len(vectors)
         return run_filter(
@@ -86,7 +86,9 @@ class FilterProblem:
             self.every,
         )
 
-    def best_process_noise(self, theta: Array, candidates: list[Array], r: Array) -> Array:
+    def best_process_noise(
+        self, theta: FloatArray, candidates: list[FloatArray], r: FloatArray
+    ) -> FloatArray:
         """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
         found = self._filter([self.layout.pack(theta, q, r, self.initial) for q in candidates])
         if found is None:
@@ -97,7 +99,7 @@ class FilterProblem:
             costs.append(_cost(self._rows(found.e, point) / np.sqrt(s), s))
         return candidates[int(np.argmin(costs))]
 
-    def _rows(self, values: Array, point: int) -> Array:
+    def _rows(self, values: FloatArray, point: int) -> FloatArray:
         """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
         n, m, segments = self.record.z.shape
         return (
@@ -106,7 +108,7 @@ class FilterProblem:
             .reshape(n * segments, m)
         )
 
-    def evaluate(self, vector: Array) -> tuple[float, State] | None:
+    def evaluate(self, vector: FloatArray) -> tuple[float, State] | None:
         """J of filtererror.py, None where the filter fails."""
         found = self._filter([vector])
         if found is None:
@@ -115,7 +117,7 @@ class FilterProblem:
         white = e / np.sqrt(s)
         return _cost(white, s), State(found, e, s, white)
 
-    def _points(self, vector: Array, some: Iterable[int], central: bool) -> list[Array]:
+    def _points(self, vector: FloatArray, some: Iterable[int], central: bool) -> list[FloatArray]:
         """Points a step up for each of `some`, in turn, and with ``central`` a step down."""
         points = []
         for index in some:
@@ -125,7 +127,7 @@ class FilterProblem:
                 points.append(point)
         return points
 
-    def _shifts(self, vector: Array, index: int) -> tuple[float, float]:
+    def _shifts(self, vector: FloatArray, index: int) -> tuple[float, float]:
         """Up and down a step; no variance is taken below zero."""
         assert self.step is not None
         step = float(self.step[index])
@@ -133,7 +135,7 @@ class FilterProblem:
         down = min(step, float(vector[index])) if process.start <= index < process.stop else step
         return step, -down
 
-    def _first_steps(self, vector: Array) -> Array:
+    def _first_steps(self, vector: FloatArray) -> FloatArray:
         step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
         step[self.layout.process] = 1e-3 * np.maximum(
             vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
@@ -143,7 +145,7 @@ class FilterProblem:
             step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
         return step
 
-    def linearise(self, vector: Array, state: State, central: bool) -> Linearisation:
+    def linearise(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
         """Gradient and information of the module's equations at a point whose innovations are given.
 
         The derivatives of e and s are those of the last point, carried on by Broyden's update (Math. Comp. 19, 1965)
@@ -161,11 +163,11 @@ class FilterProblem:
         self._last.metric = line.information
         return replace(line, exact=near, fresh=False)
 
-    def settle(self, vector: Array, state: State) -> Linearisation:
+    def settle(self, vector: FloatArray, state: State) -> Linearisation:
         """The linearisation that bounds are computed from, by central differences."""
         return self._anew(vector, state, True)
 
-    def _anew(self, vector: Array, state: State, central: bool) -> Linearisation:
+    def _anew(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
         self._difference(vector, state, central)
         assert self._last is not None
         line = self._line(state)
@@ -182,12 +184,12 @@ class FilterProblem:
         information = flat.T @ flat + 0.5 * trace.T @ trace
         cost = _cost(state.white, state.s)
 
-        def predict(delta: Array) -> float:
+        def predict(delta: FloatArray) -> float:
             return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
 
         return Linearisation(gradient, information, predict)
 
-    def _carry(self, vector: Array, state: State, central: bool) -> bool | None:
+    def _carry(self, vector: FloatArray, state: State, central: bool) -> bool | None:
         """Derivatives carried on: True near where they were differenced, False far from there, None: not possible."""
         last = self._last
         if last is None or self._fresh is None or self._updates >= CARRIED:
@@ -205,7 +207,7 @@ class FilterProblem:
         self._updates += 1
         return near
 
-    def _difference(self, vector: Array, state: State, central: bool) -> None:
+    def _difference(self, vector: FloatArray, state: State, central: bool) -> None:
         """Derivatives by differences of the filter, in blocks of lanes."""
         if self.step is None:
             self.step = self._first_steps(vector)
@@ -284,7 +286,7 @@ class FilterProblem:
                 self.step[index] *= float(np.clip(TARGET / change, 0.1, 10.0))
         return again
 
-    def whitened(self, state: State) -> tuple[list[Array], list[Array]]:
+    def whitened(self, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
         """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white innovations, NaN there.
 
         The sign is that of a model output's sensitivity, minus the innovation's.

@@ -19,9 +19,9 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation.kalman_arrays import STARTS, Acting, Gains, Seen
 
-FloatArray = NDArray[np.float64]
 _AT_ONCE = 96
 """Columns that go through the gains together: what stays in a processor's first cache."""
 

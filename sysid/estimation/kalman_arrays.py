@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Steps
+from sysid.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 STARTS = 8
 """Columns of the start state."""
 

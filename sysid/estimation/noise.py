@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 
 @dataclass(frozen=True)
 class Noise:
     """cov (m, m), diagonal or full; `whiten` divides by its square root."""
 
-    cov: Array
+    cov: FloatArray
     full: bool
 
     def whiten(
-        self, residual: Array, sensitivity: Array | None = None
-    ) -> tuple[Array, Array | None]:
+        self, residual: FloatArray, sensitivity: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray | None]:
         """R^-1/2 times residual (N, m), zero where it is NaN, and times sensitivity (N, m, k), with those rows zero."""
         there = np.isfinite(residual)
         if not self.full:
@@ -42,7 +42,9 @@ class Noise:
         return white, scaled
 
 
-def residual_noise(residual: Array, floor: Array, full: bool, spent: Array | None = None) -> Noise:
+def residual_noise(
+    residual: FloatArray, floor: FloatArray, full: bool, spent: FloatArray | None = None
+) -> Noise:
     """Noise from residuals (N, m): maximum likelihood, or per output divided by N_a - spent_a (degrees of freedom).
 
     floor (m,): smallest standard deviation believed (an exact fit would make the likelihood infinite). A full matrix is
@@ -67,7 +69,7 @@ def residual_noise(residual: Array, floor: Array, full: bool, spent: Array | Non
     return Noise(correlation * np.outer(scale, scale), True)
 
 
-def concentrated(residual: Array, noise: Noise) -> float:
+def concentrated(residual: FloatArray, noise: Noise) -> float:
     """Negative log-likelihood of the residuals at their own noise, constants dropped: sum_a N_a/2 ln R_aa if diagonal.
 
     Written out in full otherwise (dropouts, floor): 1/2 sum [v' R^-1 v + ln det R] - N_all/2.

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 PRIOR_SPREAD = float(np.log(2.0))
 """Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
 _KEPT = 64  # channels of flights whose sizes are remembered

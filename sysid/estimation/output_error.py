@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid.arrays import Array, as_bounds, as_free, as_names, as_parameters, as_segments, is_many
+from sysid.arrays import (
+    FloatArray,
+    as_bounds,
+    as_free,
+    as_names,
+    as_parameters,
+    as_segments,
+    is_many,
+)
 from sysid.estimation.gaps import white_noise
 from sysid.estimation.gauss_newton import Minimum, Told, minimise
 from sysid.estimation.output_problem import OutputErrorProblem
@@ -33,7 +41,7 @@ HORIZONS = (0.1, 0.2, 0.4)  # shares of each segment fitted first when the whole
 
 
 def output_error(
-    simulate: Callable[[Array], Any],
+    simulate: Callable[[FloatArray], Any],
     theta0: ArrayLike,
     measured: Any,
     *,
@@ -159,7 +167,7 @@ def output_error(
     limits = (lower[columns], upper[columns])
 
     def descend(
-        point: Array, state: tuple[float, Array], iterations: int, length: float
+        point: FloatArray, state: tuple[float, FloatArray], iterations: int, length: float
     ) -> Minimum:
         return minimise(
             problem,
@@ -230,7 +238,7 @@ def _lost(problem: OutputErrorProblem, best: Minimum, edges: list[int]) -> bool:
 
 def _from_short_horizons(
     problem: OutputErrorProblem,
-    theta: Array,
+    theta: FloatArray,
     edges: list[int],
     descend: Callable[..., Minimum],
     max_iterations: int,
@@ -260,13 +268,13 @@ def _from_short_horizons(
 
 
 def _assemble(
-    theta: Array,
+    theta: FloatArray,
     columns: list[int],
     labels: tuple[str, ...],
     best: Any,
     problem: OutputErrorProblem,
     findings: Findings,
-    residual: list[Array],
+    residual: list[FloatArray],
     many: bool,
 ) -> OutputErrorFit:
     """The findings over the free parameters, spread over all of them."""

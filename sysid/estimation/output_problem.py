@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.estimation.gauss_newton import Linearisation, Told
 from sysid.estimation.noise import Noise, concentrated, residual_noise
 from sysid.estimation.sensitivities import (
@@ -29,22 +29,22 @@ class OutputErrorProblem:
     """The cost over the free parameters; counts simulations and keeps the adapted difference steps."""
 
     simulation: SafeSimulation
-    measured: Array
-    full_theta: Array
+    measured: FloatArray
+    full_theta: FloatArray
     columns: list[int]
-    limits: tuple[Array, Array]
-    spread: Array
+    limits: tuple[FloatArray, FloatArray]
+    spread: FloatArray
     full: bool
     map_: MapLike | None
-    step: Array
+    step: FloatArray
     secant: bool = False
     told: Told | None = None
     runs: int = 0
     last_failure: str = ""
     sensitivity: Blocks = field(default_factory=lambda: Blocks((), (), 0))
-    _last: tuple[Array, Array] | None = None
-    _fresh: tuple[Array, Blocks, Array] | None = None
-    _metric: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    _last: tuple[FloatArray, FloatArray] | None = None
+    _fresh: tuple[FloatArray, Blocks, FloatArray] | None = None
+    _metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _updates: int = 0
     _target: float | None = None
     _begun: bool = False
@@ -55,21 +55,21 @@ class OutputErrorProblem:
         return [0, *np.cumsum(self.simulation.lengths).tolist()]
 
     @property
-    def floor(self) -> Array:
+    def floor(self) -> FloatArray:
         """Least noise (ny,) an output may have: rounding of its own spread."""
         return 1e-9 * self.spread
 
-    def whole(self, theta: Array) -> Array:
+    def whole(self, theta: FloatArray) -> FloatArray:
         """All parameters, with the free ones at ``theta`` and the fixed ones at their given values."""
         out = self.full_theta.copy()
         out[self.columns] = theta
         return out
 
-    def noise(self, outputs: Array) -> Noise:
+    def noise(self, outputs: FloatArray) -> Noise:
         """Measurement noise at its maximum-likelihood value for these outputs (n, ny)."""
         return residual_noise(self.measured - outputs, self.floor, self.full)
 
-    def evaluate(self, theta: Array) -> tuple[float, Array] | None:
+    def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray] | None:
         """Concentrated cost at ``theta`` and the outputs (n, ny); None where the simulation failed."""
         self.runs += 1
         outputs = self.simulation(self.whole(theta))
@@ -78,7 +78,7 @@ class OutputErrorProblem:
             return None
         return concentrated(self.measured - outputs, self.noise(outputs)), outputs
 
-    def linearise(self, theta: Array, outputs: Array, central: bool) -> Linearisation:
+    def linearise(self, theta: FloatArray, outputs: FloatArray, central: bool) -> Linearisation:
         """Gradient and information at theta (k,), whose outputs (N, m) are given.
 
         With ``secant`` the sensitivities of the last point are carried on by Broyden's update (Math. Comp. 19, 1965)
@@ -98,7 +98,7 @@ class OutputErrorProblem:
             return replace(line, exact=central or self.secant)
         return replace(line, exact=carried, fresh=False)
 
-    def settle(self, theta: Array, outputs: Array) -> Linearisation:
+    def settle(self, theta: FloatArray, outputs: FloatArray) -> Linearisation:
         """The linearisation that bounds are computed from: differences at theta itself, or a small part of a bound away."""
         if self.secant and self._fresh is not None and self._distance(theta) < NEARBY:
             self.sensitivity = self._fresh[1]
@@ -106,13 +106,13 @@ class OutputErrorProblem:
             self._difference(theta, outputs, not self.secant)
         return self._line(outputs)
 
-    def _distance(self, theta: Array) -> float:
+    def _distance(self, theta: FloatArray) -> float:
         """Standard errors from where sensitivities were last differenced."""
         assert self._fresh is not None
         away = theta - self._fresh[0]
         return float(np.sqrt(np.maximum(away @ self._fresh[2] @ away, 0.0)))
 
-    def _carry(self, theta: Array, outputs: Array, central: bool) -> bool | None:
+    def _carry(self, theta: FloatArray, outputs: FloatArray, central: bool) -> bool | None:
         """Sensitivities carried on to theta: True near where they were differenced, False far from there, None: not possible."""
         if self._last is None or self._updates >= CARRIED:
             return None
@@ -123,7 +123,7 @@ class OutputErrorProblem:
             return None
         change = outputs - self._last[1] - self.sensitivity.times(step)
 
-        def updated(part: Array, columns: Index, rows: slice) -> Array:
+        def updated(part: FloatArray, columns: Index, rows: slice) -> FloatArray:
             size = float(step[columns] @ along[columns])
             return part + change[rows, :, None] * (along[columns] / size) if size > 0.0 else part
 
@@ -131,7 +131,7 @@ class OutputErrorProblem:
         self._updates += 1
         return near
 
-    def _difference(self, theta: Array, outputs: Array, central: bool) -> None:
+    def _difference(self, theta: FloatArray, outputs: FloatArray, central: bool) -> None:
         """Sensitivities by differences; the second time, how small their steps may be as well: a fit that begins where it ends asks
         once."""
         if self._begun and self._target is None:
@@ -162,7 +162,7 @@ class OutputErrorProblem:
         self.step, self.runs, self._begun = found.step, self.runs + found.runs, True
         self.sensitivity, self._updates = found.sensitivity, 0
 
-    def _line(self, outputs: Array) -> Linearisation:
+    def _line(self, outputs: FloatArray) -> Linearisation:
         sensitivity, residual, noise = (
             self.sensitivity,
             self.measured - outputs,
@@ -177,7 +177,7 @@ class OutputErrorProblem:
             gradient[columns] += flat.T @ white.ravel()
             information[np.ix_(columns, columns)] += flat.T @ flat
 
-        def predict(delta: Array) -> float:
+        def predict(delta: FloatArray) -> float:
             expected = residual - sensitivity.times(delta)
             return concentrated(expected, residual_noise(expected, self.floor, self.full))
 

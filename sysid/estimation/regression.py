@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sysid.arrays import Array, as_array, as_names
+from sysid.arrays import FloatArray, as_array, as_names
 from sysid.estimation.coloured import coloured_information
 from sysid.estimation.diagnostics import WHITENESS_LEVEL, ljung_box
 from sysid.estimation.identifiability import INFLATION_WARNING, PARTICIPATION, masked_covariance
@@ -20,7 +20,7 @@ from sysid.estimation.result import Regression
 RANK = 1e-12  # singular values of the column-scaled X below this share of the largest are rounding
 
 
-def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+def checked_regressors(X: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """X (n, k) and y (n,), finite, n > k. Raises ValueError saying which rows or shapes are wrong."""
     regressors, response = as_array(X, "X"), as_array(y, "y")
     if regressors.ndim == 1:
@@ -159,7 +159,9 @@ def equation_error(
     )
 
 
-def _coloured(left: Array, weights: Array, residual: Array, s2: float, edges: list[int]) -> Array:
+def _coloured(
+    left: FloatArray, weights: FloatArray, residual: FloatArray, s2: float, edges: list[int]
+) -> FloatArray:
     """(MK) of coloured.py in the orthonormal columns of U, where D is the identity: cov = W [..] W' s2."""
     if not s2 > 0.0:
         return np.zeros((weights.shape[0], weights.shape[0]))
@@ -171,7 +173,9 @@ def _coloured(left: Array, weights: Array, residual: Array, s2: float, edges: li
     return np.asarray(s2 * weights @ bracket @ weights.T)
 
 
-def _r_squared(X: Array, scale: Array, y: Array, residual: Array, left: Array) -> float:
+def _r_squared(
+    X: FloatArray, scale: FloatArray, y: FloatArray, residual: FloatArray, left: FloatArray
+) -> float:
     """1 - SSR/SST, about the mean when a constant lies in the span of X."""
     ones = np.ones(y.size) / np.sqrt(y.size)
     spans_constant = np.linalg.norm(ones - left @ (left.T @ ones)) < 1e-8
@@ -180,7 +184,7 @@ def _r_squared(X: Array, scale: Array, y: Array, residual: Array, left: Array) -
 
 
 def _reasons(
-    right: Array, kept: NDArray[np.bool_], names: tuple[str, ...], length: Array
+    right: FloatArray, kept: NDArray[np.bool_], names: tuple[str, ...], length: FloatArray
 ) -> list[str]:
     reason = ["" if size > 0.0 else "the regressor is zero throughout" for size in length]
     for row in right[~kept]:
@@ -197,13 +201,13 @@ def _reasons(
 def _warnings(
     names: tuple[str, ...],
     reason: list[str],
-    vif: Array,
-    right: Array,
+    vif: FloatArray,
+    right: FloatArray,
     kept: NDArray[np.bool_],
-    residual: Array,
+    residual: FloatArray,
     edges: list[int],
-    std: Array,
-    std_white: Array,
+    std: FloatArray,
+    std_white: FloatArray,
 ) -> list[str]:
     out = [
         f"{name} not identified: {text}" for name, text in zip(names, reason, strict=True) if text

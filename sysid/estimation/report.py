@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 from sysid.estimation.coloured import coloured_information
 from sysid.estimation.diagnostics import Colour, colour, colour_warnings
 from sysid.estimation.identifiability import assess, masked_covariance
@@ -23,17 +23,19 @@ RESOLVED = 1e-8
 class Findings:
     """Over the k free parameters: covariances (k, k), gate, noise with degrees of freedom, colour, sentences."""
 
-    cov: Array
-    cov_crb: Array
+    cov: FloatArray
+    cov_crb: FloatArray
     identified: NDArray[np.bool_]
     reason: tuple[str, ...]
-    vif: Array
+    vif: FloatArray
     noise: Noise
     colour: Colour
     warnings: list[str]
 
 
-def outward(theta: Array, gradient: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+def outward(
+    theta: FloatArray, gradient: FloatArray, lower: FloatArray, upper: FloatArray
+) -> NDArray[np.bool_]:
     """(k,): at a bound, with minus the cost's gradient pointing beyond it."""
     return np.asarray(((theta >= upper) & (gradient > 0.0)) | ((theta <= lower) & (gradient < 0.0)))
 
@@ -51,7 +53,7 @@ def idle_bound(std: float, width: float) -> str:
     return ""
 
 
-def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[str]:
+def unknown_noise(counts: NDArray[np.intp], spent: FloatArray, reach: FloatArray) -> list[str]:
     """Reasons (k,) for parameters informed by an output that has no degree of freedom left: its noise is unknown.
 
     counts, spent (m,) samples and degrees of freedom spent of each output; reach (m, k) its largest sensitivities.
@@ -67,7 +69,7 @@ def unknown_noise(counts: NDArray[np.intp], spent: Array, reach: Array) -> list[
     return out
 
 
-def unresolved(theta: Array, reach: Array, spread: Array) -> list[str]:
+def unresolved(theta: FloatArray, reach: FloatArray, spread: FloatArray) -> list[str]:
     """Reasons (k,) for parameters whose last digits decide the outputs, as in a simulation that diverges.
 
     theta (k,); reach (m, k) largest sensitivities; spread (m,) each output's size. Where one part in 1e8 of a parameter, about the
@@ -104,15 +106,15 @@ def unjudged(noise: Noise, free: int) -> Findings:
 
 def judge(
     *,
-    theta: Array,
-    gradient: Array,
+    theta: FloatArray,
+    gradient: FloatArray,
     sensitivity: Blocks,
-    residual: Array,
-    motion: Array,
+    residual: FloatArray,
+    motion: FloatArray,
     edges: list[int],
     names: tuple[str, ...],
-    bounds: tuple[Array, Array],
-    floor: Array,
+    bounds: tuple[FloatArray, FloatArray],
+    floor: FloatArray,
     full: bool,
     method: str,
 ) -> Findings:
@@ -178,10 +180,10 @@ def judge(
     return Findings(cov, cov_crb, identified, tuple(reason), vif, noise, found, warnings)
 
 
-def _scaled(noise: Noise, residual: Array, sensitivity: Blocks) -> Blocks:
+def _scaled(noise: Noise, residual: FloatArray, sensitivity: Blocks) -> Blocks:
     """Sensitivities over the noise's square root."""
 
-    def over_noise(part: Array, _: Index, rows: slice) -> Array:
+    def over_noise(part: FloatArray, _: Index, rows: slice) -> FloatArray:
         scaled = noise.whiten(residual[rows], part)[1]
         assert scaled is not None
         return scaled

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -27,23 +27,23 @@ class OutputErrorFit:
     """
 
     names: tuple[str, ...]
-    theta: Array
-    std: Array
-    std_crb: Array
-    cov: Array
-    cov_crb: Array
+    theta: FloatArray
+    std: FloatArray
+    std_crb: FloatArray
+    cov: FloatArray
+    cov_crb: FloatArray
     status: dict[str, str]
     reason: dict[str, str]
-    vif: Array
-    noise_cov: Array
-    residual: Array | list[Array]
-    whiteness: Array
+    vif: FloatArray
+    noise_cov: FloatArray
+    residual: FloatArray | list[FloatArray]
+    whiteness: FloatArray
     converged: bool
     warnings: list[str]
     iterations: int
     n_simulations: int
     cost: float
-    cost_history: Array
+    cost_history: FloatArray
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class FilterErrorFit(OutputErrorFit):
     x0                        initial state (x,) used, one a segment
     """
 
-    process_noise_cov: Array
-    process_noise_std: Array
-    x0: list[Array]
+    process_noise_cov: FloatArray
+    process_noise_std: FloatArray
+    x0: list[FloatArray]
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,16 @@ class Regression:
     """
 
     names: tuple[str, ...]
-    theta: Array
-    std: Array
-    std_white: Array
-    cov: Array
+    theta: FloatArray
+    std: FloatArray
+    std_white: FloatArray
+    cov: FloatArray
     status: dict[str, str]
     reason: dict[str, str]
-    vif: Array
+    vif: FloatArray
     r2: float
     s2: float
-    residual: Array
+    residual: FloatArray
     warnings: list[str]
 
 
@@ -111,20 +111,20 @@ class Selection:
 
     names: tuple[str, ...]
     selected: list[int]
-    theta: Array
-    std: Array
+    theta: FloatArray
+    std: FloatArray
     r2: float
     history: list[SelectionStep]
     regression: Regression | None
     warnings: list[str]
 
 
-def split(stacked: Array, edges: list[int]) -> list[Array]:
+def split(stacked: FloatArray, edges: list[int]) -> list[FloatArray]:
     """Rows of `stacked` cut into segments at `edges` (0, n1, n1+n2, ...)."""
     return [stacked[start:stop] for start, stop in itertools.pairwise(edges)]
 
 
-def correlation(cov: Array) -> Array:
+def correlation(cov: FloatArray) -> FloatArray:
     """Correlation matrix of a covariance; NaN where it has NaN."""
     deviation = np.sqrt(np.diagonal(cov))
     return np.asarray(cov / np.outer(deviation, deviation))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array, is_many
+from sysid.arrays import FloatArray, is_many
 from sysid.estimation.together import Answer, Shift, answers, rows_moved
 from sysid.linalg.blocks import Blocks
 
@@ -30,7 +30,7 @@ NO_EFFECT = 1e-11  # a smaller change at the largest step tried is rounding, not
 SMALLEST = 1e-12  # of a parameter's value: the shortest step
 HUGE = 1e100  # outputs beyond this are a diverged simulation; their squares must not overflow
 
-MapLike = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
+MapLike = Callable[[Callable[[FloatArray], Any], Iterable[FloatArray]], Iterable[Any]]
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class SafeSimulation:
     A module-level class, so that a process pool can receive it whenever it can receive `simulate`.
     """
 
-    simulate: Callable[[Array], Any]
+    simulate: Callable[[FloatArray], Any]
     lengths: tuple[int, ...]
     outputs: int
 
-    def __call__(self, theta: Array) -> Array | str:
+    def __call__(self, theta: FloatArray) -> FloatArray | str:
         with np.errstate(all="ignore"):
             try:
                 value = self.simulate(theta.copy())
@@ -52,7 +52,7 @@ class SafeSimulation:
                 return f"simulate raised {type(error).__name__}: {error}"
         return self.stacked(value)
 
-    def stacked(self, value: Any) -> Array | str:
+    def stacked(self, value: Any) -> FloatArray | str:
         """Outputs of any permitted form as one (N, m) array; a sentence if the form is wrong or values not finite."""
         try:
             parts = [
@@ -76,8 +76,8 @@ class SafeSimulation:
 
 
 def run_all(
-    simulation: SafeSimulation, thetas: Sequence[Array], map_: MapLike | None
-) -> Iterator[Array | str]:
+    simulation: SafeSimulation, thetas: Sequence[FloatArray], map_: MapLike | None
+) -> Iterator[FloatArray | str]:
     """Every theta simulated, in order, through the injected map if there is one; one after the other, where that is how it gives
     them."""
     yield from (map_ or map)(simulation, thetas)
@@ -88,12 +88,12 @@ class Differences:
     """sensitivity (N, m, len(columns)) in blocks; step (k,) as adapted; effect (len(columns),) bool; runs: simulations spent."""
 
     sensitivity: Blocks
-    step: Array
+    step: FloatArray
     effect: NDArray[np.bool_]
     runs: int
 
 
-def first_steps(theta: Array, lower: Array, upper: Array) -> Array:
+def first_steps(theta: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Starting steps (k,): a small part of the value, of the bounds' width, or of one."""
     width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     return np.asarray(1e-4 * np.where(theta != 0.0, np.abs(theta), width))
@@ -101,12 +101,12 @@ def first_steps(theta: Array, lower: Array, upper: Array) -> Array:
 
 def sensitivities(
     simulation: SafeSimulation,
-    theta: Array,
-    base: Array,
-    step: Array,
+    theta: FloatArray,
+    base: FloatArray,
+    step: FloatArray,
     columns: Sequence[int],
-    limits: tuple[Array, Array],
-    spread: Array,
+    limits: tuple[FloatArray, FloatArray],
+    spread: FloatArray,
     *,
     central: bool,
     map_: MapLike | None,
@@ -122,12 +122,12 @@ def sensitivities(
     step = step.copy()
     lower, upper = limits
     edges = [0, *np.cumsum(simulation.lengths).tolist()]
-    out: list[list[Array | None]] = [[None] * (len(edges) - 1) for _ in columns]
+    out: list[list[FloatArray | None]] = [[None] * (len(edges) - 1) for _ in columns]
     effect = np.zeros(len(columns), dtype=bool)
     pending, runs = list(range(len(columns))), 0
     rows = [rows_moved(simulation.simulate, j, edges) for j in columns]
 
-    def run(points: Sequence[Array]) -> Iterator[Array | str]:
+    def run(points: Sequence[FloatArray]) -> Iterator[FloatArray | str]:
         nonlocal runs
         runs += len(points)
         return run_all(simulation, points, map_)
@@ -177,9 +177,9 @@ def sensitivities(
 
 
 def forward_differences(
-    simulate: Callable[[Array], Any],
-    theta: Array,
-    steps: Array,
+    simulate: Callable[[FloatArray], Any],
+    theta: FloatArray,
+    steps: FloatArray,
     shape: tuple[Sequence[int], int],
     map_: MapLike | None = None,
 ) -> Blocks | None:
@@ -193,7 +193,7 @@ def forward_differences(
     if isinstance(base, str):
         return None
     edges = [0, *np.cumsum(lengths).tolist()]
-    out: list[list[Array | None]] = [[None] * len(lengths) for _ in theta]
+    out: list[list[FloatArray | None]] = [[None] * len(lengths) for _ in theta]
     shifts = [
         Shift(k, k, float(step), rows_moved(simulate, k, edges)) for k, step in enumerate(steps)
     ]
@@ -211,9 +211,9 @@ def forward_differences(
 def _shifts(
     position: int,
     j: int,
-    theta: Array,
-    step: Array,
-    limits: tuple[Array, Array],
+    theta: FloatArray,
+    step: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
     central: bool,
     rows: tuple[slice, ...],
 ) -> Iterator[Shift]:
@@ -242,8 +242,8 @@ def _by_position(
 
 
 def _column(
-    sides: Sequence[tuple[float, Any]], base: Array, rows: tuple[slice, ...]
-) -> list[Array]:
+    sides: Sequence[tuple[float, Any]], base: FloatArray, rows: tuple[slice, ...]
+) -> list[FloatArray]:
     """Differences (n, m) over one step or two, of each of the rows."""
     (by, first), *others = sides
     if others:
@@ -253,8 +253,8 @@ def _column(
 
 
 def _by_segment(
-    column: Sequence[Array], rows: tuple[slice, ...], edges: Sequence[int]
-) -> list[Array | None]:
+    column: Sequence[FloatArray], rows: tuple[slice, ...], edges: Sequence[int]
+) -> list[FloatArray | None]:
     """Of each segment what moves in it, None where nothing does."""
     cut = {
         own.start + a: part[a:b]
@@ -292,11 +292,11 @@ def _next_step(
 
 def roughness(
     simulation: SafeSimulation,
-    theta: Array,
-    base: Array,
-    small: Array,
-    limits: tuple[Array, Array],
-    spread: Array,
+    theta: FloatArray,
+    base: FloatArray,
+    small: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+    spread: FloatArray,
     map_: MapLike | None,
 ) -> tuple[float, int]:
     """How far the outputs are from smooth in theta, in their spread (rms), and the simulations it took to find out.

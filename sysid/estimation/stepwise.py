@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid.arrays import Array, as_names
+from sysid.arrays import FloatArray, as_names
 from sysid.distributions import f_upper_quantile
 from sysid.estimation.regression import checked_regressors, equation_error, segment_edges
 from sysid.estimation.result import Regression, Selection, SelectionStep
@@ -143,8 +143,8 @@ def stepwise(
 class _Data:
     """The record under selection and the statistics of one model of it."""
 
-    X: Array
-    y: Array
+    X: FloatArray
+    y: FloatArray
     names: tuple[str, ...]
     segments: Sequence[int] | None
 
@@ -153,7 +153,7 @@ class _Data:
             self.X[:, chosen], self.y, names=[self.names[i] for i in chosen], segments=self.segments
         )
 
-    def basis(self, chosen: list[int]) -> Array:
+    def basis(self, chosen: list[int]) -> FloatArray:
         """Orthonormal columns (n, p) of the chosen regressors' span."""
         part = self.X[:, chosen]
         return (

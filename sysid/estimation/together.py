@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
-Answer = list[Array] | str
+Answer = list[FloatArray] | str
 """Outputs (n, m) of each of a parameter's rows, or a sentence that says what failed."""
-Run = Callable[[Sequence[Array]], Iterator[Array | str]]
+Run = Callable[[Sequence[FloatArray]], Iterator[FloatArray | str]]
 """Outputs (N, m) at each of some theta, in their order."""
 
 
@@ -59,7 +59,7 @@ def grouped(shifts: Sequence[Shift]) -> list[list[Shift]]:
 
 
 def answers(
-    run: Run, theta: Array, shifts: Sequence[Shift]
+    run: Run, theta: FloatArray, shifts: Sequence[Shift]
 ) -> Iterator[tuple[Shift, float, Answer]]:
     """Each shift, as the machine has it, and what it gives; those of a group that fails together are run again one by one."""
     alone: list[Shift] = []
@@ -77,7 +77,7 @@ def answers(
         yield from _shared_out(theta, [shift], found)
 
 
-def _moved(theta: Array, members: Sequence[Shift]) -> Array:
+def _moved(theta: FloatArray, members: Sequence[Shift]) -> FloatArray:
     out = theta.copy()
     for shift in members:
         out[shift.index] += shift.by
@@ -85,7 +85,7 @@ def _moved(theta: Array, members: Sequence[Shift]) -> Array:
 
 
 def _shared_out(
-    theta: Array, members: Sequence[Shift], found: Array | str
+    theta: FloatArray, members: Sequence[Shift], found: FloatArray | str
 ) -> Iterator[tuple[Shift, float, Answer]]:
     for shift in members:
         # The step as the machine sees it: (theta + h) - theta.

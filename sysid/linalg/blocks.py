@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 Index = NDArray[np.intp]
 
@@ -22,17 +22,17 @@ class Blocks:
     """A matrix (N, m, k) by segments of its rows: of each the ``columns`` (c,) that are not zero throughout, and ``parts``
     (n, m, c)."""
 
-    parts: tuple[Array, ...]
+    parts: tuple[FloatArray, ...]
     columns: tuple[Index, ...]
     k: int
 
     @staticmethod
-    def of(dense: Array, edges: Sequence[int]) -> Blocks:
+    def of(dense: FloatArray, edges: Sequence[int]) -> Blocks:
         """A matrix (N, m, k) cut between ``edges``."""
         return Blocks.listed([dense[a:b] for a, b in pairwise(edges)])
 
     @staticmethod
-    def listed(some: Sequence[Array]) -> Blocks:
+    def listed(some: Sequence[FloatArray]) -> Blocks:
         """From one array (n, m, k) a segment."""
         columns = [np.flatnonzero(part.any(axis=(0, 1))) for part in some]
         return Blocks(
@@ -42,7 +42,9 @@ class Blocks:
         )
 
     @staticmethod
-    def gathered(columns: Sequence[Sequence[Array | None]], m: int, edges: Sequence[int]) -> Blocks:
+    def gathered(
+        columns: Sequence[Sequence[FloatArray | None]], m: int, edges: Sequence[int]
+    ) -> Blocks:
         """From k columns, of each segment (n, m) or None where it is zero."""
         parts, places = [], []
         for segment, (a, b) in enumerate(pairwise(edges)):
@@ -52,10 +54,10 @@ class Blocks:
             places.append(np.array([k for k, part in there if part is not None], dtype=np.intp))
         return Blocks(tuple(parts), tuple(places), len(columns))
 
-    def __iter__(self) -> Iterator[tuple[Array, Index]]:
+    def __iter__(self) -> Iterator[tuple[FloatArray, Index]]:
         return zip(self.parts, self.columns, strict=True)
 
-    def each(self, change: Callable[[Array, Index, slice], Array]) -> Blocks:
+    def each(self, change: Callable[[FloatArray, Index, slice], FloatArray]) -> Blocks:
         """Every part changed, by its columns and its rows."""
         edges = np.cumsum([0, *(len(part) for part in self.parts)]).tolist()
         rows = [slice(a, b) for a, b in pairwise(edges)]
@@ -63,7 +65,7 @@ class Blocks:
             self, parts=tuple(change(p, c, r) for (p, c), r in zip(self, rows, strict=True))
         )
 
-    def times(self, vector: Array) -> Array:
+    def times(self, vector: FloatArray) -> FloatArray:
         """(N, m) the matrix times a vector (k,)."""
         return np.concatenate([part @ vector[columns] for part, columns in self])
 
@@ -79,14 +81,14 @@ class Blocks:
             len(some),
         )
 
-    def dense(self) -> Array:
+    def dense(self) -> FloatArray:
         """(N, m, k)."""
         out = [np.zeros((*part.shape[:2], self.k)) for part in self.parts]
         for full, (part, columns) in zip(out, self, strict=True):
             full[:, :, columns] = part
         return np.concatenate(out)
 
-    def largest(self) -> Array:
+    def largest(self) -> FloatArray:
         """(m, k) largest size of each element over the rows."""
         out = np.zeros((self.parts[0].shape[1], self.k))
         for part, columns in self:
@@ -94,7 +96,7 @@ class Blocks:
         return out
 
 
-def information(scaled: Blocks) -> Array:
+def information(scaled: Blocks) -> FloatArray:
     """S'S (k, k) of whitened sensitivities."""
     out = np.zeros((scaled.k, scaled.k))
     for part, columns in scaled:
@@ -103,7 +105,7 @@ def information(scaled: Blocks) -> Array:
     return out
 
 
-def leverage(scaled: Blocks, inverse: Array) -> Array:
+def leverage(scaled: Blocks, inverse: FloatArray) -> FloatArray:
     """(m,) sum over samples of S_a D S_a' for each output a, S whitened, D (k, k)."""
     out = np.zeros(scaled.parts[0].shape[1])
     for part, columns in scaled:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from sysid.arrays import Array
+from sysid.arrays import FloatArray
 
 
-def first_order(x: Array, keep: float, before: float = 0.0) -> Array:
+def first_order(x: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
     """(n,) y(k) = keep y(k-1) + x(k), from y(-1) = ``before``; behind what is no number none is.
 
     Parameters

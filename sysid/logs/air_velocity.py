@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 COMPONENTS = ("u_mps", "v_mps", "w_mps")
 """Columns of a table, m/s in body axes: forward, right, down."""
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.flight_modes import MANOEUVRE_TEXT, PLANE_MODES
 from sysid.foreign.raw import RawLog
@@ -35,7 +36,6 @@ from sysid.logs.time_base import JUMP_S, hold, interpolate, time_unit_finding
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import COMMANDS, SIGNALS
 
-FloatArray = NDArray[np.float64]
 _GRID_CHANNELS = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
 _MAX_ROWS = 40_000_000
 _FEW_ROWS, _ROWS_PER_SAMPLE = 1_000_000, 20

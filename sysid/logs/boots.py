@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from sysid.arrays import FloatArray
 from sysid.foreign.raw import MessageTable, RawLog
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 RESTART_S = 1.0  # a smaller step back is jitter of the logger or of the radio
 _HALF_WINDOW = 25  # records on each side; fewer in a row count as damage

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.air_velocity import alpha_of, beta_of, speed_of
@@ -16,8 +17,6 @@ from sysid.logs.sensors import Sensors
 from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Entry
 from sysid.logs.time_base import CleanTime, clean
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

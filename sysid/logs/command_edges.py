@@ -14,7 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 LEAST_STEP = 1.0
 """deg: smaller steps leave no kink worth looking for."""
 LATEST_S = 0.05
@@ -31,7 +32,7 @@ _SURE = 0.9  # share of likelihood at which a step counts as placed
 class Placed:
     """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them, NaN without a step."""
 
-    command: Array
+    command: FloatArray
     steps: int
     late_s: float
 
@@ -42,11 +43,11 @@ class _Step:
 
     row: int
     places: Sequence[int]
-    misfit: Array
+    misfit: FloatArray
 
 
 def place_steps(
-    command: Array, logged: NDArray[np.bool_], rate: Array, noise: float, dt_s: float
+    command: FloatArray, logged: NDArray[np.bool_], rate: FloatArray, noise: float, dt_s: float
 ) -> Placed:
     """The command between its logged rows, what is known of its steps.
 
@@ -80,7 +81,7 @@ def place_steps(
     return Placed(out, placed, late * _FINE_S)
 
 
-def logged_rows(command: Array, stride: int) -> NDArray[np.bool_]:
+def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
     """(n,) rows at which a command, held and logged about every ``stride`` rows, was logged: those at which it changes, and those
     ``stride`` before, at which it had not. Where it stands still nothing hangs on it, and no clock has to be regular."""
     changes = np.flatnonzero(np.diff(command) != 0.0) + 1
@@ -91,7 +92,7 @@ def logged_rows(command: Array, stride: int) -> NDArray[np.bool_]:
 
 
 def _steps(
-    command: Array, rows: list[int], rate: Array, offsets: Array, around: int
+    command: FloatArray, rows: list[int], rate: FloatArray, offsets: FloatArray, around: int
 ) -> Iterator[_Step]:
     """The steps with nothing else near them."""
     for before, row in pairwise(rows):
@@ -114,7 +115,7 @@ def _steps(
         )
 
 
-def _misfit(at: Array, seen: Array, kink: float) -> float:
+def _misfit(at: FloatArray, seen: FloatArray, kink: float) -> float:
     """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has begun to turn is soon damped."""
     after = np.maximum(at - kink, 0.0)
     design = np.column_stack([np.ones_like(at), at - kink, after, after**2])

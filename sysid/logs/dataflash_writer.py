@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.flight_modes import MANOEUVRE_TEXT, MODE_NUMBERS
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.importers.dataflash_format import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 _USUAL_CHANNEL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 _FUNCTION = {"aileron": 4, "elevator": 19, "throttle": 70, "rudder": 21}
 _PANEL_FUNCTION = {"elevon": (77, 78), "vtail": (79, 80)}

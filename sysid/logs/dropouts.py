@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from sysid.record import FlightRecord
 from sysid.vocabulary import LABELS
 
-FloatArray = NDArray[np.float64]
 LONGEST_S = 0.1
 MOST = 0.2
 """Share of a channel's samples that may be bridged. Each counts as a measurement: standard errors 10 % too small at worst."""

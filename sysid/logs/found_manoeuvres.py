@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.logs.manoeuvres import label_manoeuvres
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 FOUND = "found"
 """In place of a table of manoeuvres."""
 AXES = {

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.channels import local
 from sysid.record import Loiter
 
-FloatArray = NDArray[np.float64]
 _LOITER_COMMANDS = (17.0, 18.0, 19.0)  # MAV_CMD_NAV_LOITER_UNLIM, _TURNS, _TIME
 _LEAST_S = 10.0
 _MOVES_M = 1.0  # a target that moves by more is another one

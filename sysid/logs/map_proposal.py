@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn
 from sysid.logs.assemble import assemble
@@ -30,7 +31,6 @@ from sysid.record import FlightRecord
 from sysid.units import FT_M, G0_MPS2, KT_MPS, LBF_N, SLUG_FT3_KGPM3
 from sysid.vocabulary import LABELS, SIGNALS
 
-FloatArray = NDArray[np.float64]
 _RAD = math.pi / 180.0
 _UNITS: Mapping[str, Mapping[str, float]] = {
     # unit of the signal -> unit as people write it -> factor into the signal's unit

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 MIN_SPEED_MPS = 8.0  # slower than any fixed-wing aircraft that carries an autopilot flies
 MIN_CLIMB_M = 5.0
 _TOW_MIN_S = 3.0

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.signal_map import Entry, SensorRule
 from sysid.logs.time_base import GAP_STEPS, SAME_S, clean
 
-FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 _MOST_SPANS = 4
 _HEALTH = ("present", "enabled", "health")

@@ -11,13 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.card import AirframeCard, Mix, Servo, Table
 from sysid.logs.servo_parameters import USUAL, Output, functions, outputs
 
-FloatArray = NDArray[np.float64]
 _LEFT_RIGHT = {"elevon": (77, 78), "vtail": (79, 80)}
 COLUMNS = {
     "elevator": "elevator_deg",

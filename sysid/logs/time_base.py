@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 
-FloatArray = NDArray[np.float64]
 JUMP_S = 3600.0  # a step this long inside one log is a wrong clock, not a dropout
 SAME_S = 2e-6  # times this close are one: stamps are whole microseconds
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}

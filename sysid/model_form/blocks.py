@@ -25,8 +25,8 @@ from sysid.aerodynamics import (
     cosine_variance,
     noise_cosines,
 )
+from sysid.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 BLOCK_S = 10.0
 """About how long a stretch counts as one manoeuvre where a flight has no shorter pieces [s]."""

@@ -26,11 +26,11 @@ from scipy import fft
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile, normal_tail
 from sysid.model_form.blocks import Blocks
 from sysid.model_form.posterior import Weighted, sample
 
-FloatArray = NDArray[np.float64]
 TIMES_S = np.geomspace(0.08, 4.0, 12)
 """Correlation times of the transient part: above them it is constant through a block, below them the filter takes it away."""
 LEAST_SPREAD = 0.2

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, noise_variance
+from sysid.arrays import FloatArray
 from sysid.estimation import effective_samples, integral_time
 from sysid.model_form.blocks import stretches
 from sysid.model_form.fit import Design, FitOptions, FittedBounds, fit_bounds, with_components
@@ -16,7 +16,6 @@ from sysid.model_form.judgement import Bin, Conformal, bins, conformal
 from sysid.model_form.model_form import CoefficientBounds, ModelForm, Outside
 from sysid.model_form.regressor_states import quiet
 
-FloatArray = NDArray[np.float64]
 LEVELS = (0.95, 0.68)
 BLOCKS = 10
 

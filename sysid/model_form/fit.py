@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import (
     COEFFICIENTS,
@@ -28,6 +27,7 @@ from sysid.aerodynamics import (
     stack,
     term_name,
 )
+from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
@@ -36,7 +36,6 @@ from sysid.model_form.components import STRONG, Components, Separation, separate
 from sysid.model_form.model_form import CoefficientBounds, Hull, Parts
 from sysid.model_form.regressor_states import quiet
 
-FloatArray = NDArray[np.float64]
 LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
 MIN_SAMPLES_PER_TERM = 2.0

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import regressors
+from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.model_form.model_form import CoefficientBounds, Outside
 from sysid.model_form.worth import Information, thinned
 
-FloatArray = NDArray[np.float64]
 _MAX_STATES = 500
 
 

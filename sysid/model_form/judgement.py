@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import ResidualPiece, Residuals
+from sysid.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Verdict = Literal["holds", "fails", "inconclusive"]
 HOLDS_FROM = 0.85
 """Share of a new flight that 95 % bounds must contain, whatever its standard error: single flights scatter by 0.02 to 0.04."""

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import Residuals, full_polynomial, regressors, stack, term_name
 from sysid.aerodynamics.polynomial import STATES
+from sysid.arrays import FloatArray
 from sysid.estimation.stepwise import stepwise
 from sysid.model_form.model_form import CoefficientBounds
 
-FloatArray = NDArray[np.float64]
 _STILL = 1e-3  # part of the largest state's deviation over its mean size below which a state did not move
 MOST = 4
 LEAST_SHARE = 0.05

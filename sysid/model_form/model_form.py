@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS, Term, parse_term, regressors, stack, term_name
 from sysid.aerodynamics.polynomial import STATES
+from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.errors import LogError
 from sysid.foreign.parsed_text import ParseError, parse_json
 from sysid.foreign.regular_files import read_regular
 from sysid.notebook_view import rows_table, view
 
-FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 FORMAT = "model-form 2"
 WITHOUT_PARTS = "model-form 1"

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import expit, gammaln, logit
 
+from sysid.arrays import FloatArray
 from sysid.distributions import chi2_quantile, normal_quantile
 
-FloatArray = NDArray[np.float64]
 FIRST = 256
 LATER = 128
 ENOUGH = 150.0

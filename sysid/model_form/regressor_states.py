@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from sysid.aerodynamics import ResidualPiece, Residuals, autocorrelation, cosine_variance
+from sysid.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 _BANDS_HZ = np.geomspace(0.1, 25.0, 20)
 _SURE = 2.0
 """Standard deviations of a band's noise power by which its power must exceed it to be signal."""

@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import Residuals, half_width, smooth
+from sysid.arrays import FloatArray
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
-FloatArray = NDArray[np.float64]
 STEP_S = 0.02
 WALK_CUTOFF_HZ = 0.5
 LAGS_S = (0.02, 0.1, 0.5, 1.0, 2.0)

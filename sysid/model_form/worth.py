@@ -22,14 +22,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from sysid.aerodynamics import regressors, stack
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile, student_quantile
 from sysid.model_form.model_form import CoefficientBounds, Outside
 
-FloatArray = NDArray[np.float64]
 DRAWS = 200
 _MAX_STATES = 400  # at which the mean over draws is taken
 

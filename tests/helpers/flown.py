@@ -5,13 +5,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.sixdof import Airframe, derivative, isa_density, simulate
 
-Array = NDArray[np.float64]
 DT_S = 0.02
 _FINE = 4
 LAG = np.array([25.0, 25.0, 25.0, 6.0])  # 1/s, the card's actuators
@@ -33,10 +32,12 @@ NOISE = {
 
 
 @lru_cache(maxsize=32)
-def _trim(airframe_key: tuple[tuple[str, float], ...], V: float, h: float) -> tuple[Array, Array]:
+def _trim(
+    airframe_key: tuple[tuple[str, float], ...], V: float, h: float
+) -> tuple[FloatArray, FloatArray]:
     airframe = Airframe(coefficients=dict(airframe_key))
 
-    def state(z: Array) -> tuple[Array, Array]:
+    def state(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         alpha, beta, phi, de, da, dr, throttle = z[0], z[1], 0.0, z[2], z[3], z[4], z[5]
         x = np.zeros(12)
         x[:3] = V * np.array(
@@ -51,20 +52,20 @@ def _trim(airframe_key: tuple[tuple[str, float], ...], V: float, h: float) -> tu
     return state(found.x)
 
 
-def doublet(t: Array, at: float, width: float, size: float) -> Array:
+def doublet(t: FloatArray, at: float, width: float, size: float) -> FloatArray:
     return size * (
         ((t >= at) & (t < at + width)).astype(float) - ((t >= at + width) & (t < at + 2 * width))
     )
 
 
-def step_3211(t: Array, at: float, unit: float, size: float) -> Array:
+def step_3211(t: FloatArray, at: float, unit: float, size: float) -> FloatArray:
     edges, signs = np.cumsum([0.0, 3.0, 2.0, 1.0, 1.0]) * unit + at, (1, -1, 1, -1)
     return size * sum(
         s * ((t >= a) & (t < b)) for s, a, b in zip(signs, edges, edges[1:], strict=False)
     )
 
 
-def manoeuvre(kind: str, n: int) -> Array:
+def manoeuvre(kind: str, n: int) -> FloatArray:
     """(n, 4) command increments of one manoeuvre."""
     t = np.arange(n) * DT_S
     u = np.zeros((n, 4))
@@ -138,7 +139,7 @@ def fly(
     return FlightRecord(columns, Metadata(source="synthetic", dialect="simulation"))
 
 
-def _specific_force(airframe: Airframe, x: Array, u: Array, rhs) -> Array:
+def _specific_force(airframe: Airframe, x: FloatArray, u: FloatArray, rhs) -> FloatArray:
     from tests.helpers.sixdof import rotation_to_body
 
     gravity = rotation_to_body(*x[6:9]) @ np.array([0.0, 0.0, airframe.g])
@@ -146,8 +147,13 @@ def _specific_force(airframe: Airframe, x: Array, u: Array, rhs) -> Array:
 
 
 def _columns(
-    x: Array, felt: Array, command: Array, surface: Array, dt: float, start: float
-) -> dict[str, Array]:
+    x: FloatArray,
+    felt: FloatArray,
+    command: FloatArray,
+    surface: FloatArray,
+    dt: float,
+    start: float,
+) -> dict[str, FloatArray]:
     V = np.linalg.norm(x[:, :3], axis=1)
     return {
         "time_s": start + dt * np.arange(len(x)),

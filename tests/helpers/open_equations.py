@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.flight_equations import flow_rates, sines
 from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
+from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
-FloatArray = NDArray[np.float64]
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
 """Measured states; the five of `sysid.aerodynamics.gust_states` follow them in x."""
 OUTPUTS = (

@@ -11,9 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
 
 # Table 2.6 of Hale 2016; the terms no table prints are 0.
 TABLE_2_6: Mapping[str, float] = {
@@ -93,8 +92,8 @@ def coefficients(
     p: float,
     q: float,
     r: float,
-    u: Sequence[float] | Array,
-) -> Array:
+    u: Sequence[float] | FloatArray,
+) -> FloatArray:
     """CX CY CZ Cl Cm Cn at dimensionless rates p, q, r and deflections u = (de, da, dr) [deg]."""
     de, da, dr = u
     return np.array(
@@ -121,7 +120,7 @@ def coefficients(
     )
 
 
-def rotation_to_body(phi: float, theta: float, psi: float) -> Array:
+def rotation_to_body(phi: float, theta: float, psi: float) -> FloatArray:
     """Matrix that turns north-east-down components into body components."""
     cf, sf, ct, st, cp, sp = (
         np.cos(phi),
@@ -140,7 +139,7 @@ def rotation_to_body(phi: float, theta: float, psi: float) -> Array:
     )
 
 
-def derivative(airframe: Airframe, x: Array, u: Array) -> Array:
+def derivative(airframe: Airframe, x: FloatArray, u: FloatArray) -> FloatArray:
     """d/dt of x = (u v w, p q r, phi theta psi, north east down) for u = (de, da, dr [deg], throttle [pct]), still air."""
     a = airframe
     ub, vb, wb, p, q, r = x[:6].tolist()
@@ -162,7 +161,9 @@ def derivative(airframe: Airframe, x: Array, u: Array) -> Array:
     return motion(a, x, force, (qS * a.b * C[3], qS * a.c * C[4], qS * a.b * C[5]))
 
 
-def motion(airframe: Airframe, x: Array, force: Sequence[float], moment: Sequence[float]) -> Array:
+def motion(
+    airframe: Airframe, x: FloatArray, force: Sequence[float], moment: Sequence[float]
+) -> FloatArray:
     """d/dt of x for force [N] and moment [N m] in body axes, without weight."""
     # Plain numbers: arrays of three cost ten times as much.
     a = airframe
@@ -204,11 +205,11 @@ def motion(airframe: Airframe, x: Array, force: Sequence[float], moment: Sequenc
 
 def simulate(
     airframe: Airframe,
-    x0: Array,
-    inputs: Array,
+    x0: FloatArray,
+    inputs: FloatArray,
     dt_s: float,
-    rhs: Callable[[Airframe, Array, Array], Array] = derivative,
-) -> Array:
+    rhs: Callable[[Airframe, FloatArray, FloatArray], FloatArray] = derivative,
+) -> FloatArray:
     """States (n + 1, 12) under inputs (n, 4) held over each step."""
     x = np.empty((len(inputs) + 1, x0.size))
     x[0] = x0

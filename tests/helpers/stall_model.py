@@ -11,11 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from tests.helpers import sixdof
-
-Array = NDArray[np.float64]
 
 # Column "actual value" of Table 2.4.
 TABLE_2_4: Mapping[str, float] = {
@@ -137,7 +135,7 @@ def _root(f: Callable[[float], float]) -> float:
     raise ArithmeticError(f"no alphadot after 50 secants; the last was {here}")
 
 
-def derivative(a: StallingAirframe, x: Array, u: Array) -> Array:
+def derivative(a: StallingAirframe, x: FloatArray, u: FloatArray) -> FloatArray:
     """d/dt of sixdof's state for u = (de, da, dr [deg], throttle [pct]), still air; alphadot solved for."""
     ub, vb, wb, p, q, r, phi, theta, _, _, _, down = x.tolist()
     de, da, dr, throttle = np.asarray(u).tolist()

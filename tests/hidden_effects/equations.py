@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from tests.helpers.sixdof import TABLE_2_6
 
-Array = NDArray[np.float64]
 INERTIAS = ("m", "Ixx", "Iyy", "Izz", "Ixz", "S", "c", "b", "g")
 _HIDDEN = (
     "determinant",
@@ -71,27 +71,27 @@ class Terms(NamedTuple):
 
     first: NDArray[np.int64]
     which: NDArray[np.int64]
-    size: Array
+    size: FloatArray
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]
     operations: NDArray[np.int64]
-    arguments: Array
-    tables: Array
+    arguments: FloatArray
+    tables: FloatArray
 
 
 class Faults(NamedTuple):
     """Servos of all lanes over one step, all (4, B): decay of the lag, largest move, half of dead zone and play; stops (4,)."""
 
-    decay: Array
-    most: Array
-    half_band: Array
-    half_play: Array
-    low: Array
-    high: Array
+    decay: FloatArray
+    most: FloatArray
+    half_band: FloatArray
+    half_play: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
 @njit(cache=True, error_model="numpy")
-def interpolated(tables: Array, at: int, v: float) -> float:
+def interpolated(tables: FloatArray, at: int, v: float) -> float:
     """Straight lines between a table's places; its ends are held."""
     n = int(tables[at])
     x, y = at + 1, at + 1 + n
@@ -105,7 +105,7 @@ def interpolated(tables: Array, at: int, v: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def run(terms: Any, first: int, last: int, seen: Array, stack: Array) -> float:
+def run(terms: Any, first: int, last: int, seen: FloatArray, stack: FloatArray) -> float:
     """Value of steps first .. last - 1 at the variables ``seen`` (15,); ``stack`` (STACK,) is room to work in."""
     top = -1
     for i in range(first, last):
@@ -176,12 +176,12 @@ def _found(
     M: Any,
     lane: int,
     terms: Terms,
-    x: Array,
-    s: Array,
-    gust: Array,
+    x: FloatArray,
+    s: FloatArray,
+    gust: FloatArray,
     t_s: float,
-    room: Array,
-    out: Array,
+    room: FloatArray,
+    out: FloatArray,
 ) -> None:
     """The derivative and what is felt and seen of one lane at surfaces s, into ``out`` (FOUND,); ``room`` is to work in."""
     seen, stack, C, now = room[0], room[1], room[2], room[3]
@@ -306,7 +306,7 @@ def _found(
 
 
 @njit(cache=True, error_model="numpy")
-def _felt(x: float, y: float, z: float, p: float, q: float, r: float, out: Array) -> None:
+def _felt(x: float, y: float, z: float, p: float, q: float, r: float, out: FloatArray) -> None:
     """What accelerometers at (x, y, z) feel besides, w' x r + w x (w x r), from the w' in out[3:6] into out[12:15]."""
     cx, cy, cz = q * z - r * y, r * x - p * z, p * y - q * x
     out[12] = out[4] * z - out[5] * y + q * cz - r * cy
@@ -315,7 +315,9 @@ def _felt(x: float, y: float, z: float, p: float, q: float, r: float, out: Array
 
 
 @njit(cache=True, error_model="numpy")
-def found(M: Any, terms: Terms, x: Array, s: Array, gust: Array, t_s: Array) -> Array:
+def found(
+    M: Any, terms: Terms, x: FloatArray, s: FloatArray, gust: FloatArray, t_s: FloatArray
+) -> FloatArray:
     """(FOUND, B) of all lanes at states x (12, B), surfaces s (4, B), air (6, B) and clocks (B,)."""
     room = np.zeros((4, STACK))
     out = np.empty((FOUND, x.shape[1]))
@@ -333,7 +335,7 @@ def clipped(value: float, low: float, high: float) -> float:
 
 
 @njit(cache=True)
-def _moved(i: int, lane: int, command: float, faults: Faults, state: Array) -> float:
+def _moved(i: int, lane: int, command: float, faults: Faults, state: FloatArray) -> float:
     """Position of one servo after a step; state (3, 4, B): lagged, limited, played."""
     lagged = command + (state[0, i, lane] - command) * faults.decay[i, lane]
     limited = state[1, i, lane]
@@ -343,7 +345,7 @@ def _moved(i: int, lane: int, command: float, faults: Faults, state: Array) -> f
 
 
 @njit(cache=True)
-def placed(i: int, lane: int, faults: Faults, state: Array) -> float:
+def placed(i: int, lane: int, faults: Faults, state: FloatArray) -> float:
     """Position that play, dead zone and stops leave of the servo's state."""
     limited, play = state[1, i, lane], faults.half_play[i, lane]
     played = clipped(state[2, i, lane], limited - play, limited + play)
@@ -353,7 +355,7 @@ def placed(i: int, lane: int, faults: Faults, state: Array) -> float:
 
 
 @njit(cache=True)
-def rested(faults: Faults, state: Array) -> Array:
+def rested(faults: Faults, state: FloatArray) -> FloatArray:
     """(4, B) positions of servos before their first step."""
     out = np.empty(state.shape[1:])
     for i in range(out.shape[0]):
@@ -363,7 +365,7 @@ def rested(faults: Faults, state: Array) -> Array:
 
 
 @njit(cache=True)
-def advanced(command: Array, faults: Faults, state: Array) -> Array:
+def advanced(command: FloatArray, faults: Faults, state: FloatArray) -> FloatArray:
     """(4, B) positions after one step towards commands (4, B)."""
     out = np.empty(state.shape[1:])
     for i in range(out.shape[0]):
@@ -373,7 +375,7 @@ def advanced(command: Array, faults: Faults, state: Array) -> Array:
 
 
 @njit(cache=True)
-def _breathed(nodes: Array, node_s: float, t_s: float, lane: int, out: Array) -> None:
+def _breathed(nodes: FloatArray, node_s: float, t_s: float, lane: int, out: FloatArray) -> None:
     """The air (6,) at a time, straight lines between nodes (N, 6, B); calm where there are none."""
     if nodes.shape[0] > 0:
         at = t_s / node_s
@@ -388,15 +390,15 @@ def interval(
     M: Any,
     terms: Terms,
     faults: Faults,
-    nodes: Array,
-    times: Array,
+    nodes: FloatArray,
+    times: FloatArray,
     steps: int,
-    command: Array,
-    begun_s: Array,
-    dot: Array,
-    x: Array,
-    s: Array,
-    state: Array,
+    command: FloatArray,
+    begun_s: FloatArray,
+    dot: FloatArray,
+    x: FloatArray,
+    s: FloatArray,
+    state: FloatArray,
 ) -> None:
     """``steps`` RK4 steps of all lanes from states x (12, B) and positions s (4, B), both moved on with the servos' ``state``.
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import PLACES, Effect
@@ -16,7 +16,6 @@ from tests.hidden_effects.gusts import NODE_S, turbulence
 from tests.hidden_effects.manoeuvres import Card, Pilot
 from tests.hidden_effects.motion import CALM, Drive, History, Model, integrate, trim
 
-Array = NDArray[np.float64]
 STEP_S = 0.004
 # Table 2.1 of the dissertation, one standard deviation.
 NOISE = {
@@ -51,8 +50,8 @@ class Flown:
     """A record and what its sensors did not see: states (n, 12), commands (n, 4)."""
 
     record: FlightRecord
-    x: Array
-    commands: Array
+    x: FloatArray
+    commands: FloatArray
 
 
 def fly(flights: Sequence[Flight], step_s: float = STEP_S) -> list[FlightRecord]:
@@ -109,7 +108,7 @@ def substeps(dt_s: float, step_s: float = STEP_S) -> int:
     return max(1, int(np.ceil(dt_s / step_s - 1e-6)))
 
 
-def gusts_of(flights: Sequence[Flight]) -> Array:
+def gusts_of(flights: Sequence[Flight]) -> FloatArray:
     """(N, 6, B) the flights' air every NODE_S; CALM where none has any."""
     if not any(f.card.w20_kt for f in flights):
         return CALM
@@ -123,12 +122,12 @@ def gusts_of(flights: Sequence[Flight]) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _air(V: float, h: float, w20_kt: float, b: float, seconds: float, seed: int) -> Array:
+def _air(V: float, h: float, w20_kt: float, b: float, seconds: float, seed: int) -> FloatArray:
     return turbulence(V, h, w20_kt, b, seconds, np.random.default_rng([seed, 2]))
 
 
 def _record(
-    flight: Flight, history: History, lane: int, noise: dict[str, Array], dt: float
+    flight: Flight, history: History, lane: int, noise: dict[str, FloatArray], dt: float
 ) -> FlightRecord:
     x, card = history.x[:, :, lane], flight.card
     time = dt * np.arange(len(x))
@@ -177,12 +176,12 @@ def _record(
     )
 
 
-def earlier(values: Array, rows: int) -> Array:
+def earlier(values: FloatArray, rows: int) -> FloatArray:
     """(n, ...) values as a clock gives them that is that many rows early (late, if negative); the ends are held."""
     return np.asarray(values[np.clip(np.arange(len(values)) + rows, 0, len(values) - 1)])
 
 
-def sensed(values: Array, effect: Effect, dt: float) -> Array:
+def sensed(values: FloatArray, effect: Effect, dt: float) -> FloatArray:
     """(n, ...) a channel as a sensor with this fault gives it."""
     if effect.term == "bias":
         return values + effect.size

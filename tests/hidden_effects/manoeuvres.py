@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from tests.hidden_effects.motion import STOPS, Air
 
-Array = NDArray[np.float64]
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -24,7 +23,7 @@ class Pulse:
     unit_s: float
     after_s: float = 0.8
 
-    def at(self, t: Array) -> Array:
+    def at(self, t: FloatArray) -> FloatArray:
         """Increment at times t (n,) from the manoeuvre's start."""
         parts, signs = (
             ((1, 1), (1, -1)) if self.shape == "doublet" else ((3, 2, 1, 1), (1, -1, 1, -1))
@@ -157,7 +156,7 @@ def card(
     return Card(V_mps, tuple(found), seed, seconds, **rest)  # type: ignore[arg-type]
 
 
-def slewed(wanted: Array, most: float) -> Array:
+def slewed(wanted: FloatArray, most: float) -> FloatArray:
     """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time; servos stay off their limit."""
     out = wanted.copy()
     for k in range(1, len(out)):
@@ -172,7 +171,9 @@ class Pilot:
     frozen hands-off. ``noise`` (n, 4, B) of V, phi, theta, h is what the pilot's instruments add.
     """
 
-    def __init__(self, cards: Sequence[Card], trim_x: Array, trim_s: Array, noise: Array) -> None:
+    def __init__(
+        self, cards: Sequence[Card], trim_x: FloatArray, trim_s: FloatArray, noise: FloatArray
+    ) -> None:
         dt = 1.0 / cards[0].rate_hz
         n = round(cards[0].seconds / dt)
         t = np.arange(n) * dt
@@ -200,7 +201,7 @@ class Pilot:
         self.correction = np.zeros((4, B))
         self._low, self._high = (np.array(side)[:, None] for side in zip(*STOPS, strict=True))
 
-    def __call__(self, k: int, air: Air, x: Array) -> Array:
+    def __call__(self, k: int, air: Air, x: FloatArray) -> FloatArray:
         V, phi, theta, h = (
             air.V + self.noise[k, 0],
             x[6] + self.noise[k, 1],

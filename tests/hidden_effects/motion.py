@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from tests.helpers.sixdof import TABLE_2_6, Airframe
 from tests.hidden_effects import effects as fx
 from tests.hidden_effects.effects import Effect
@@ -31,7 +31,6 @@ from tests.hidden_effects.equations import (
 from tests.hidden_effects.expressions import programme
 from tests.hidden_effects.gusts import NODE_S
 
-Array = NDArray[np.float64]
 LAG = (25.0, 25.0, 25.0, 6.0)  # 1/s, the aircraft's actuators
 RATE = (240.0, 240.0, 240.0, 1e9)  # deg/s
 STOPS = ((-25.0, 25.0),) * 3 + ((0.0, 100.0),)
@@ -151,15 +150,21 @@ def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
 class Air:
     """What the vanes and the air data see, all (B,) or (3, B); forces per mass and the state's derivative with it."""
 
-    V: Array
-    alpha: Array
-    beta: Array
-    rho: Array
-    felt: Array
-    dot: Array
+    V: FloatArray
+    alpha: FloatArray
+    beta: FloatArray
+    rho: FloatArray
+    felt: FloatArray
+    dot: FloatArray
 
 
-def evaluate(model: Model, x: Array, s: Array, gust: Array | None, t_s: Array | float = 0.0) -> Air:
+def evaluate(
+    model: Model,
+    x: FloatArray,
+    s: FloatArray,
+    gust: FloatArray | None,
+    t_s: FloatArray | float = 0.0,
+) -> Air:
     """Air data, specific force and the state's derivative at surfaces s (4, B).
 
     gust (6, B): the air's velocity and rotation in heading axes (x along the heading and level, y right, z down), or None.
@@ -179,7 +184,7 @@ class Servos:
     state (3, 4, B): the position after the lag, after the rate limit and after the play.
     """
 
-    def __init__(self, model: Model, step_s: float, s: Array) -> None:
+    def __init__(self, model: Model, step_s: float, s: FloatArray) -> None:
         self.state = np.repeat(s[None], 3, axis=0)
         low, high = (np.array(side) for side in zip(*STOPS, strict=True))
         self.faults = Faults(
@@ -192,7 +197,7 @@ class Servos:
         )
         self.s = rested(self.faults, self.state)
 
-    def advance(self, command: Array) -> Array:
+    def advance(self, command: FloatArray) -> FloatArray:
         self.s = advanced(command, self.faults, self.state)
         return self.s
 
@@ -201,17 +206,17 @@ class Servos:
 class History:
     """Samples 0 .. n - 1: states (n, 12, B), positions and commands (n, 4, B), felt (n, 3, B), V alpha beta rho (n, B)."""
 
-    x: Array
-    positions: Array
-    commands: Array
-    felt: Array
-    V: Array
-    alpha: Array
-    beta: Array
-    rho: Array
+    x: FloatArray
+    positions: FloatArray
+    commands: FloatArray
+    felt: FloatArray
+    V: FloatArray
+    alpha: FloatArray
+    beta: FloatArray
+    rho: FloatArray
 
 
-def breath(nodes: Array, t_s: float, size: int) -> Array:
+def breath(nodes: FloatArray, t_s: float, size: int) -> FloatArray:
     """(6, B) the air at a time, straight lines between nodes (N, 6, B) every NODE_S; zero where there are none."""
     if not len(nodes):
         return np.zeros((6, size))
@@ -221,14 +226,14 @@ def breath(nodes: Array, t_s: float, size: int) -> Array:
 
 def integrate(
     model: Model,
-    x0: Array,
-    s0: Array,
+    x0: FloatArray,
+    s0: FloatArray,
     n: int,
     dt_s: float,
     steps: int,
-    command: Callable[[int, Air, Array], Array],
-    gusts: Array = CALM,
-    begun_s: Array | float = 0.0,
+    command: Callable[[int, Air, FloatArray], FloatArray],
+    gusts: FloatArray = CALM,
+    begun_s: FloatArray | float = 0.0,
 ) -> History:
     """n samples dt_s apart, each interval in ``steps`` RK4 steps; command(k, air, x) -> (4, B) is held over interval k.
 
@@ -280,11 +285,11 @@ def integrate(
     return out
 
 
-def trim(model: Model, V: Array, h: Array) -> tuple[Array, Array]:
+def trim(model: Model, V: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray]:
     """States (12, B) and positions (4, B) of straight, level flight with wings level at V [m/s] and height h [m]: Newton."""
     B = model.size
 
-    def state(z: Array) -> tuple[Array, Array]:
+    def state(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         alpha, beta = z[0], z[1]
         x = np.zeros((12, B))
         x[0], x[1], x[2] = (
@@ -295,7 +300,7 @@ def trim(model: Model, V: Array, h: Array) -> tuple[Array, Array]:
         x[7], x[11] = alpha, -h
         return x, z[2:6]
 
-    def left(z: Array) -> Array:
+    def left(z: FloatArray) -> FloatArray:
         return evaluate(model, *state(z), None).dot[:6]
 
     z = np.repeat(np.array([0.03, 0.0, 0.0, 0.0, 0.0, 55.0])[:, None], B, axis=1)

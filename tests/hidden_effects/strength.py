@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation.coloured import coloured_information
 from tests.helpers.sixdof import TABLE_2_6
 from tests.hidden_effects.effects import PLACES, Effect
@@ -24,7 +24,6 @@ from tests.hidden_effects.flights import NOISE, Flight, Flown, sensed, substeps
 from tests.hidden_effects.manoeuvres import Manoeuvre
 from tests.hidden_effects.motion import History, Model, integrate
 
-Array = NDArray[np.float64]
 OUTPUTS = (
     "V_mps",
     "alpha_rad",
@@ -100,7 +99,7 @@ def _sensitivities(
     variants: Sequence[tuple[Effect, ...]],
     corrected: bool,
     step_s: float,
-) -> tuple[list[Array], list[list[Array]], list[Array] | None]:
+) -> tuple[list[FloatArray], list[list[FloatArray]], list[FloatArray] | None]:
     """Of each segment: columns (n, m, k) of the nuisance, changes (n, m) between its effects and each variant, residual."""
     pieces = [
         _Piece(f, told, m, variants)
@@ -132,7 +131,7 @@ def _sensitivities(
 class _Nuisance:
     """What an effect has to stand out from: columns S (n, m, k) a segment and, in turbulence, the residual that is left of them."""
 
-    def __init__(self, columns: list[Array], residual: list[Array] | None) -> None:
+    def __init__(self, columns: list[FloatArray], residual: list[FloatArray] | None) -> None:
         self.S, self.left, self.size = columns, None, np.ones(columns[0].shape[1])
         if residual is not None:  # R is re-estimated: the residual's own variance
             theta = self._fit(residual)
@@ -143,14 +142,14 @@ class _Nuisance:
         flat = [part.reshape(-1, part.shape[2]) for part in self.S]
         self.inverse = _inverse(np.asarray(sum(f.T @ f for f in flat)))
 
-    def _fit(self, blocks: list[Array]) -> Array:
+    def _fit(self, blocks: list[FloatArray]) -> FloatArray:
         flat = [part.reshape(-1, part.shape[2]) for part in self.S]
         return np.asarray(
             _inverse(np.asarray(sum(f.T @ f for f in flat)))
             @ sum(f.T @ d.ravel() for f, d in zip(flat, blocks, strict=True))
         )
 
-    def judge(self, change: list[Array]) -> Strength:
+    def judge(self, change: list[FloatArray]) -> Strength:
         d = [part / self.size for part in change]
         theta = self.inverse @ sum(
             part.reshape(-1, part.shape[2]).T @ e.ravel() for part, e in zip(self.S, d, strict=True)
@@ -172,7 +171,9 @@ class _Nuisance:
         )
 
 
-def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> list[Array]:
+def _beside(
+    columns: list[FloatArray], changes: list[list[FloatArray]], which: int
+) -> list[FloatArray]:
     """The columns with what every other effect does among them."""
     others = [i for i in range(len(changes[0])) if i != which]
     return [
@@ -181,7 +182,7 @@ def _beside(columns: list[Array], changes: list[list[Array]], which: int) -> lis
     ]
 
 
-def _inverse(information: Array) -> Array:
+def _inverse(information: FloatArray) -> FloatArray:
     """Pseudo-inverse after scaling to a unit diagonal: nuisance that the flights do not show takes nothing up."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-30))
     found = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True)
@@ -212,13 +213,13 @@ class _Piece:
         for name, step in zip(PARAMETERS, self.steps, strict=True):
             self.lanes.append((flight.airframe.with_coefficient(name, k[name] + step), every))
 
-    def starts(self) -> Array:
+    def starts(self) -> FloatArray:
         x0 = np.repeat(self.flown.x[self.rows.start][:, None], len(self.lanes), axis=1)
         for i in range(_STARTS):
             x0[i, 1 + i] += _MOVES[i]
         return x0
 
-    def commands(self, n: int) -> Array:
+    def commands(self, n: int) -> FloatArray:
         """(n, 4, lanes), the last one held on."""
         own = self.flown.commands[self.rows]
         return np.repeat(
@@ -228,7 +229,9 @@ class _Piece:
         )
 
 
-def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Array], Array]]:
+def _replayed(
+    pieces: list[_Piece], step_s: float
+) -> list[tuple[FloatArray, list[FloatArray], FloatArray]]:
     """Of each piece: outputs (n, m) in still air from the true start; those of each variant; sensitivities (n, m, k)."""
     n = max(p.rows.stop - p.rows.start for p in pieces)
     dt = pieces[0].dt
@@ -272,7 +275,7 @@ def _replayed(pieces: list[_Piece], step_s: float) -> list[tuple[Array, list[Arr
     return out
 
 
-def _outputs(h: History) -> Array:
+def _outputs(h: History) -> FloatArray:
     """(n, 11, lanes) as OUTPUTS."""
     own = np.stack(
         [h.V, h.alpha, h.beta, h.x[:, 6], h.x[:, 7], h.x[:, 3], h.x[:, 4], h.x[:, 5]], axis=1

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from uqharness.campaign.execution import CaseOutcome
 from uqharness.flight import FlightSpec
-from uqharness.statistics import Array, upper_limits
+from uqharness.statistics import upper_limits
 
 LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED, OTHER = (
     "loss_of_control",
@@ -38,8 +39,8 @@ class Aborted:
     ``lost``: 1 where the flight was aborted; ``missing``: the share of its time that was not flown; ``kinds``: how many there are.
     """
 
-    lost: Array
-    missing: Array
+    lost: FloatArray
+    missing: FloatArray
     kinds: dict[str, int]
 
     @property
@@ -48,12 +49,12 @@ class Aborted:
         return int(np.nansum(self.lost))
 
     @property
-    def missing_shares(self) -> Array:
+    def missing_shares(self) -> FloatArray:
         """Flights' worth of time that was not flown, per corner (c,)."""
-        found: Array = np.nansum(self.missing, axis=1)
+        found: FloatArray = np.nansum(self.missing, axis=1)
         return found
 
-    def upper(self, error: float, assumed: float | None) -> Array:
+    def upper(self, error: float, assumed: float | None) -> FloatArray:
         """Upper limits (c,) of aborted flights per flight's length flown, each missed with probability ``error`` at most.
 
         A flight is aborted once, so its count clusters no more than independent ones do.

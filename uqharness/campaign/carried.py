@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqharness.statistics import Array, dispersion_limits, lower_limits
+from sysid.arrays import FloatArray
+from uqharness.statistics import dispersion_limits, lower_limits
 
 ENOUGH_EXCURSIONS = 30
 """Excursions of a corner at a smaller radius that measure how they cluster."""
@@ -28,8 +29,8 @@ class Carried:
     ``beyond``: whether some corner's flights contradict it.
     """
 
-    dispersion: Array
-    radius_m: Array
+    dispersion: FloatArray
+    radius_m: FloatArray
     beyond: bool
 
     @property
@@ -44,7 +45,11 @@ class Carried:
 
 
 def carried(
-    counts: Mapping[float, Array], radius_m: float, flown_h: Array, assumed: float, error: float
+    counts: Mapping[float, FloatArray],
+    radius_m: float,
+    flown_h: FloatArray,
+    assumed: float,
+    error: float,
 ) -> Carried:
     """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,) hours; asked beyond ``radius_m``.
 

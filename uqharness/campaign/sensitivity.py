@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
 from uqharness.campaign.conditions import Condition, conditions, in_condition
 from uqharness.campaign.folder.case_table import CASES
@@ -20,7 +21,6 @@ from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
 from uqharness.errors import BadInputError
 from uqharness.sensitivity import Evaluations, MethodResult, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
-from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.problem import corners as box_corners
 from uqharness.sensitivity.words import Ranking, rank, words
 
@@ -47,7 +47,7 @@ class Flown:
         return (*campaign["epistemic"]["coefficients"], *means)
 
     @property
-    def levels(self) -> Array:
+    def levels(self) -> FloatArray:
         """(flights, d) levels of the uncertain coefficients."""
         return self.frame[[f"level_{name}" for name in self.coefficients]].to_numpy(dtype=float)
 
@@ -61,7 +61,7 @@ class _Grouped:
     places: NDArray[np.intp]
     flown: NDArray[np.bool_]
 
-    def values(self, of: Flown, metric: str) -> Array:
+    def values(self, of: Flown, metric: str) -> FloatArray:
         """(n, A) of a metric; NaN where a flight failed. Raises BadInputError for one that the table has not."""
         if metric not in of.frame:
             raise BadInputError(
@@ -226,8 +226,8 @@ def _analyse(
 
 
 def _with_points(
-    inside: Array | None, points: list[Array], known: NDArray[np.bool_]
-) -> Array | None:
+    inside: FloatArray | None, points: list[FloatArray], known: NDArray[np.bool_]
+) -> FloatArray | None:
     """``inside`` with a campaign's interior points: they check the corners and leave out no air; one that failed is dropped."""
     whole = [point for point in points if np.all(np.isfinite(point[known]))]
     found = ([] if inside is None else [inside]) + ([np.array(whole)] if whole else [])

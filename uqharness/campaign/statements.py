@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.units import percent
 from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
 from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
@@ -34,7 +35,6 @@ from uqharness.statistics import (
     NO,
     OPEN,
     YES,
-    Array,
     bet_logs,
     dispersion_that_allows,
     evidence_of_either,
@@ -121,8 +121,8 @@ class Statement:
     dispersion_allowed: float
     dispersion_observed: float
     extrapolated_share: float
-    corner_limits: Array
-    dispersions: Array
+    corner_limits: FloatArray
+    dispersions: FloatArray
     flight_share_upper: float
     acceptable_loss_per_h: float
     loss_upper_per_h: float
@@ -176,7 +176,7 @@ class _Flown:
     places: list[Any]
     failed: Any
     losses: Aborted
-    hours: Array
+    hours: FloatArray
 
     @classmethod
     def of(cls, rows: Any, duration_s: float) -> _Flown:
@@ -223,7 +223,7 @@ def _statement(
     allowed = np.maximum(np.maximum(observed, clusters.dispersion), ended)
     largest = float(clusters.dispersion.max())
 
-    def upper_per_h(wrong: float) -> Array:
+    def upper_per_h(wrong: float) -> FloatArray:
         return upper_limits(flights, total, allowed, wrong, anytime, losses.missing_shares) / hours
 
     lower, lower_all = lower_limits(low, side) / hours, lower_limits(low, side / corners) / hours
@@ -281,15 +281,18 @@ def _statement(
     )
 
 
-def _per_hour(counts: Array, hours: Array) -> Array:
+def _per_hour(counts: FloatArray, hours: FloatArray) -> FloatArray:
     """Rates; where nothing was flown, infinite for a count and undefined without."""
     nothing = np.where(counts > 0, np.inf, np.nan)
-    found: Array = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), nothing)
+    found: FloatArray = np.where(hours > 0, counts / np.where(hours > 0, hours, 1.0), nothing)
     return found
 
 
 def _shown_above(
-    counts: tuple[Array, Array], missing: Array, acceptable: tuple[float, float], error: float
+    counts: tuple[FloatArray, FloatArray],
+    missing: FloatArray,
+    acceptable: tuple[float, float],
+    error: float,
 ) -> bool:
     """Whether some corner has been shown to be above an acceptable mean per flight, wrongly with probability ``error`` at most.
 
@@ -310,7 +313,7 @@ def _shown_above(
     return bool(np.logaddexp.reduce(evidence) - np.log(evidence.size) >= -np.log(error))
 
 
-def _counts(flown: _Flown, column: str) -> tuple[Array, Array]:
+def _counts(flown: _Flown, column: str) -> tuple[FloatArray, FloatArray]:
     """Least and most excursions of each flight, (corners, flights); NaN where a corner flew fewer.
 
     A flight that failed may have had one more than was seen; one that lost control and flew on counts as one at least.

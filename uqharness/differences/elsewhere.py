@@ -12,8 +12,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.differences.channels import Channel
 from uqharness.differences.flown import How, flown
@@ -22,7 +22,6 @@ from uqharness.files import write_json
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, Source, engine, find_aircraft
 
-Array = NDArray[np.float64]
 LONGEST_S = 600.0
 
 
@@ -32,7 +31,7 @@ class RefusedError(BadInputError):
 
 def fly_elsewhere(
     python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How
-) -> tuple[dict[str, Array], str]:
+) -> tuple[dict[str, FloatArray], str]:
     """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the version of its JSBSim.
 
     Parameters

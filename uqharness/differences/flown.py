@@ -6,15 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sysid.arrays import FloatArray
 from uqharness.differences.channels import Channel
 from uqharness.flight import FlightSpec, as_asked, record_mission
 from uqharness.isolation import run_isolated
 from uqharness.simulator import Aircraft, StagedMission, read_script
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,14 +30,14 @@ class How:
 
 def flown(
     aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
-) -> dict[str, Array]:
+) -> dict[str, FloatArray]:
     """time_s and channels of a flight in a worker process, a row a frame. Raises BadInputError."""
     return run_isolated(_flown, aircraft, path, channels, how)
 
 
 def _flown(
     aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
-) -> dict[str, Array]:
+) -> dict[str, FloatArray]:
     script = read_script(path)
     if how.dt_s != aircraft.dt_s:
         section = aircraft.card.aircraft.model_copy(update={"dt_s": how.dt_s})

@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sysid.arrays import FloatArray
 from uqharness.differences.channels import Channel, channels_of
 from uqharness.differences.elsewhere import RefusedError, fly_elsewhere
 from uqharness.differences.flown import How, flown
@@ -30,7 +28,6 @@ from uqharness.simulator import (
     write_own_mission,
 )
 
-Array = NDArray[np.float64]
 MOST_S = 60.0
 """Longest flight of a script [s]; a mission of one's own ends by itself."""
 
@@ -68,10 +65,10 @@ class Matched:
     """
 
     name: str
-    time_s: Array
-    a: Mapping[str, Array]
-    b: Mapping[str, Array]
-    nudged: Mapping[str, Array]
+    time_s: FloatArray
+    a: Mapping[str, FloatArray]
+    b: Mapping[str, FloatArray]
+    nudged: Mapping[str, FloatArray]
     only_a: tuple[str, ...] = ()
     only_b: tuple[str, ...] = ()
     reason: str = ""
@@ -180,7 +177,7 @@ def _both(
 
 def _of_b(
     two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None
-) -> tuple[dict[str, Array], str]:
+) -> tuple[dict[str, FloatArray], str]:
     """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
     if python is not None:
         return fly_elsewhere(python, two, script, channels, how)

@@ -6,13 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.differences.channels import GROUPS, Channel
 from uqharness.differences.matched import Matched
 from uqharness.differences.terms import Term
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Share of a channel's range within which two orders of the same sums stay."""
 NUDGES = 1000.0
@@ -73,7 +72,7 @@ def by_channel(found: Sequence[Difference]) -> list[Difference]:
     return list(seen.values())
 
 
-def scale_of(channel: Channel, values: Array) -> float:
+def scale_of(channel: Channel, values: FloatArray) -> float:
     """Range of a channel in a flight, or its magnitude where it hardly moves; never below its floor."""
     reach = float(np.ptp(values)) if len(values) else 0.0
     magnitude = float(np.max(np.abs(values), initial=0.0))

@@ -7,15 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.differences.channels import Channel
 from uqharness.differences.flown import How, flown
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS
 from uqharness.simulator import Aircraft, open_aircraft
-
-Array = NDArray[np.float64]
 
 
 def varied(
@@ -25,7 +23,7 @@ def varied(
     how: How,
     repeats: int,
     bounds: bool,
-) -> list[dict[str, Array]]:
+) -> list[dict[str, FloatArray]]:
     """Flights of a model as `flown` gives them: with ``repeats`` other seeds of the air, and at either end of each bound.
 
     Raises BadInputError where there is no air to repeat or no bound.
@@ -39,7 +37,9 @@ def varied(
     return [flown(aircraft, script, channels, other) for other in others]
 
 
-def spread(flight: Mapping[str, Array], others: Iterable[Mapping[str, Array]]) -> dict[str, float]:
+def spread(
+    flight: Mapping[str, FloatArray], others: Iterable[Mapping[str, FloatArray]]
+) -> dict[str, float]:
     """Largest difference of the others from the flight, by channel, over the time that both flew."""
     out = dict.fromkeys(flight, 0.0)
     for other in others:

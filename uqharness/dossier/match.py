@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.dossier.bands import TESTS, Band, Oscillation, Test
 from uqharness.dossier.oscillation import Mode, fit_mode
 from uqharness.replay import History
 
-Array = NDArray[np.float64]
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"
 _MOVED = 0.3
@@ -101,7 +100,7 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
     return Match(tuple(judged), missing)
 
 
-def limits(band: Band, measured: Array) -> Array:
+def limits(band: Band, measured: FloatArray) -> FloatArray:
     """Half width (n,) of a tolerance about what was measured: the less restrictive of its absolute value and its share."""
     size = np.abs(measured)
     if band.of_peak:
@@ -307,7 +306,7 @@ def _mode_rows(asked: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple
     return tuple(rows)
 
 
-def _travel(values: Array | None) -> float:
+def _travel(values: FloatArray | None) -> float:
     known = np.empty(0) if values is None else values[np.isfinite(values)]
     return float(np.ptp(known)) if known.size else 0.0
 

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 _STARTS = 60
 
 
@@ -33,7 +33,7 @@ class Mode:
     left: float
 
 
-def fit_mode(time_s: Array, y: Array, shortest_s: float, longest_s: float) -> Mode | None:
+def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: float) -> Mode | None:
     """Damped sinusoid beside a straight line, by least squares; None where no period within the limits fits the record.
 
     Parameters
@@ -57,9 +57,9 @@ def fit_mode(time_s: Array, y: Array, shortest_s: float, longest_s: float) -> Mo
     if not longest > shortest:
         return None
 
-    def residual(x: Array) -> Array:
+    def residual(x: FloatArray) -> FloatArray:
         base = _base(t, x)
-        out: Array = z - base @ np.linalg.lstsq(base, z, rcond=None)[0]
+        out: FloatArray = z - base @ np.linalg.lstsq(base, z, rcond=None)[0]
         return out
 
     starts = [
@@ -94,7 +94,7 @@ def fit_mode(time_s: Array, y: Array, shortest_s: float, longest_s: float) -> Mo
     )
 
 
-def _base(t: Array, x: Array) -> Array:
+def _base(t: FloatArray, x: FloatArray) -> FloatArray:
     omega, decay = x
     envelope = np.exp(np.clip(-decay * t, -50.0, 50.0))
     return np.column_stack(

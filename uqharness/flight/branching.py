@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight.seeds import branch_seed, branch_stream
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Split:
 class Source(Protocol):
     """A stream of normals."""
 
-    def take(self, n: int) -> Array:
+    def take(self, n: int) -> FloatArray:
         """The next ``n`` numbers, (n,)."""
 
 
@@ -66,7 +64,7 @@ class Spliced:
             done,
         )
 
-    def take(self, n: int) -> Array:
+    def take(self, n: int) -> FloatArray:
         """The next ``n`` numbers, (n,)."""
         steps = n // self._per_step
         first, self._done = self._done, self._done + steps

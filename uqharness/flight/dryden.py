@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
 from uqharness.flight import exact
@@ -35,7 +36,6 @@ from uqharness.flight.gust_filters import (
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 from uqharness.flight.spec import BELOW_CEILING, TURBULENCE_CEILING_M
 
-Array = npt.NDArray[np.float64]
 Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
@@ -48,16 +48,16 @@ class GustSeries:
     """Gusts in heading axes at a fixed step, arrays of shape (n,)."""
 
     dt_s: float
-    u_mps: Array
-    v_mps: Array
-    w_mps: Array
-    p_radps: Array
-    q_radps: Array
-    r_radps: Array
+    u_mps: FloatArray
+    v_mps: FloatArray
+    w_mps: FloatArray
+    p_radps: FloatArray
+    q_radps: FloatArray
+    r_radps: FloatArray
 
-    def component(self, name: Component) -> Array:
+    def component(self, name: Component) -> FloatArray:
         """One of u, v, w, p, q, r by its letter."""
-        series: Array = getattr(self, f"{name}_mps" if name in "uvw" else f"{name}_radps")
+        series: FloatArray = getattr(self, f"{name}_mps" if name in "uvw" else f"{name}_radps")
         return series
 
 
@@ -129,7 +129,7 @@ def dryden_psd(
     h_m: float,
     W20_kt: float,
     b_m: float,
-) -> Array:
+) -> FloatArray:
     """One-sided spectral density over angular frequency; its integral from 0 to infinity is the variance.
 
     Unit (m/s)^2 s for u, v, w and (rad/s)^2 s for p, q, r.
@@ -254,7 +254,7 @@ class DrydenGusts:
         )
         self.branch(*splits)
 
-    def page(self) -> Array:
+    def page(self) -> FloatArray:
         """The next samples, (6, PAGE_STEPS) with the rows of COMPONENTS [m/s, rad/s]."""
         page = self._unit.page()
         page *= self._scales
@@ -270,7 +270,7 @@ class DrydenGusts:
         """Keep the noise of the pages to come, each until the next: what ``branched`` needs."""
         self._unit.keeps_noise = True
 
-    def branched(self, split: Split) -> tuple[DrydenGusts, Array] | None:
+    def branched(self, split: Split) -> tuple[DrydenGusts, FloatArray] | None:
         """Gusts that left these at a split within the last page, and that page (6, PAGE_STEPS); they go on behind it.
 
         None where the page's noise was not kept. Raises ValueError for a split elsewhere.
@@ -311,7 +311,7 @@ class DrydenGusts:
         self._unit.exchange(noise)
 
 
-def _lateral_psd(omega: Array, sigma: float, T: float) -> Array:
+def _lateral_psd(omega: FloatArray, sigma: float, T: float) -> FloatArray:
     square = (T * omega) ** 2
     return sigma**2 * T / np.pi * (1.0 + 3.0 * square) / (1.0 + square) ** 2
 

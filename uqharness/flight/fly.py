@@ -11,8 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.branching import Split
@@ -42,8 +42,6 @@ from uqharness.simulator import (
     marked,
     refuse_conflicts,
 )
-
-Array = NDArray[np.float64]
 
 _CONDITION_PROPERTIES = (
     "air/wind-mps",
@@ -247,7 +245,7 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
     return [engine.handle(fdm, name).get_double_value for name in names]
 
 
-def in_signals(read: Array, table: Mapping[str, Source]) -> Array:
+def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
     """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
     rows = np.empty((len(read), len(table)))
     divisor = len(table)

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight import exact
 from uqharness.flight.branching import Source
 
-Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]
 
 PAGE_STEPS = 8192
@@ -119,7 +118,9 @@ class GustFilters:
     p: FirstOrder
 
 
-def numpy_recursion(drive: Array, powers: Array, inverse: Array, last: float) -> Array:
+def numpy_recursion(
+    drive: FloatArray, powers: FloatArray, inverse: FloatArray, last: float
+) -> FloatArray:
     """x' = keep x + drive from x = ``last``, in segments: ``last`` and the states of the steps, (n + 1,).
 
     ``powers`` are keep, keep^2 and so on to the end of a segment, ``inverse`` their inverses. Within a segment
@@ -138,7 +139,7 @@ def numpy_recursion(drive: Array, powers: Array, inverse: Array, last: float) ->
     return out
 
 
-Recur = Callable[[Array, Array, Array, float], Array]
+Recur = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
 """``numpy_recursion`` or a compiled form of it."""
 
 
@@ -152,7 +153,7 @@ class UnitGusts:
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
         self.keeps_noise = False
-        self._begun: tuple[UnitGusts, list[Array]] | None = None
+        self._begun: tuple[UnitGusts, list[FloatArray]] | None = None
 
     def __deepcopy__(self, memo: object) -> UnitGusts:
         """Gusts that go on from here: what does not change is shared."""
@@ -174,7 +175,7 @@ class UnitGusts:
         """Go on with other noise: ``other`` of the place of u, v, w, p (0 to 3) and its present source."""
         self._normals = tuple(other(place, source) for place, source in enumerate(self._normals))
 
-    def page(self) -> Array:
+    def page(self) -> FloatArray:
         """The next samples (6, PAGE_STEPS): u, v, w, p, slope of w, slope of v."""
         noise = [
             source.take(rows * PAGE_STEPS).reshape(rows, PAGE_STEPS)
@@ -182,7 +183,7 @@ class UnitGusts:
         ]
         return self._filtered(noise)
 
-    def branched(self, step: int, normals: Sequence[Source]) -> tuple[UnitGusts, Array] | None:
+    def branched(self, step: int, normals: Sequence[Source]) -> tuple[UnitGusts, FloatArray] | None:
         """Gusts whose noise is ``normals`` from that step of the last page on, and that page (6, PAGE_STEPS); they go on behind it.
 
         None where ``keeps_noise`` was not set when the page was made.
@@ -198,7 +199,7 @@ class UnitGusts:
             noise.append(rows)
         return other, other._filtered(noise)
 
-    def _filtered(self, noise: list[Array]) -> Array:
+    def _filtered(self, noise: list[FloatArray]) -> FloatArray:
         self._begun = (self._copied(), noise) if self.keeps_noise else None
         if self._begun is not None:
             self._begun[0]._begun = None
@@ -225,7 +226,7 @@ class _Recursion:
         self._powers = np.array(powers[:steps])
         self._inverse = 1.0 / np.maximum(self._powers, _SMALLEST)
 
-    def page(self, drive: Array) -> Array:
+    def page(self, drive: FloatArray) -> FloatArray:
         """x of the page's steps, behind that of the step before: (PAGE_STEPS + 1,)."""
         if self._keep < _SMALLEST:
             out = np.concatenate([[self._last], drive])
@@ -245,7 +246,7 @@ class _FirstOrderGusts:
         other._x = copy.copy(self._x)
         return other
 
-    def page(self, noise: Array) -> Array:
+    def page(self, noise: FloatArray) -> FloatArray:
         """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary distribution."""
         drive = self._spread * noise
         if not self._begun:
@@ -265,7 +266,7 @@ class _LateralGusts:
         other._states = [copy.copy(state) for state in self._states]
         return other
 
-    def page(self, noise: Array) -> tuple[Array, Array]:
+    def page(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """w and its slope, both (PAGE_STEPS,), of normals (3, PAGE_STEPS); the first are drawn from the stationary distribution."""
         one = self._filter
         drives = [one.factor[0][i] * noise[0] for i in range(3)]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight.handling import (
     CAP,
     PHUGOID_DAMPING,
@@ -17,14 +17,13 @@ from uqharness.flight.handling import (
     spiral_limits_s,
 )
 
-Array = NDArray[np.float64]
 OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
 """Modes whose Levels are areas of the plane; those of roll and spiral are limits of a real root."""
 
 
 def level_edges(
-    mode: str, category: str, aircraft_class: str, imag: Array
-) -> tuple[Array, Array, Array]:
+    mode: str, category: str, aircraft_class: str, imag: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts ``imag`` (n,) [rad/s] above 0.
 
     Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge here. ValueError for a mode
@@ -61,6 +60,6 @@ def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]
     return CAP[category]
 
 
-def _damped(zeta: float, imag: Array) -> Array:
+def _damped(zeta: float, imag: FloatArray) -> FloatArray:
     """Real part of a pair of that damping, below 1."""
     return np.asarray(-zeta / math.sqrt(1.0 - zeta**2) * imag)

@@ -14,14 +14,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight.branching import Source, Split, spliced
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
 from uqharness.flight.seeds import transient_stream, walk_stream
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
-
-Array = NDArray[np.float64]
 
 BLOCK_STEPS = 8192
 """Steps drawn at once. The values do not depend on it; memory does."""
@@ -29,7 +27,7 @@ BLOCK_STEPS = 8192
 
 def level_blocks(
     driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS
-) -> Iterator[Array]:
+) -> Iterator[FloatArray]:
     """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
 
     A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same driver gives the same levels,
@@ -64,12 +62,12 @@ class Levels:
         else:
             self._columns = [_column(driver, name, dt_s, pairs) for name in COEFFICIENTS]
 
-    def take(self, steps: int) -> Array:
+    def take(self, steps: int) -> FloatArray:
         """Levels of the next steps (steps, 6)."""
         return np.column_stack([column.take(steps) for column in self._columns])
 
 
-def reflect(position: Array) -> Array:
+def reflect(position: FloatArray) -> FloatArray:
     """Fold a free path into 0..1: mirrors at every whole number. A Gaussian walk folded so is a walk with reflecting ends."""
     # To the bit what np.mod(position, 2.0) gives, in a third of its time.
     folded = position - 2.0 * np.floor(0.5 * position)
@@ -77,14 +75,14 @@ def reflect(position: Array) -> Array:
 
 
 class _Column(Protocol):
-    def take(self, size: int) -> Array: ...
+    def take(self, size: int) -> FloatArray: ...
 
 
 class _Constant:
     def __init__(self, level: float) -> None:
         self._level = level
 
-    def take(self, size: int) -> Array:
+    def take(self, size: int) -> FloatArray:
         return np.full(size, self._level)
 
 
@@ -92,7 +90,7 @@ class _White:
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
 
-    def take(self, size: int) -> Array:
+    def take(self, size: int) -> FloatArray:
         return self._generator.random(size)
 
 
@@ -114,7 +112,7 @@ class _Walk:
         self._next = float(np.random.Generator(generator).random())
         self._normals = spliced_to(Normals(generator, pairs))
 
-    def take(self, size: int) -> Array:
+    def take(self, size: int) -> FloatArray:
         path = np.empty(size + 1)
         path[0] = self._next
         np.multiply(self._normals.take(size), self._sigma, out=path[1:])
@@ -130,7 +128,7 @@ class _Centred:
     def __init__(self, walk: _Walk) -> None:
         self._walk = walk
 
-    def take(self, size: int) -> Array:
+    def take(self, size: int) -> FloatArray:
         return np.asarray(2.0 * self._walk.take(size) - 1.0)
 
 

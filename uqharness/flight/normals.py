@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
 
 GROUP = 16
 """Raw numbers that are turned at once: number k of the first half goes with number k of the second half."""
@@ -107,7 +107,7 @@ class NumpyOperations:
 
 NUMPY = NumpyOperations()
 
-Pairs = Callable[[NDArray[np.int64]], Array]
+Pairs = Callable[[NDArray[np.int64]], FloatArray]
 """Turns raw numbers (groups, 2, GROUP // 2) into normals of that shape."""
 
 
@@ -145,7 +145,7 @@ def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
     return m.double(m.integer("xor", along, swapped)), m.double(m.integer("xor", across, swapped))
 
 
-def numpy_pairs(raw: NDArray[np.int64]) -> Array:
+def numpy_pairs(raw: NDArray[np.int64]) -> FloatArray:
     """Normals of raw numbers, both of shape (groups, 2, GROUP // 2), by numpy."""
     out = np.empty(raw.shape)
     for first in range(0, len(raw), 2 * _CHUNK // GROUP):
@@ -165,7 +165,7 @@ class Normals:
         self._generator, self._pairs = generator, pairs
         self._left = np.empty(0)
 
-    def take(self, n: int) -> Array:
+    def take(self, n: int) -> FloatArray:
         """The next ``n`` numbers, (n,)."""
         if n > self._left.size:
             groups = -(-(n - self._left.size) // GROUP)
@@ -192,7 +192,7 @@ class Normals:
         return self.copy()
 
 
-def drawn(seed: np.random.SeedSequence, n: int) -> Array:
+def drawn(seed: np.random.SeedSequence, n: int) -> FloatArray:
     """The first ``n`` normals (n,) of the stream of that seed."""
     return Normals(np.random.PCG64(seed)).take(n)
 

@@ -6,19 +6,18 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
 
-Array = NDArray[np.float64]
 NEEDED = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
 _RADIUS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
 """Of the WGS 84 ellipsoid: equatorial radius [m] and first eccentricity squared [-]."""
 
 
-def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: float) -> Array:
+def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: float) -> FloatArray:
     """Rows (n, 7) of the fields of `uqharness.xml.flightgear.FIELDS`.
 
     Parameters
@@ -55,7 +54,9 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
     )
 
 
-def geodetic(north_m: Array, east_m: Array, lat_deg: float, lon_deg: float) -> tuple[Array, Array]:
+def geodetic(
+    north_m: FloatArray, east_m: FloatArray, lat_deg: float, lon_deg: float
+) -> tuple[FloatArray, FloatArray]:
     """Latitude and longitude (n,) [deg] of points on the local plane of a start point, from its two radii of curvature."""
     lat0 = math.radians(lat_deg)
     w = 1.0 - _ECCENTRICITY_2 * math.sin(lat0) ** 2
@@ -64,7 +65,7 @@ def geodetic(north_m: Array, east_m: Array, lat_deg: float, lon_deg: float) -> t
     return lat_deg + np.degrees(north_m / meridian), lon_deg + np.degrees(east_m / parallel)
 
 
-def _held(name: str, values: Array) -> Array:
+def _held(name: str, values: FloatArray) -> FloatArray:
     known = np.isfinite(values)
     if not known.any():
         raise BadInputError(f"FlightGear needs {name}, and the record has no value of it")

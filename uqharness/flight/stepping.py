@@ -10,8 +10,8 @@ from itertools import chain, islice, repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.flight.branching import Split
 from uqharness.flight.dryden import (
@@ -30,8 +30,6 @@ from uqharness.flight.spec import (
     TransientDriver,
 )
 from uqharness.simulator import engine
-
-Array = NDArray[np.float64]
 
 Rows = Iterator[tuple[float, ...]]
 
@@ -135,7 +133,7 @@ def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tupl
     return found
 
 
-def _rows(*series: Iterable[Array]) -> Rows:
+def _rows(*series: Iterable[FloatArray]) -> Rows:
     """Rows as tuples of Python floats, a block at a time: a whole hour would fill the memory. Several series stand side by side."""
     return chain.from_iterable(
         # array's iterator makes a float as it is asked for one: a third of the time of a list that holds them all.
@@ -235,7 +233,7 @@ def _with_turned_gusts(
 
 def _gust_blocks(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]
-) -> Iterator[Array]:
+) -> Iterator[FloatArray]:
     air = (
         max(_airspeed_mps(fdm, spec), 1.0),
         max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),

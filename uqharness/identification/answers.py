@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation import Shift, time_shift
 from sysid.logs import Relation, relate
 
-Array = NDArray[np.float64]
 MOTION_SIGMA = 1.0
 """Standard deviations of the sensor's noise that the model's motion must have, rms about a straight line, before sign, scale or
 delay are looked for: below, what noise and start states have in common passes for a scale of hundreds."""
@@ -46,7 +45,7 @@ def slip_of(answer: Relation) -> str:
     return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
 
 
-def motion(modelled: Sequence[Array]) -> float:
+def motion(modelled: Sequence[FloatArray]) -> float:
     """Rms of the model's channel about a straight line in each segment (n,); NaN without a segment that was flown through."""
     squares = []
     for y in modelled:
@@ -57,7 +56,7 @@ def motion(modelled: Sequence[Array]) -> float:
 
 
 def answer_of(
-    measured: Sequence[Array], modelled: Sequence[Array], noise: float, dt_s: float
+    measured: Sequence[FloatArray], modelled: Sequence[FloatArray], noise: float, dt_s: float
 ) -> Answer:
     """What a channel's segments [(n,)], measured (NaN between logged samples) and modelled, say of sign, scale and delay.
 
@@ -89,7 +88,9 @@ def _no_shift() -> Shift:
     return Shift(math.nan, math.nan)
 
 
-def _relation(measured: Sequence[Array], modelled: Sequence[Array], dt_s: float) -> Relation:
+def _relation(
+    measured: Sequence[FloatArray], modelled: Sequence[FloatArray], dt_s: float
+) -> Relation:
     """Where the channel was logged, straight lines between samples."""
     x, y = [], []
     for z, m in zip(measured, modelled, strict=True):

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.estimation import NOISE_FLOOR, Shift, Theil, channel_noise, rms, theil, worst
 from sysid.logs import Relation
 from sysid.model_form import floor_of
@@ -49,7 +49,6 @@ from uqharness.text_tables import Tabled
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 LIMIT = NOISE_FLOOR
 """The noise floor is reached when no judged channel's rms is above this many times its noise."""
 _SURE = 2.0
@@ -132,10 +131,10 @@ class Comparison(Tabled):
     moments: tuple[Moment, ...]
     segments: tuple[Segment, ...]
     outputs: tuple[str, ...]
-    measured: list[Array]
-    modelled: list[Array]
-    demanded: list[Array]
-    predicted: list[Array]
+    measured: list[FloatArray]
+    modelled: list[FloatArray]
+    demanded: list[FloatArray]
+    predicted: list[FloatArray]
     nuisance: Mapping[str, float]
     notes: tuple[str, ...]
     controls_late_s: float = 0.0
@@ -315,12 +314,12 @@ def _starts(
     model: ReplayModel,
     cut: list[Segment],
     judged: Sequence[str],
-    data: list[Array],
+    data: list[FloatArray],
     present: Sequence[str],
     biases: Sequence[str],
     late: Mapping[str, Sequence[str]],
     spread: Any,
-) -> tuple[Array, tuple[str, ...], list[bool], list[str], float]:
+) -> tuple[FloatArray, tuple[str, ...], list[bool], list[str], float]:
     """Start states and biases (and their names) that bring the replay nearest; which segments the model can fly; notes; standard
     error of the controls' delay [s], NaN where the flight does not determine it."""
     columns = [list(present).index(c) for c in judged]
@@ -366,7 +365,7 @@ def _coefficients(
     cut: Sequence[Segment],
     noise: Mapping[str, float],
     late_s: float,
-) -> tuple[list[Array], list[Array], Array]:
+) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
     """Demanded and predicted coefficients (n, 6) by segment, and the rms (6,) that the sensors' noise alone gives.
 
     The latter by experiment: noise is added once more, to what the flight demanded and to the states the model was asked at.
@@ -378,13 +377,13 @@ def _coefficients(
     return demand, said, floor_of([np.concatenate(change)])
 
 
-def _control_delay_s(names: Sequence[str], theta: Array) -> float:
+def _control_delay_s(names: Sequence[str], theta: FloatArray) -> float:
     """Read the estimate of how late the controls of the flight act; 0 where none was estimated."""
     ends = zip(names, theta.tolist(), strict=True)
     return float(sum(v for n, v in ends if n.endswith(f"/{CONTROL_DELAY}")))
 
 
-def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
+def _allowed(names: Sequence[str], theta: FloatArray, channel: str) -> float:
     """How late, s, the channel was let come after the commands: the controls' delay and its own sensor's."""
     ends = (f"/{CONTROL_DELAY}", f"/{SENSOR_OF.get(channel, channel)}")
     return float(
@@ -399,9 +398,9 @@ def _allowed(names: Sequence[str], theta: Array, channel: str) -> float:
 def _channel(
     k: int,
     name: str,
-    data: list[Array],
-    modelled: list[Array],
-    gaps: list[Array],
+    data: list[FloatArray],
+    modelled: list[FloatArray],
+    gaps: list[FloatArray],
     cut: list[Segment],
     noise: Mapping[str, float],
     judged: bool,
@@ -421,13 +420,18 @@ def _channel(
     )
 
 
-def _coefficient(k: int, demand: list[Array], said: list[Array], floor: Array) -> CoefficientGap:
+def _coefficient(
+    k: int, demand: list[FloatArray], said: list[FloatArray], floor: FloatArray
+) -> CoefficientGap:
     gap = np.concatenate([d[:, k] - s[:, k] for d, s in zip(demand, said, strict=True)])
     return CoefficientGap(rms(gap), float(floor[k]), float(np.nanmean(gap)))
 
 
 def _by_manoeuvre(
-    cut: Sequence[Segment], gaps: Sequence[Array], names: Sequence[str], noise: Mapping[str, float]
+    cut: Sequence[Segment],
+    gaps: Sequence[FloatArray],
+    names: Sequence[str],
+    noise: Mapping[str, float],
 ) -> dict[str, dict[str, float]]:
     out = {}
     for label in dict.fromkeys(s.label for s in cut):
@@ -438,7 +442,7 @@ def _by_manoeuvre(
 
 def _moments(
     cut: Sequence[Segment],
-    gaps: Sequence[Array],
+    gaps: Sequence[FloatArray],
     judged: Sequence[str],
     present: Sequence[str],
     noise: Mapping[str, float],

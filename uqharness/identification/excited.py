@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation import assess, forward_differences
 from sysid.linalg.blocks import Blocks
 from sysid.linalg.blocks import information as total_information
@@ -22,7 +22,6 @@ from uqharness.identification.asymmetry import lateral_constants
 from uqharness.identification.replay_fit import Observed
 from uqharness.replay import Replay, ReplayModel, nuisance_layout
 
-Array = NDArray[np.float64]
 LEAST_T = 4.0
 """Size over smallest standard error that a parameter must have: below, its 95 % interval would be as wide as it is large."""
 WIDTH_SHARE = 0.1
@@ -48,7 +47,7 @@ def excited(
     replay: Replay,
     observed: Observed,
     names: Sequence[str],
-    initial: Array,
+    initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
     map_: Callable[..., Any],
@@ -89,7 +88,9 @@ def excited(
     )
 
 
-def judged(slopes: Blocks, labels: Sequence[str], size: Array, outputs: Sequence[str]) -> Excited:
+def judged(
+    slopes: Blocks, labels: Sequence[str], size: FloatArray, outputs: Sequence[str]
+) -> Excited:
     """The same from slopes (N, m, K) of the outputs in sigma; the first of the K ``labels`` are parameters, of ``size`` (k,), the
     others are estimated beside them. A parameter of size 0 is not held."""
     count = len(size)
@@ -145,7 +146,7 @@ def excited_alone(
     model: ReplayModel,
     observed: Observed,
     names: Sequence[str],
-    initial: Array,
+    initial: FloatArray,
     limits: Sequence[tuple[float, float]],
     noise: Mapping[str, float],
     spread: Callable[..., Any],

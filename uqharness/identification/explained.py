@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.identification.result import Identification
 from uqharness.simulator import MEMS_NOISE_STD
 
-Array = NDArray[np.float64]
 UNEXPLAINED_SIGMA = 10.0
 """Residual in sigma above which a channel may count as unexplained: small missing terms, which `refine` names, leave some 4."""
 UNEXPLAINED_SHARE = 0.1
@@ -19,8 +18,8 @@ UNEXPLAINED_SHARE = 0.1
 
 
 def unexplained(
-    residual: Sequence[Array],
-    measured: Sequence[Array],
+    residual: Sequence[FloatArray],
+    measured: Sequence[FloatArray],
     outputs: Sequence[str],
     noise: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation import (
     NOISE_FLOOR,
     channel_noise,
@@ -50,8 +50,6 @@ from uqharness.replay import (
 )
 from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
-
-Array = NDArray[np.float64]
 
 
 def identify(
@@ -217,7 +215,7 @@ def _why_filter_error(found: Identification, method: str) -> str:
     )
 
 
-def _sensed(found: Identification) -> tuple[list[Array], list[Array], Array]:
+def _sensed(found: Identification) -> tuple[list[FloatArray], list[FloatArray], FloatArray]:
     """Residual, motion and noise of the channels that sensors measure directly.
 
     An estimator's attitude or wind angles have coloured errors of their own, which say nothing of the air.
@@ -246,7 +244,9 @@ def _parameter_names(aircraft: Aircraft, asked: Sequence[str] | None) -> tuple[s
     return names
 
 
-def _initial(aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str) -> Array:
+def _initial(
+    aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str
+) -> FloatArray:
     from uqharness.simulator import engine
 
     fdm = model.open(aircraft.dt_s)
@@ -259,7 +259,9 @@ def _initial(aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start
     return np.array([c if g is None else g for g, c in zip(guesses, current, strict=True)])
 
 
-def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tuple[float, float]]:
+def _limits(
+    aircraft: Aircraft, names: Sequence[str], initial: FloatArray
+) -> list[tuple[float, float]]:
     out = []
     for name, value in zip(names, initial, strict=True):
         card = aircraft.card.parameters.get(name)
@@ -275,7 +277,7 @@ def _limits(aircraft: Aircraft, names: Sequence[str], initial: Array) -> list[tu
 
 
 def _left_over(
-    residual: Sequence[Array], outputs: Sequence[str], noise: Mapping[str, float]
+    residual: Sequence[FloatArray], outputs: Sequence[str], noise: Mapping[str, float]
 ) -> list[str]:
     """A sentence when a channel is left further off than its noise explains although nothing looks coloured."""
     whole = np.concatenate(residual)
@@ -295,7 +297,7 @@ def _left_over(
 def _assemble(
     aircraft: Aircraft,
     names: tuple[str, ...],
-    initial: Array,
+    initial: FloatArray,
     fitted: ReplayFit,
     observed: Observed,
     noise: Mapping[str, float],

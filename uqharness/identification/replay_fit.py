@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation import OutputErrorFit
 from sysid.estimation.output_error import output_error
 from uqharness.errors import BadInputError
@@ -27,7 +27,6 @@ from uqharness.replay import (
     nuisance_layout,
 )
 
-Array = NDArray[np.float64]
 MAX_ITERATIONS = 40
 TOLERANCE = 0.05
 """Standard errors: a shorter step ends the search."""
@@ -45,7 +44,7 @@ class Observed:
 
     cut: Sequence[Segment]
     outputs: tuple[str, ...]
-    data: Sequence[Array]
+    data: Sequence[FloatArray]
     biases: Sequence[str]
     late: Mapping[str, Sequence[str]]
     late_s: Mapping[str, float] = field(default_factory=dict)
@@ -67,7 +66,7 @@ class ReplayFit:
         """Estimates of everything by name."""
         return dict(zip(self.layout.names, self.found.theta.tolist(), strict=True))
 
-    def starts(self) -> list[Array]:
+    def starts(self) -> list[FloatArray]:
         """(9,) start state of every segment."""
         return [start for start, *_ in self.replay.starts_at(self.found.theta)]
 
@@ -76,7 +75,7 @@ def fit_replays(
     model: ReplayModel,
     observed: Observed,
     names: Sequence[str],
-    tries: Sequence[Array],
+    tries: Sequence[FloatArray],
     limits: Sequence[tuple[float, float]],
     map_: Callable[..., Any],
     errors: bool = True,
@@ -105,7 +104,7 @@ def fit_replays(
     )
 
     def fit_within(
-        bounds: Sequence[tuple[float, float]], theta: Array, free: Sequence[str]
+        bounds: Sequence[tuple[float, float]], theta: FloatArray, free: Sequence[str]
     ) -> OutputErrorFit:
         return output_error(
             replay,
@@ -122,7 +121,7 @@ def fit_replays(
             told=told,
         )
 
-    def fit_from(theta: Array, free: Sequence[str]) -> OutputErrorFit:
+    def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:
         fit = fit_within(layout.bounds, theta, free)
         kinked = _kinked_delays(model, layout, fit)
         # At a row where a surface jumps the rates have a kink: as functions of the delay they have it at zero. A descent that
@@ -185,7 +184,7 @@ def _kinked_delays(model: ReplayModel, layout: Layout, fit: OutputErrorFit) -> l
     ]
 
 
-def _misfit(data: Sequence[Array], flown: Sequence[Array]) -> float:
+def _misfit(data: Sequence[FloatArray], flown: Sequence[FloatArray]) -> float:
     """Minus twice the log likelihood of data [(n, m)], but for a constant, each channel's noise what is left of it; infinite where
     replays fail."""
     left = np.concatenate(data) - np.concatenate(flown)
@@ -200,7 +199,7 @@ def _misfit(data: Sequence[Array], flown: Sequence[Array]) -> float:
     )
 
 
-def _with(values: Array, fixed: Array, places: Sequence[int]) -> Array:
+def _with(values: FloatArray, fixed: FloatArray, places: Sequence[int]) -> FloatArray:
     """(k,) values, those of some places as in ``fixed``."""
     out = np.array(values, dtype=float)
     out[list(places)] = np.asarray(fixed)[list(places)]
@@ -216,7 +215,7 @@ def jumping_in(
 
 
 def _first_that_flies(
-    fit_from: Callable[[Array], OutputErrorFit], tries: Sequence[Array]
+    fit_from: Callable[[FloatArray], OutputErrorFit], tries: Sequence[FloatArray]
 ) -> OutputErrorFit:
     """The fit from the first of some values at which the segments can be flown."""
     failure: ValueError | None = None

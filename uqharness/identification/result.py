@@ -7,16 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sysid.arrays import FloatArray
 from uqharness.replay import Segment, Speed
 from uqharness.text_tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -33,20 +29,20 @@ class Identification(Tabled):
 
     aircraft: str
     names: tuple[str, ...]
-    initial: Array
-    theta: Array
-    std: Array
-    std_crb: Array
+    initial: FloatArray
+    theta: FloatArray
+    std: FloatArray
+    std_crb: FloatArray
     status: Mapping[str, str]
     reason: Mapping[str, str]
-    cov: Array
+    cov: FloatArray
     nuisance: Mapping[str, tuple[float, float]]
     outputs: tuple[str, ...]
     segments: tuple[Segment, ...]
-    measured: list[Array]
-    modelled: list[Array]
-    residual: list[Array]
-    whiteness: Array
+    measured: list[FloatArray]
+    modelled: list[FloatArray]
+    residual: list[FloatArray]
+    whiteness: FloatArray
     noise: Mapping[str, float]
     method: str
     converged: bool

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import demanded, regressor, smooth, split_name, variables
+from sysid.arrays import FloatArray
 from sysid.estimation import assess
 from sysid.model_form import with_noise
 from uqharness.replay import (
@@ -25,8 +25,6 @@ from uqharness.replay import (
     surface_positions,
 )
 
-Array = NDArray[np.float64]
-
 
 def equation_error_start(
     model: ReplayModel,
@@ -34,9 +32,9 @@ def equation_error_start(
     flights: Sequence[Flight],
     cut: Sequence[Segment],
     names: Sequence[str],
-    initial: Array,
+    initial: FloatArray,
     limits: Sequence[tuple[float, float]],
-) -> tuple[Array, list[str]]:
+) -> tuple[FloatArray, list[str]]:
     """Parameters (k,) at which the model's forces at the measured states come nearest to those the flight demanded.
 
     Only parameters that are coefficient terms by name move; the others, and those that the flights do not tell apart, stay.
@@ -79,9 +77,9 @@ def forced_at(
     model: ReplayModel,
     straight: ReplayModel,
     cut: Sequence[Segment],
-    every: Sequence[Mapping[str, Array]],
+    every: Sequence[Mapping[str, FloatArray]],
     properties: Mapping[str, float],
-) -> list[tuple[ForcedModel, dict[str, Array]]]:
+) -> list[tuple[ForcedModel, dict[str, FloatArray]]]:
     """Of each segment the model forced to its measured channels, and the variables of its coefficient terms there."""
     stood = surface_positions(model, cut, CONTROLS, properties)
     parts = [
@@ -107,13 +105,13 @@ def coefficient_gaps(
     model: ReplayModel,
     straight: ReplayModel,
     cut: Sequence[Segment],
-    every: Sequence[Mapping[str, Array]],
+    every: Sequence[Mapping[str, FloatArray]],
     noise_std: Mapping[str, float],
     rng: np.random.Generator,
     properties: Mapping[str, float] | None = None,
     late_s: float = 0.0,
     half_way: bool = False,
-) -> list[tuple[Array, Array, Array]]:
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Of each segment, (n, 6) each: coefficients demanded, those said at the measured states with what sampling makes of them, and
     how noise added once more changes the first less the second. late_s: by how much the controls act late; half_way: commands
     stand half-way at the row of a jump, which makes up for sampling."""
@@ -144,7 +142,9 @@ def coefficient_gaps(
     ]
 
 
-def demand_of(channels: Mapping[str, Array], forced: ForcedModel, segment: Segment) -> Array:
+def demand_of(
+    channels: Mapping[str, FloatArray], forced: ForcedModel, segment: Segment
+) -> FloatArray:
     """(n, 6) coefficients that the flight demanded in a piece."""
     return demanded(
         np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),

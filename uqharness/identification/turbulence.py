@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
@@ -24,7 +24,6 @@ from uqharness.identification.result import Identification, by_channel
 from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
 from uqharness.simulator import Aircraft
 
-Array = NDArray[np.float64]
 CONVERGED, ITERATIONS = 2.0, 16
 """Length of the last step, in standard errors of all parameters together, up to which an estimation has converged, for the step
 itself is taken: a sensor hardly late or early has other slopes on either side, between which the last steps may hop. Most
@@ -188,7 +187,7 @@ def _moments_left(gusts: Gusts) -> list[str]:
     ]
 
 
-def _of_names(names: Sequence[str], kept: Sequence[str], values: Array) -> Array:
+def _of_names(names: Sequence[str], kept: Sequence[str], values: FloatArray) -> FloatArray:
     """(k,) values of those ``kept`` among the names, NaN of the others."""
     known = dict(zip(kept, values.tolist(), strict=True))
     return np.array([known.get(n, np.nan) for n in names])
@@ -196,7 +195,7 @@ def _of_names(names: Sequence[str], kept: Sequence[str], values: Array) -> Array
 
 def _judged(
     fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
-) -> tuple[dict[str, float], Array, Array, dict[str, str]]:
+) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
     """Of the parameters ``free``: values, and why one is not identified (empty: it is); covariance (K, K) and Cramer-Rao bound of
     these and the nuisance, in the fit's order, the last step taken."""
     evidence, at = fit.fit.evidence, fit.fit.flown.point.values
@@ -218,7 +217,7 @@ def _judged(
     return values, cov, gate.inverse, reason
 
 
-def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, float]]:
+def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
     """Biases, delays and shares with their standard errors, from column ``first`` on, by the names that output error has."""
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
@@ -229,7 +228,7 @@ def _nuisance(fit: GustFit, cov: Array, first: int) -> dict[str, tuple[float, fl
     }
 
 
-def _one_ahead(fit: GustFit) -> list[Array]:
+def _one_ahead(fit: GustFit) -> list[FloatArray]:
     """[(n, m)] outputs predicted one sample ahead, from the start states that fit best, where the record has them: those of sensors
     late by whole rows that much later."""
     setup, point, own = fit.setup, fit.fit.flown.point, fit.fit

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import smooth
 from sysid.aerodynamics.polynomial import STATES
+from sysid.arrays import FloatArray
 from uqharness.campaign import Case, Mission, build_cases, find_mission, make_copy, needs_copy
 from uqharness.campaign.folder import (
     describe,
@@ -28,7 +28,6 @@ from uqharness.replay import read_flight
 from uqharness.simulator import Aircraft
 from uqharness.simulator import signals as properties
 
-Array = NDArray[np.float64]
 RATE_HZ = 10.0
 LONGEST_S = 300.0
 """Of each flight; states of a mission that repeats itself are known by then."""
@@ -39,13 +38,13 @@ _GOLDEN = 0.6180339887498949
 class Occupancy:
     """States of a mission, name -> (n,), evenly spaced in time. ``flights`` were flown, ``failed`` more did not end well."""
 
-    states: Mapping[str, Array]
+    states: Mapping[str, FloatArray]
     flights: int
     failed: int
     seconds: float
     source: str
 
-    def of(self, names: Sequence[str]) -> dict[str, Array]:
+    def of(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """The named states. Raises BadInputError for one that is not known."""
         missing = [n for n in names if n not in self.states]
         if missing:
@@ -108,7 +107,7 @@ def some_cases(cases: Sequence[Case], count: int) -> list[Case]:
 
 def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
     """States of ``count`` of the campaign's flights, after their burn-in. Raises BadInputError if none ended well."""
-    parts: list[dict[str, Array]] = []
+    parts: list[dict[str, FloatArray]] = []
     failed, seconds = 0, 0.0
     for case in some_cases(campaign.cases, count):
         states, ok = _fly(case.flight)
@@ -127,7 +126,7 @@ def fly_mission(campaign: CampaignMission, count: int) -> Occupancy:
     return Occupancy(merged, len(parts), failed, seconds, f"campaign {campaign.folder}")
 
 
-def _fly(spec: FlightSpec) -> tuple[dict[str, Array], bool]:
+def _fly(spec: FlightSpec) -> tuple[dict[str, FloatArray], bool]:
     """States (n,) after the burn-in, true values as the bounds see them in a campaign, and whether the flight ended well."""
     mission = staged_mission(spec)
     table = {n: s for n, s in properties.sources(mission.aircraft).items() if n in STATES}
@@ -145,7 +144,7 @@ def _fly(spec: FlightSpec) -> tuple[dict[str, Array], bool]:
 
 def recorded_mission(paths: Sequence[Path], aircraft: Aircraft, cutoff_hz: float) -> Occupancy:
     """The same from flight records or logs of the mission, smoothed as the bounds' data were. Raises BadInputError."""
-    parts: list[dict[str, Array]] = []
+    parts: list[dict[str, FloatArray]] = []
     seconds = 0.0
     for path in paths:
         record = read_flight(path, aircraft)

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import Cutoffs, Residuals
+from sysid.arrays import FloatArray
 from sysid.model_form import (
     CoefficientBounds,
     FitOptions,
@@ -44,7 +44,6 @@ from uqharness.next_flight.trials import (
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft
 
-Array = NDArray[np.float64]
 WORTH = 0.05
 """Share by which a flight must narrow the interval in the mission's flight states to be worth flying."""
 SENSORS = 1.3
@@ -68,9 +67,9 @@ class Where:
     occupancy times prediction variance."""
 
     state: str
-    data: Array
-    mission: Array
-    variance: Array
+    data: FloatArray
+    mission: FloatArray
+    variance: FloatArray
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class NextFlight:
     simulated_scatter: float
     refused: tuple[Refused, ...]
     tried: int
-    states: Mapping[str, Array]
+    states: Mapping[str, FloatArray]
     bounds_then: CoefficientBounds
 
     @property
@@ -292,7 +291,7 @@ def plan_from(
     )
 
 
-def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, Array]) -> float:
+def _mean_half_width(form: ModelForm, coefficient: str, states: Mapping[str, FloatArray]) -> float:
     bounds = form.coefficients[coefficient]
     variance = bounds.constant_variance + parameter_variance(bounds, states, form.outside)
     return float(bounds.t * np.mean(np.sqrt(variance)))

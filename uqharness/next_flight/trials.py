@@ -8,9 +8,9 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import Cutoffs, Residuals
+from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -35,7 +35,6 @@ from uqharness.simulator import (
 )
 from uqharness.simulator import signals as properties
 
-Array = NDArray[np.float64]
 WIDER = 0.5
 """A state may leave what has been flown by this share of its range: flight tests go on step by step."""
 _FALLBACK_UNIT_S = 0.5
@@ -66,8 +65,8 @@ class Trial:
     """A test point as flown: states name -> (n,), filtered as the bounds' data are, and what noise and air left, delta (n, 6)."""
 
     point: TestPoint
-    states: Mapping[str, Array]
-    delta: Array
+    states: Mapping[str, FloatArray]
+    delta: FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.effects import (
     Choice,
     Columns,
@@ -27,10 +28,10 @@ from uqharness.identification.linearised import Fit, Setup, effect_columns, merg
 from uqharness.refinement.find import Found
 from uqharness.refinement.judge import evidence_of
 from uqharness.refinement.setup import column_evidence
-from uqharness.refinement.types import Array, Bent
+from uqharness.refinement.types import Bent
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
-Inputs = dict[str, tuple[int, Array]]
+Inputs = dict[str, tuple[int, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class CurvesAbout:
         self.along = [p.variables() for p in fit.probes]
         self.every = {n: np.concatenate([v[n] for v in self.along]) for n in STATES}
 
-    def evidence(self, make: Callable[[Mapping[str, Array]], Inputs]) -> tuple[Evidence, list[str]]:
+    def evidence(
+        self, make: Callable[[Mapping[str, FloatArray]], Inputs]
+    ) -> tuple[Evidence, list[str]]:
         """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
         names = tuple(make(self.along[0]))
         more = MadeColumns(

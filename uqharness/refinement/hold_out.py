@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.effects import Evidence, shared, solve
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
@@ -27,7 +28,7 @@ from uqharness.identification.linearised import (
 from uqharness.refinement.find import Found
 from uqharness.refinement.setup import column_evidence
 from uqharness.refinement.showing.show import Shown
-from uqharness.refinement.types import Array, Side
+from uqharness.refinement.types import Side
 from uqharness.simulator import Aircraft
 
 
@@ -52,7 +53,7 @@ class Both:
         choice = next(c for c in self.found.selection.chosen if c.key == key)
         return float(value / np.sqrt(variance) * abs(choice.t) / np.sqrt(choice.gain))
 
-    def variance(self, apart: Sequence[Array], beside: Sequence[str]) -> float:
+    def variance(self, apart: Sequence[FloatArray], beside: Sequence[str]) -> float:
         """Variance of twice the log likelihood's change by errors of the parameters and of some effects, as train flights estimate
         them; apart [(n, m)]: whitened residuals without the effect in question less those with it."""
         names = [*self.found.names, *beside]

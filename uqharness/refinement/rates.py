@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.effects import Choice, Columns, Gusts, Selection, corrected, scores
 from uqharness.identification.linearised import HERE, NEAR, Fit, Setup, in_dead_zone, surface_change
 from uqharness.refinement.round import Round
@@ -20,7 +20,6 @@ from uqharness.refinement.setup import column_evidence
 from uqharness.replay import CONTROLS, runs_per_row
 from uqharness.simulator import Actuator
 
-Array = NDArray[np.float64]
 SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 """Limits tried, of the fastest motion."""
 FASTER = (0.75, 0.5, 0.25, 0.0)
@@ -38,7 +37,7 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
     tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
     columns = []
     for segment, p in zip(setup.segments, fit.probes, strict=True):
-        inputs: dict[str, tuple[int, Array]] = {}
+        inputs: dict[str, tuple[int, FloatArray]] = {}
         for surface, servo in setup.servos.items():
             k = CONTROLS.index(surface)
             moved = {
@@ -96,7 +95,7 @@ def _zone(surface: str, width: float) -> str:
     return f"{surface}~{width:g}"
 
 
-def just_so(limit: Array, wanted: Array, t: Array) -> float | None:
+def just_so(limit: FloatArray, wanted: FloatArray, t: FloatArray) -> float | None:
     """The limit [deg/s] whose estimated share is 1; ``wanted`` (n,): estimated shares at limits (n,) further and further from the
     servo's own.
 

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sysid.effects import Gusts
 from uqharness.identification.linearised import Setup
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

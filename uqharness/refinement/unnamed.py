@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.effects import SmoothFit, forms_like, held_out_gain, known_forms
 from sysid.estimation import rms
 from sysid.parallel import Processes
@@ -20,7 +21,7 @@ from uqharness.refinement.curves import STATES, CurvesAbout, Estimated, Inputs
 from uqharness.refinement.hold_out import linearised
 from uqharness.refinement.judge import Judged, Write, gap_change, written_at
 from uqharness.refinement.showing.show import Shown, gap_document, left_in, show, with_replays
-from uqharness.refinement.types import Array, Side
+from uqharness.refinement.types import Side
 from uqharness.refinement.writing.tables import GRID, property_of_table, write_table
 from uqharness.simulator import Aircraft
 
@@ -159,7 +160,7 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
         known_forms(term.knots),
     )
 
-    def columns(v: Mapping[str, Array]) -> Inputs:
+    def columns(v: Mapping[str, FloatArray]) -> Inputs:
         k, by = COEFFICIENTS.index(term.coefficient), v[term.times] if term.times else 1.0
         return term.inputs(v) | {f"form/{n}": (k, shapes[n](v[term.state]) * by) for n, _ in near}
 

@@ -7,21 +7,20 @@ from collections.abc import Mapping
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.segments import Segment
 from uqharness.simulator import SHORTEST_S, Actuator
 
-Array = NDArray[np.float64]
 _KEPT, _MODELS = 512, 16
 _STEP_S = 1e-3
 """Longest step of an actuator, from command to command."""
 
 
 def begun(
-    model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: Array
-) -> Array:
+    model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
+) -> FloatArray:
     """(c,) where actuators with a lag stand at the first row, and where controls that jump stood before it, in the record's units;
     NaN of other controls, and where no command before it is known. properties: values in force, of which the actuators' own
     count; limits (c, 2): where a command goes no further."""
@@ -46,7 +45,7 @@ def begun(
 @cached(
     LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
 )
-def _last(servo: Actuator, commands: Array, command_s: float) -> float:
+def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
     """Where a servo at rest at the first of some commands is when the last of them has been held as long as the others."""
     step_s = command_s / max(1, math.ceil(command_s / _STEP_S - 1e-6))
     return float(servo.follow(np.append(commands, commands[-1]), command_s, step_s)[-1])

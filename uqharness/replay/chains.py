@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cachetools import LRUCache
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness import batch
 from uqharness.errors import BadInputError
 from uqharness.replay.model import ReplayModel
@@ -27,7 +27,6 @@ from uqharness.xml import ControlChain
 if TYPE_CHECKING:
     from uqharness.batch import ReplayProgram
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 WORTH_S = 120.0
 """Seconds of flight from which on a chain is compiled: for as much JSBSim takes as long as the compiler."""
@@ -68,9 +67,9 @@ def set_by(model: ReplayModel) -> dict[str, float]:
     return {**model.card.modes.get("open_loop", {}), **model.settings}
 
 
-def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list[Array]:
+def fly_chain(asked: Asked, chain: ControlChain, cut: Sequence[Segment]) -> list[FloatArray]:
     """Of each segment (n, k) positions in their own units, by the chain alone; NaN behind a failure. Raises BadInputError."""
-    out: list[Array] = [np.empty(0)] * len(cut)
+    out: list[FloatArray] = [np.empty(0)] * len(cut)
     alike: dict[int, list[int]] = {}
     for k, segment in enumerate(cut):
         alike.setdefault(shape_of(asked.model, segment).stride, []).append(k)
@@ -153,7 +152,7 @@ def _judged(
     return None
 
 
-def _in_lanes(program: _Program, asked: Asked, cut: Sequence[Segment]) -> list[Array]:
+def _in_lanes(program: _Program, asked: Asked, cut: Sequence[Segment]) -> list[FloatArray]:
     """Of each segment (n, k) positions by the batch engine."""
     own = {name: asked.servos[name] for name in program.servos if name in asked.servos}
     still = dict.fromkeys(batch.CONDITIONS, 0.0)
@@ -176,7 +175,7 @@ def _set(staging: Staging, model: ReplayModel, dt_s: float) -> Any:
     return fdm
 
 
-def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> Array:
+def _by_jsbsim(asked: Asked, chain: ControlChain, segment: Segment) -> FloatArray:
     """(n, k) positions of a segment by JSBSim."""
     model = asked.model
     shape = shape_of(model, segment)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut
+from sysid.arrays import FloatArray
 from sysid.digests import file_sha256
 from sysid.errors import LogError
 from sysid.logs import (
@@ -32,7 +33,6 @@ from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Commands, Segment
 from uqharness.simulator import Aircraft, with_start_altitude
 
-Array = NDArray[np.float64]
 MAX_RATE_HZ = 60.0
 """Most rows a second at which outputs are compared; controls act at the record's own."""
 LEAST_COMMAND_S = 0.005
@@ -85,7 +85,7 @@ class Flight:
     pieces: tuple[Piece, ...]
     notes: tuple[str, ...]
     gyro_late_s: float = 0.0
-    commands: Mapping[str, Array] = field(default_factory=dict)
+    commands: Mapping[str, FloatArray] = field(default_factory=dict)
     per_row: int = 1
     half_way: bool = False
 
@@ -134,7 +134,7 @@ class Flight:
             per_row=per_row,
         )
 
-    def commands_in(self, rows: slice, columns: Sequence[str]) -> Array | None:
+    def commands_in(self, rows: slice, columns: Sequence[str]) -> FloatArray | None:
         """(N, c) controls at some rows and between them, NaN of columns that it has not; None where the record had no more rows."""
         if self.per_row == 1:
             return None
@@ -261,7 +261,7 @@ def prepare(
     notes = [f"{name}: {text}" for text in (*bridged, *placed)]
     together = max(1, int(LEAST_COMMAND_S / record.dt_s + 1e-6))
     per_row = max(1, math.ceil(1.0 / (record.dt_s * together * MAX_RATE_HZ) - 1e-6))
-    between: dict[str, Array] = {}
+    between: dict[str, FloatArray] = {}
     if (step := together * per_row) > 1:
         notes.append(
             f"{name}: {1 / record.dt_s:.0f} Hz, of which every {step}. row was used; controls act at all rows"
@@ -287,7 +287,7 @@ def prepare(
 
 def _thinned(
     record: FlightRecord, together: int, per_row: int
-) -> tuple[FlightRecord, dict[str, Array]]:
+) -> tuple[FlightRecord, dict[str, FloatArray]]:
     """Rows at which outputs are compared, and the controls with ``per_row`` values from one to the next, each the mean of
     ``together`` of the record's own (a position: its value)."""
     mask = np.zeros(len(record), dtype=bool)
@@ -299,7 +299,7 @@ def _thinned(
     return record.with_columns(held).rows(mask), between
 
 
-def _filled(values: Array) -> Array:
+def _filled(values: FloatArray) -> FloatArray:
     """(n,) values, gaps held from before: a piece has none at its rows."""
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
     return np.asarray(values[last], dtype=np.float64)
@@ -321,7 +321,7 @@ def _lost(record: FlightRecord, columns: Sequence[str]) -> str:
 
 def _aligned(record: FlightRecord, align: bool) -> tuple[FlightRecord, list[str]]:
     """Channels that the record's own findings call late for sure, moved to when they were true, or told of where not."""
-    columns: dict[str, Array] = {}
+    columns: dict[str, FloatArray] = {}
     notes = []
     for finding in record.metadata.findings:
         if (
@@ -382,7 +382,7 @@ def segments(
     return out
 
 
-def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Array | None:
+def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> FloatArray | None:
     """(k, c) controls at the commands of RUN_UP_S before a row, from the last gap on; None where there are none."""
     record = flight.record
     begin = max(0, first - round(RUN_UP_S / record.dt_s))
@@ -399,13 +399,13 @@ def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> Arra
     return known if len(known) else None
 
 
-def _command(record: FlightRecord, control: str, rows: slice) -> Array:
+def _command(record: FlightRecord, control: str, rows: slice) -> FloatArray:
     column = _COLUMN[control]
     known = record[column][rows] if column in record else np.full(rows.stop - rows.start, np.nan)
     return np.asarray(known, dtype=np.float64)
 
 
-def _unwrapped(name: str, values: Array) -> Array:
+def _unwrapped(name: str, values: FloatArray) -> FloatArray:
     """A heading [rad] without its jumps at north: between its two ends nothing can be put, neither a line nor a mean."""
     out = np.array(values, dtype=np.float64)
     if name == "psi_rad":
@@ -448,7 +448,9 @@ def _start(record: FlightRecord, name: str, rows: slice) -> _Start:
     return _Start(value, float(np.abs(first - value).max()))
 
 
-def _polynomial_at_zero(at: NDArray[np.intp], values: Array, degree: int) -> tuple[float, float]:
+def _polynomial_at_zero(
+    at: NDArray[np.intp], values: FloatArray, degree: int
+) -> tuple[float, float]:
     """Fit a polynomial; its value at row 0, and the sum of squares that it leaves."""
     basis = (at / at[-1])[:, None] ** np.arange(degree + 1)
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]
@@ -464,7 +466,7 @@ def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
     return float(record.metadata.start.get("alt_m", 0.0)) + h
 
 
-def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
+def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[FloatArray]:
     """[(n, m)] the record's channels as logged (NaN between logged values), one array a piece; headings unwrapped.
 
     A log's accelerometers are late, and a piece may begin with a step: what they show of the time before it is NaN, too.
@@ -495,7 +497,7 @@ def measured_outputs(flight: Flight, channels: Sequence[str]) -> list[Array]:
     return out
 
 
-def states(flight: Flight, piece: Piece) -> Mapping[str, Array]:
+def states(flight: Flight, piece: Piece) -> Mapping[str, FloatArray]:
     """Channels of a piece with every gap in alpha and beta filled by straight lines (0 where never measured), heights as
     `ground.heights` has them."""
     out = {}

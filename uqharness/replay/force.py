@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
+from sysid.arrays import FloatArray
 from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
 from uqharness.replay.forced import States, by_batch
@@ -20,7 +20,6 @@ from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
 
-Array = NDArray[np.float64]
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
 _MOMENTS = tuple(f"moments/{a}-{kind}-lbsft" for kind in ("total", "aero") for a in "lmn")
 _RECORDS = (*_FORCES, *_MOMENTS, "aero/qbar-psf")
@@ -34,15 +33,15 @@ class ForcedModel:
     ``other`` is everything but aerodynamics and gravity, thrust above all. ``coefficients`` (n, 6) CX CY CZ Cl Cm Cn.
     """
 
-    aero_force: Array
-    other_force: Array
-    aero_moment: Array
-    other_moment: Array
-    qbar: Array
+    aero_force: FloatArray
+    other_force: FloatArray
+    aero_moment: FloatArray
+    other_moment: FloatArray
+    qbar: FloatArray
     mass: MassProperties
 
     @property
-    def coefficients(self) -> Array:
+    def coefficients(self) -> FloatArray:
         """CX CY CZ Cl Cm Cn of the model at each sample, (n, 6), body axes at the centre of gravity."""
         pressure = self.qbar[:, None] * self.mass.S
         return np.hstack(
@@ -56,9 +55,9 @@ class StatesOf:
     altitude_m (n,) above sea level, default the segment's throughout."""
 
     segment: Segment
-    states: Mapping[str, Array]
-    controls: Array
-    altitude_m: Array | None = None
+    states: Mapping[str, FloatArray]
+    controls: FloatArray
+    altitude_m: FloatArray | None = None
 
     def asked(self, model: ReplayModel) -> States:
         """With controls in their properties' units, over ground that none of the states is below."""
@@ -71,10 +70,10 @@ class StatesOf:
 def force_states(
     model: ReplayModel,
     segment: Segment,
-    states: Mapping[str, Array],
-    controls: Array,
+    states: Mapping[str, FloatArray],
+    controls: FloatArray,
     properties: Mapping[str, float],
-    altitude_m: Array | None = None,
+    altitude_m: FloatArray | None = None,
 ) -> ForcedModel:
     """`force_all` of one segment's states."""
     return force_all(model, [StatesOf(segment, states, controls, altitude_m)], properties)[0]
@@ -112,7 +111,7 @@ def _of_step(
     properties: Mapping[str, float],
     map_: Processes,
 ) -> list[ForcedModel]:
-    def by_jsbsim(some: States) -> Array:
+    def by_jsbsim(some: States) -> FloatArray:
         return _by_jsbsim((model, dt_s, properties, some))
 
     raw = by_batch(model, States.of(every), dt_s, properties, _RECORDS, by_jsbsim)
@@ -125,12 +124,12 @@ def _of_step(
     return [_said(raw[a:b], mass) for a, b in pairwise(edges.tolist())]
 
 
-def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> Array:
+def _by_jsbsim(job: tuple[ReplayModel, float, Mapping[str, float], States]) -> FloatArray:
     model, dt_s, properties, states = job
     return _forced(_opened(model, dt_s, properties), model, states)
 
 
-def _said(raw: Array, mass: MassProperties) -> ForcedModel:
+def _said(raw: FloatArray, mass: MassProperties) -> ForcedModel:
     total, aero = raw[:, 0:3] * LBF_N, raw[:, 3:6] * LBF_N
     total_moment, aero_moment = raw[:, 6:9] * LBF_FT_NM, raw[:, 9:12] * LBF_FT_NM
     return ForcedModel(
@@ -156,7 +155,7 @@ def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -
     return mass_properties(fdm, model)
 
 
-def _forced(fdm: Any, model: ReplayModel, asked: States) -> Array:
+def _forced(fdm: Any, model: ReplayModel, asked: States) -> FloatArray:
     """(n, records) at n states, one after the other."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from cachetools import LRUCache
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness import batch
 from uqharness.batch import StateProgram
@@ -21,7 +21,6 @@ from uqharness.errors import BadInputError
 from uqharness.replay.in_lanes import level_of, sources_of
 from uqharness.replay.model import ReplayModel
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 WORTH_ROWS = 2_000
 """States asked for at once from which on the aircraft is translated and compiled, for which JSBSim answers some 12,000. Who asks
@@ -36,12 +35,12 @@ class States:
     """n states: motion by names of `replay.STATES` without the heading, each (n,); controls (n, c) in their properties' units;
     altitude_m (n,) above sea level; terrain_m (n,) of the ground."""
 
-    motion: Mapping[str, Array]
-    controls: Array
-    altitude_m: Array
-    terrain_m: Array
+    motion: Mapping[str, FloatArray]
+    controls: FloatArray
+    altitude_m: FloatArray
+    terrain_m: FloatArray
 
-    def some(self, rows: Array) -> States:
+    def some(self, rows: FloatArray) -> States:
         """Those of some rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
         return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
@@ -80,8 +79,8 @@ def by_batch(
     dt_s: float,
     properties: Mapping[str, float],
     records: Sequence[str],
-    by_jsbsim: Callable[[States], Array],
-) -> Array | None:
+    by_jsbsim: Callable[[States], FloatArray],
+) -> FloatArray | None:
     """(n, records) at the states, None where JSBSim is to answer. ``by_jsbsim`` answers for it."""
     known = _known.setdefault(model.identity, _Known())
     if known.refused or len(asked.controls) < WORTH_ROWS:
@@ -124,7 +123,7 @@ def _judged(
     asked: States,
     dt_s: float,
     properties: Mapping[str, float],
-    by_jsbsim: Callable[[States], Array],
+    by_jsbsim: Callable[[States], FloatArray],
     program: StateProgram | None,
 ) -> StateProgram | None:
     """The program, if it answers as JSBSim does."""
@@ -147,7 +146,7 @@ def _answered(
     asked: States,
     dt_s: float,
     properties: Mapping[str, float],
-) -> Array:
+) -> FloatArray:
     V, alpha, beta = (
         np.asarray(asked.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )

@@ -10,15 +10,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 
 if TYPE_CHECKING:
     from uqharness.replay.model import ReplayModel
     from uqharness.replay.segments import Segment
 
-Array = NDArray[np.float64]
 OUT_OF_REACH_M = 2000.0
 _BEGINNING_S, _ZERO_M, _AT_REST_MPS = 0.5, 0.5, 5.0
 _ABOUT_S = 4.0
@@ -39,7 +38,7 @@ def height_known(record: FlightRecord) -> bool:
     return abs(low.get("h_m", 0.0)) > _ZERO_M or low.get("V_mps", np.inf) < _AT_REST_MPS
 
 
-def heights(channels: Mapping[str, Array], dt_s: float) -> Array:
+def heights(channels: Mapping[str, FloatArray], dt_s: float) -> FloatArray:
     """(n,) heights [m] along a stretch: the climb that airspeed, wind angles and attitude make (Stevens and Lewis, rate of climb),
     and what the recorded heights are above it, by a straight line through those about each row. channels: of the stretch,
     without gaps."""
@@ -52,7 +51,7 @@ def heights(channels: Mapping[str, Array], dt_s: float) -> Array:
     return path + _on_lines(h - path, max(1, round(_ABOUT_S / dt_s)))
 
 
-def _on_lines(values: Array, half: int) -> Array:
+def _on_lines(values: FloatArray, half: int) -> FloatArray:
     """(n,) where the straight line through the values at most ``half`` samples away is, at each of them."""
     n = len(values)
     at = np.arange(n)
@@ -71,7 +70,7 @@ def terrain_m(model: ReplayModel, segment: Segment) -> float:
     return segment.altitude_m - (segment.h_m if _counts(model, segment) else OUT_OF_REACH_M)
 
 
-def altitudes(model: ReplayModel, segment: Segment, h_m: Array) -> Array:
+def altitudes(model: ReplayModel, segment: Segment, h_m: FloatArray) -> FloatArray:
     """Altitude [m] above sea level at recorded heights: the segment's throughout where the ground does not count."""
     return segment.altitude_m + (
         h_m - segment.h_m if _counts(model, segment) else np.zeros(len(h_m))

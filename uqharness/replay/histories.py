@@ -15,11 +15,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table, write_table
 from uqharness.replay.segments import Segment
 
-Array = NDArray[np.float64]
 HISTORIES = "histories.parquet"
 
 
@@ -30,8 +30,8 @@ class History:
     number: int
     flight: str
     manoeuvre: str
-    time_s: Array
-    columns: Mapping[str, Array]
+    time_s: FloatArray
+    columns: Mapping[str, FloatArray]
 
     @property
     def title(self) -> str:
@@ -40,21 +40,23 @@ class History:
 
 
 def columns_of(
-    names: Sequence[str], blocks: Sequence[Array], suffix: str = ""
-) -> dict[str, list[Array]]:
+    names: Sequence[str], blocks: Sequence[FloatArray], suffix: str = ""
+) -> dict[str, list[FloatArray]]:
     """Columns by name, one array a segment, from blocks (n, m) whose columns have ``names``."""
     return {f"{name}{suffix}": [block[:, k] for block in blocks] for k, name in enumerate(names)}
 
 
 def write_histories(
-    folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[Array]]
+    folder: Path, segments: Sequence[Segment], columns: Mapping[str, Sequence[FloatArray]]
 ) -> None:
     """Write histories.parquet into ``folder``; ``columns`` as :func:`columns_of` gives them. Same input, same bytes."""
     write_pieces(folder / HISTORIES, [(s.flight, s.label, s.time_s) for s in segments], columns)
 
 
 def write_pieces(
-    path: Path, pieces: Sequence[tuple[str, str, Array]], columns: Mapping[str, Sequence[Array]]
+    path: Path,
+    pieces: Sequence[tuple[str, str, FloatArray]],
+    columns: Mapping[str, Sequence[FloatArray]],
 ) -> None:
     """The same for pieces (flight, manoeuvre, time_s) of any kind. Raises BadInputError."""
     counts = [len(time_s) for _, _, time_s in pieces]
@@ -69,7 +71,7 @@ def write_pieces(
 
 
 # pyarrow.array and pyarrow.scalar would load pandas, to see whether they are given one of its own.
-def _numbers(parts: Sequence[Array]) -> pa.Array:
+def _numbers(parts: Sequence[FloatArray]) -> pa.Array:
     values = np.concatenate([np.asarray(p, dtype=float) for p in parts])
     return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])
 

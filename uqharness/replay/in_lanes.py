@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M, percent
 from uqharness import batch
 from uqharness.errors import BadInputError
@@ -27,7 +27,6 @@ from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine
 if TYPE_CHECKING:
     from uqharness.batch import ReplayLane, ReplayProgram
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 _KEPT, _LEVELS, _TIMINGS = 8, 512, 512
 FELT = ("ax_mps2", "ay_mps2", "az_mps2")
@@ -46,7 +45,7 @@ class ReplayJob:
     model: ReplayModel
     segment: Segment
     properties: Mapping[str, float]
-    start: Array
+    start: FloatArray
     late_s: float = 0.0
     between: bool = False
     extra: tuple[str, ...] = ()
@@ -61,10 +60,10 @@ def as_flown(job: ReplayJob, on_time: Sequence[str]) -> tuple[ReplayJob, ...]:
     return replace(job, unseen=0.0), replace(job, between=False)
 
 
-Map = Callable[[Callable[[ReplayJob], Array], Sequence[ReplayJob]], Iterable[Array]]
+Map = Callable[[Callable[[ReplayJob], FloatArray], Sequence[ReplayJob]], Iterable[FloatArray]]
 
 
-def by_jsbsim(job: ReplayJob) -> Array:
+def by_jsbsim(job: ReplayJob) -> FloatArray:
     """Fly one replay in JSBSim."""
     return fly_segment(
         job.model,
@@ -78,9 +77,9 @@ def by_jsbsim(job: ReplayJob) -> Array:
     )
 
 
-def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[Array]:
+def fly_all(jobs: Sequence[ReplayJob], map_: Map = map) -> list[FloatArray]:
     """What ``fly_segment`` gives for each; ``map_`` spreads what JSBSim flies."""
-    found: dict[int, Array] = {}
+    found: dict[int, FloatArray] = {}
     by_model: dict[_Alike, list[int]] = {}
     for k, job in enumerate(jobs):
         by_model.setdefault(_alike(job), []).append(k)
@@ -203,7 +202,7 @@ def _judged(job: ReplayJob, program: _Program | None) -> _Program | None:
     return None
 
 
-def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[Array]:
+def _in_lanes(program: _Program, jobs: Sequence[ReplayJob]) -> list[FloatArray]:
     shapes = [shape_of(job.model, job.segment, job.between) for job in jobs]
     lanes = [_lane(job, shape) for job, shape in zip(jobs, shapes, strict=True)]
     found = {
@@ -228,7 +227,7 @@ def _content(job: ReplayJob, shape: Shape) -> tuple[object, ...]:
 
 
 @cached(LRUCache(_TIMINGS), key=_content)
-def _controls_of(job: ReplayJob, shape: Shape) -> Array:
+def _controls_of(job: ReplayJob, shape: Shape) -> FloatArray:
     """Controls of every run, one array for all jobs that have them in common: those of one stretch are asked for anew with every
     estimate, by segments cut anew."""
     _, places = job.model.fed()
@@ -279,7 +278,7 @@ def level_of(model: ReplayModel, altitude_m: float) -> tuple[float, float]:
     return float(fdm["ic/lat-geod-rad"]), float(fdm["ic/geod-alt-ft"])
 
 
-def _outputs(program: _Program, rows: Array, job: ReplayJob, shape: Shape) -> Array:
+def _outputs(program: _Program, rows: FloatArray, job: ReplayJob, shape: Shape) -> FloatArray:
     """As ``fly_segment`` has it: rows behind a failure are NaN."""
     asked = [len(RAW) + program.extra.index(name) for name in job.extra]
     rows = rows[:, [*range(len(RAW)), *asked]] if asked else rows[:, : len(RAW)]

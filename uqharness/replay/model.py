@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
@@ -37,7 +37,6 @@ from uqharness.xml import declared_in
 THROTTLE = "fcs/throttle-cmd-norm"
 """JSBSim's throttle of the first engine."""
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
-Array = NDArray[np.float64]
 _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
 _RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
 _INTEGRATORS = tuple(
@@ -91,7 +90,7 @@ class ReplayModel:
         """Controls that jump with their commands."""
         return tuple(c for c in self.controls if c not in self.measured and c not in self.lagging)
 
-    def to_property(self, controls: Array) -> Array:
+    def to_property(self, controls: FloatArray) -> FloatArray:
         """(..., c) values of the controls in the record's units, in those of their properties."""
         out = controls * np.array(self.factor)
         for column, throw in enumerate(self.throws):

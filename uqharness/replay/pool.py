@@ -6,20 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sysid.arrays import FloatArray
 from uqharness.parallel import process_count, process_pool
 from uqharness.replay.simulation import Replay
-
-Array = NDArray[np.float64]
 
 
 def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
     """A `map` for output error that has the replays of its points flown together, as many as memory keeps at once, and gives what
     comes of them one after the other; ``map_`` spreads what JSBSim flies."""
 
-    def spread(function: Callable[[Array], Any], points: Any) -> Iterable[Any]:
+    def spread(function: Callable[[FloatArray], Any], points: Any) -> Iterable[Any]:
         replay = getattr(function, "simulate", None)
         return (
             _read(function, replay, list(points), map_)
@@ -31,7 +27,10 @@ def spread_over(map_: Callable[..., Any]) -> Callable[..., Iterable[Any]]:
 
 
 def _read(
-    function: Callable[[Array], Any], replay: Replay, points: list[Array], map_: Callable[..., Any]
+    function: Callable[[FloatArray], Any],
+    replay: Replay,
+    points: list[FloatArray],
+    map_: Callable[..., Any],
 ) -> Iterator[Any]:
     yield from map(function, replay.fetched(points, map_))
     replay.rest()

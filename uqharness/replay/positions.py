@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.replay.chains import Asked, fly_chain, set_by
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all, sources_of
@@ -24,7 +24,6 @@ from uqharness.replay.replay import CHANNELS, shape_of
 from uqharness.replay.segments import Segment
 from uqharness.xml import ControlChain, ControlFiles, control_chain
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("uqharness")
 WORTH_S = 60.0
 """Seconds of flight from which on whole aircraft are flown by the batch engine where positions are asked for several times, each
@@ -35,7 +34,7 @@ _STOOD_BYTES, _CHAINS = 50_000_000, 64
 _AGREES = 1e-9
 """Largest difference between the positions that a whole aircraft and its components alone come to, in units of the largest."""
 _TRIED_ROWS, _LEAST_ROWS = 100, 10
-_stood: OrderedDict[tuple[object, ...], Array] = OrderedDict()
+_stood: OrderedDict[tuple[object, ...], FloatArray] = OrderedDict()
 _chains: LRUCache[tuple[object, ...], ControlChain | None] = LRUCache(_CHAINS)
 
 
@@ -45,7 +44,7 @@ def surface_positions(
     names: Sequence[str],
     properties: Mapping[str, float] | None = None,
     worth_s: float = WORTH_S,
-) -> list[Array]:
+) -> list[FloatArray]:
     """Of each segment (n, c) where the controls stood: the record's own values where measured, else what the model's actuators make
     of them.
 
@@ -100,7 +99,7 @@ def _key(asked: Asked, chain: ControlChain | None, segment: Segment) -> tuple[ob
     )
 
 
-def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
+def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[FloatArray]:
     """Of each segment (n, k) what the whole aircraft's positions are, in their own units."""
     if not asked.known or not cut:
         return [np.empty((len(segment.time_s), 0)) for segment in cut]
@@ -116,7 +115,7 @@ def _flown(asked: Asked, cut: Sequence[Segment], worth_s: float) -> list[Array]:
     return [rows[:, len(CHANNELS) :] for rows in flown]
 
 
-def _put_in(asked: Asked, segment: Segment, rows: Array) -> Array:
+def _put_in(asked: Asked, segment: Segment, rows: FloatArray) -> FloatArray:
     """(n, c) controls of a segment, those whose positions were flown at these."""
     model = asked.model
     stood = segment.at_commands().controls[:: segment.per_row].copy()

@@ -8,15 +8,14 @@ that changes faster than they do comes late in a replay.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.units import FT_M, LBF_N
 from uqharness.errors import BadInputError
 from uqharness.replay.model import CONTROLS, ReplayFolder, control_setters
 from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, engine
 
-Array = NDArray[np.float64]
 SOURCES = {"thrust_N": ("thrust", "N"), "rpm": ("propeller speed", "1/min")}
 """Columns that can stand for the throttle, the better first."""
 THROTTLE = "throttle_pct"
@@ -69,7 +68,9 @@ def with_throttle(record: FlightRecord, aircraft: Aircraft, name: str) -> tuple[
     )
 
 
-def throttle_at(V: Array, wanted: Array, speeds: Array, throttles: Array, curves: Array) -> Array:
+def throttle_at(
+    V: FloatArray, wanted: FloatArray, speeds: FloatArray, throttles: FloatArray, curves: FloatArray
+) -> FloatArray:
     """(n,) throttle at airspeeds V [m/s] and values wanted (n,), NaN where either is; curves (speeds, throttles), cut off at the
     ends of the range."""
     rising = np.maximum.accumulate(curves, axis=1)
@@ -81,8 +82,12 @@ def throttle_at(V: Array, wanted: Array, speeds: Array, throttles: Array, curves
 
 
 def engine_map(
-    aircraft: Aircraft, column: str, speeds_mps: Array, throttles_pct: Array, altitude_m: float
-) -> Array:
+    aircraft: Aircraft,
+    column: str,
+    speeds_mps: FloatArray,
+    throttles_pct: FloatArray,
+    altitude_m: float,
+) -> FloatArray:
     """(speeds, throttles) what the model's engines have in level, straight flight in their steady state: ``thrust_N``, the force
     along x that is not aerodynamic, or ``rpm``, of the first engine. Raises BadInputError for an aircraft without propeller."""
     out = np.empty((len(speeds_mps), len(throttles_pct)))

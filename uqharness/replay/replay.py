@@ -21,6 +21,7 @@ import numpy as np
 from cachetools import LRUCache, cached
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.replay.begun import begun
 from uqharness.replay.ground import terrain_m
@@ -28,7 +29,6 @@ from uqharness.replay.model import ReplayModel, control_setters
 from uqharness.replay.segments import Segment
 from uqharness.simulator import STANDARD, TRIM_LATITUDE_DEG, body_velocity, engine
 
-Array = NDArray[np.float64]
 CHANNELS = (
     "V_mps",
     "alpha_rad",
@@ -134,7 +134,7 @@ def run_controls(
     properties: Mapping[str, float],
     late_s: float = 0.0,
     unseen: float = 0.0,
-) -> Array:
+) -> FloatArray:
     """((n - 1) runs + 1, c) values of the controls' properties in every run, the first while initialising. properties: values in
     force, of which the actuators' own count."""
     measured, lagging = (
@@ -166,12 +166,12 @@ def fly_segment(
     model: ReplayModel,
     segment: Segment,
     properties: Mapping[str, float],
-    start: Array | None = None,
+    start: FloatArray | None = None,
     extra: Sequence[str] = (),
     late_s: float = 0.0,
     between: bool = False,
     unseen: float = 0.0,
-) -> Array:
+) -> FloatArray:
     """(n, 13 + len(extra)) outputs: CHANNELS, then the properties ``extra`` in their own units.
 
     properties are set before initialising; start (9,) replaces the segment's own; controls act ``late_s`` after their time;
@@ -199,12 +199,12 @@ def fly_segment(
     return outputs_of(np.array(rows), segment, len(extra), shape.rows)
 
 
-def at_rows(between: Array, n: int) -> Array:
+def at_rows(between: FloatArray, n: int) -> FloatArray:
     """(n, ...) the rows of outputs that stand between them as well."""
     return between[:: (len(between) - 1) // (n - 1)]
 
 
-def late_rows(between: Array, n: int, late: float) -> Array:
+def late_rows(between: FloatArray, n: int, late: float) -> FloatArray:
     """(n,) values at the rows, ``late`` rows late (early if negative), of outputs between them; the ends are held.
 
     Straight from one to the next: a step of a control makes a kink or a jump, across which a smoother curve would ring.
@@ -218,7 +218,7 @@ def late_rows(between: Array, n: int, late: float) -> Array:
 def _initialise(
     fdm: Any,
     segment: Segment,
-    start: Array,
+    start: FloatArray,
     setters: list[list[Any]],
     model: ReplayModel,
     first: list[float],
@@ -264,9 +264,9 @@ def by_run(
     lagging: Sequence[bool],
     late: float = 0.0,
     seen: float | None = 1.0,
-    limits: Array | None = None,
-    stood: Array | None = None,
-) -> Array:
+    limits: FloatArray | None = None,
+    stood: FloatArray | None = None,
+) -> FloatArray:
     """((n - 1) runs + 1, c) control values of every run, the first at the first row; all of them ``late`` runs late.
 
     A command is held. The values of the runs around its step are such that Adams-Bashforth's sums have the step's own area, mean
@@ -299,7 +299,7 @@ def by_run(
     return out
 
 
-def _later(values: Array, late: float) -> Array:
+def _later(values: FloatArray, late: float) -> FloatArray:
     """(n, c) values ``late`` of their steps later, in proportion between two: the mean time of what moves is right. The ends are
     held. `numpy.interp`, all columns at once."""
     last = len(values) - 1
@@ -316,7 +316,7 @@ def _later(values: Array, late: float) -> Array:
     return out
 
 
-def _waiting(n: int, late: float) -> Array:
+def _waiting(n: int, late: float) -> FloatArray:
     """(n,) shares of a jump at the first row that are missing in the runs behind it while the command waits ``late`` runs.
 
     Sum and mean time of what Adams-Bashforth's sums make of them are those of the wait: a value acts around its own run, half a
@@ -337,8 +337,8 @@ def _content(
     runs: int,
     held: NDArray[np.bool_],
     lags: NDArray[np.bool_],
-    limits: Array | None,
-    stood: Array | None,
+    limits: FloatArray | None,
+    stood: FloatArray | None,
 ) -> tuple[object, ...]:
     asked = (segment.controls, segment.targets, limits, held, lags, stood)
     return (runs, segment.controls.shape, *(None if a is None else a.tobytes() for a in asked))
@@ -350,9 +350,9 @@ def _on_time(
     runs: int,
     held: NDArray[np.bool_],
     lags: NDArray[np.bool_],
-    limits: Array | None,
-    stood: Array | None,
-) -> Array:
+    limits: FloatArray | None,
+    stood: FloatArray | None,
+) -> FloatArray:
     """`by_run` of controls that are not late, before what a row has seen of a jump, not to be written to; those asked for last are
     remembered: a segment's are wanted with every lateness that an estimator tries."""
     now, then = segment.controls[:-1], segment.controls[1:]
@@ -390,7 +390,9 @@ def _on_time(
     return out
 
 
-def _beyond(before: Array, now: Array, steps: float, limits: Array | None) -> Array:
+def _beyond(
+    before: FloatArray, now: FloatArray, steps: float, limits: FloatArray | None
+) -> FloatArray:
     """(n, c) so many steps, or as much of them as the limits leave room for."""
     wanted = steps * (now - before)
     if limits is None:
@@ -399,7 +401,7 @@ def _beyond(before: Array, now: Array, steps: float, limits: Array | None) -> Ar
     return np.clip(wanted, np.minimum(low - now, 0.0), np.maximum(high - now, 0.0))
 
 
-def _spread(values: Array, shares: Sequence[float]) -> Array:
+def _spread(values: FloatArray, shares: Sequence[float]) -> FloatArray:
     """Values each of which begins bit by bit, in as many runs as there are shares; before the first they were as there."""
     held = np.vstack([values[:1]] * (len(shares) - 1) + [values])
     return sum(
@@ -409,7 +411,7 @@ def _spread(values: Array, shares: Sequence[float]) -> Array:
 
 
 def _advance(
-    fdm: Any, controls: Array, setters: list[list[Any]], read: Any, runs: int
+    fdm: Any, controls: FloatArray, setters: list[list[Any]], read: Any, runs: int
 ) -> list[list[float]]:
     """Raw rows; ends early when JSBSim throws or the speed is no longer finite."""
     values = controls.tolist()
@@ -440,7 +442,7 @@ def _advance(
     return out
 
 
-def outputs_of(raw: Array, segment: Segment, extra: int, n: int) -> Array:
+def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatArray:
     """(n, 13 + extra) CHANNELS and further properties from rows of RAW and those; NaN behind the last row."""
     c = len(CHANNELS)
     done = len(raw)

@@ -21,6 +21,7 @@ from sysid.aerodynamics import (
     residual_coefficients,
     steady_airspeed,
 )
+from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import Flight, control_columns, read_flights, segments
@@ -33,7 +34,6 @@ from uqharness.replay.sampling_errors import MeasuredSegment, sampling_errors
 from uqharness.replay.segments import Segment
 from uqharness.simulator import Aircraft
 
-Array = NDArray[np.float64]
 NEEDED = (
     "V_mps",
     "alpha_rad",
@@ -65,7 +65,7 @@ class JsbsimPrediction:
     measured: tuple[str, ...]
     values: Mapping[str, float] = field(default_factory=dict)
     segments: dict[tuple[int, int], Segment] = field(default_factory=dict)
-    positions: dict[tuple[int, int], Array] = field(default_factory=dict)
+    positions: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def all(self, asked: Sequence[tuple[FlightRecord, Piece, int]]) -> list[Prediction]:
         """Force states upon the model, all at once, and read what it says: of each record and piece those of every so many rows and
@@ -110,7 +110,7 @@ class JsbsimPrediction:
             altitude[some],
         )
 
-    def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[Array]:
+    def sampling_errors(self, arm_m: Sequence[float], cutoff_hz: float) -> list[FloatArray]:
         """(n, 6) errors of sampling in the coefficients of each piece of the flight (`sampling_errors`)."""
         pieces = self.flight.pieces
         if self.flight.half_way:
@@ -169,7 +169,7 @@ def changed(near: Prediction, said: Prediction, every: int) -> Prediction:
     n = len(near.qbar)
     asked, full = asked_rows(n, every), np.arange(n)
 
-    def moved(all_rows: Array, some: Array) -> Array:
+    def moved(all_rows: FloatArray, some: FloatArray) -> FloatArray:
         change = some - all_rows[asked]
         flat = change.reshape(len(asked), -1)
         wide = np.column_stack([np.interp(full, asked, column) for column in flat.T])
@@ -251,7 +251,7 @@ class ReplayPair:
 
     def sampling_errors(
         self, flight: Flight, arm_m: Sequence[float], cutoff_hz: float
-    ) -> list[Array]:
+    ) -> list[FloatArray]:
         """(n, 6) errors of sampling in the coefficients of each piece of a flight."""
         return self._model(flight).sampling_errors(arm_m, cutoff_hz)
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import CUTOFF_HZ, demanded, half_width, smooth
+from sysid.arrays import FloatArray
 from uqharness.replay.force import ForcedModel, StatesOf, force_all
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all
 from uqharness.replay.model import ReplayModel
@@ -23,7 +23,6 @@ from uqharness.replay.positions import WORTH_ONCE_S
 from uqharness.replay.replay import CHANNELS, STATES
 from uqharness.replay.segments import Segment
 
-FloatArray = NDArray[np.float64]
 _PIECE_S = 2.0
 """Seconds flown from one measured state: gusts, or a model that is wrong or unstable, must not lead far away meanwhile."""
 

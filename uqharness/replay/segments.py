@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.digests import sha256_hex
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -21,8 +19,8 @@ class Commands:
     """
 
     per_row: int
-    controls: Array
-    targets: Array | None = None
+    controls: FloatArray
+    targets: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -39,17 +37,17 @@ class Segment:
 
     label: str
     flight: str
-    time_s: Array
-    controls: Array
-    start: Array
+    time_s: FloatArray
+    controls: FloatArray
+    start: FloatArray
     altitude_m: float
     h_m: float
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    targets: Array | None = None
+    targets: FloatArray | None = None
     above_ground: bool = False
     commands: Commands | None = None
-    before: Array | None = None
-    reach: Array | None = None
+    before: FloatArray | None = None
+    reach: FloatArray | None = None
 
     @property
     def kind(self) -> str:
@@ -111,7 +109,7 @@ class Segment:
             before=before,
         )
 
-    def on_rows(self, values: Array) -> Array:
+    def on_rows(self, values: FloatArray) -> FloatArray:
         """(n,) values at the rows of what is known at each command (N,): their straight lines have the same area."""
         k = self.per_row
         hat = np.append(np.arange(1, k + 1), np.arange(k - 1, 0, -1)) / k**2

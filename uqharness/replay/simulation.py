@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.replay.in_lanes import ReplayJob, as_flown, fly_all
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import (
@@ -23,13 +23,12 @@ from uqharness.replay.replay import (
 )
 from uqharness.replay.segments import Segment
 
-Array = NDArray[np.float64]
 _CACHE_BYTES = 300_000_000
 _TOGETHER_BYTES = _CACHE_BYTES // 4
 """Of pieces flown together: all are read before the first is forgotten, and what they are compared with stays besides."""
 _RESTING_BYTES = _CACHE_BYTES // 4
 """Of pieces that stay when many points have been read: those of the point that all of them are near."""
-Start = tuple[Array, float, float]
+Start = tuple[FloatArray, float, float]
 """Start state (9,), how late the controls act [s], share of a jump unseen."""
 
 
@@ -69,7 +68,7 @@ class Replay:
         self._starts: dict[int, list[tuple[int, int]]] = {}
         self._late: dict[str, int] = {}
         self._unseen: dict[str, int] = {}
-        self._kept: dict[int, tuple[tuple[tuple[_Key, ...], bytes], Array]] = {}
+        self._kept: dict[int, tuple[tuple[tuple[_Key, ...], bytes], FloatArray]] = {}
         self._sizes: list[int] = []
         for i, name in enumerate(names):
             kind, _, rest = name.partition("/")
@@ -109,7 +108,7 @@ class Replay:
             else tuple(k for k, s in enumerate(self.segments) if s.flight == flight)
         )
 
-    def starts_at(self, theta: Array) -> list[Start]:
+    def starts_at(self, theta: FloatArray) -> list[Start]:
         """Every segment's start state (9,), how late its controls act [s], and what share of a jump is unseen, at theta."""
         starts = []
         for number, segment in enumerate(self.segments):
@@ -123,13 +122,13 @@ class Replay:
             starts.append((start, late, unseen))
         return starts
 
-    def _conditions(self, theta: Array) -> tuple[dict[str, float], list[Start]]:
+    def _conditions(self, theta: FloatArray) -> tuple[dict[str, float], list[Start]]:
         """Properties, and every segment's start state and timing of the controls, at theta."""
         return {**self.base, **{n: float(theta[i]) for i, n in self._properties}}, self.starts_at(
             theta
         )
 
-    def __call__(self, theta: Array) -> list[Array]:
+    def __call__(self, theta: FloatArray) -> list[FloatArray]:
         """[(n, m)] outputs, one array a segment."""
         self.fetch([theta], map)
         properties, starts = self._conditions(theta)
@@ -139,8 +138,8 @@ class Replay:
         ]
 
     def _sensed(
-        self, segment: Segment, number: int, theta: Array, pieces: Mapping[_Key, ReplayJob]
-    ) -> Array:
+        self, segment: Segment, number: int, theta: FloatArray, pieces: Mapping[_Key, ReplayJob]
+    ) -> FloatArray:
         """(n, m) outputs of one segment with its flight's delays and biases; the last ones are kept."""
         late, biased = self._delays.get(segment.flight, []), self._biases.get(segment.flight, [])
         state = (tuple(pieces), theta[[i for i, _ in (*late, *biased)]].tobytes())
@@ -162,7 +161,7 @@ class Replay:
         self._kept[number] = (state, flown)
         return flown
 
-    def _flown(self, key: _Key, job: ReplayJob) -> Array:
+    def _flown(self, key: _Key, job: ReplayJob) -> FloatArray:
         found = _flown.get(key)
         if found is None:
             (found,) = fly_all([job])
@@ -191,7 +190,7 @@ class Replay:
         for key in [k for k in _flown if k[0] == self.token]:
             counter["bytes"] -= _flown.pop(key).nbytes
 
-    def fetch(self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]) -> None:
+    def fetch(self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]) -> None:
         """Fly whatever several theta need and nobody remembers, each piece once, by ``map_`` (a process pool's, say).
 
         Afterwards every ``self(theta)`` only puts together what is remembered: little has to travel between processes.
@@ -204,12 +203,12 @@ class Replay:
         _shrink(_RESTING_BYTES)
 
     def fetched(
-        self, thetas: Sequence[Array], map_: Callable[..., Iterable[Any]]
-    ) -> Iterator[Array]:
+        self, thetas: Sequence[FloatArray], map_: Callable[..., Iterable[Any]]
+    ) -> Iterator[FloatArray]:
         """Each theta as soon as its pieces have been flown, each once; those of so many theta together as are remembered until they
         are asked for."""
         jobs: dict[_Key, ReplayJob] = {}
-        waiting: list[Array] = []
+        waiting: list[FloatArray] = []
         size = 0
         for theta in thetas:
             properties, starts = self._conditions(theta)
@@ -231,7 +230,7 @@ class Replay:
 
 # Memory of the process, shared by unpickled copies of a replay: perturbing one segment's start leaves the others as they were.
 _Key = tuple[str, int, bytes, bytes, float, float, bool]
-_flown: OrderedDict[_Key, Array] = OrderedDict()
+_flown: OrderedDict[_Key, FloatArray] = OrderedDict()
 counter = {"rows": 0, "bytes": 0, "segments": 0}
 
 
@@ -240,7 +239,7 @@ def _fly(jobs: Mapping[_Key, ReplayJob], map_: Callable[..., Iterable[Any]]) -> 
         _remember(key, found)
 
 
-def _remember(key: _Key, found: Array) -> None:
+def _remember(key: _Key, found: FloatArray) -> None:
     _flown[key] = found
     counter["rows"] += len(found)
     counter["segments"] += 1

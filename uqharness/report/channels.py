@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import RAD_DEG
 from sysid.vocabulary import LABELS, SIGNALS
 from uqharness.replay import shown_channel
 from uqharness.report.parts import Figure, Figures, Section
 from uqharness.report.svg import Chart, Scale, scale
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Air data": ("V_mps", "alpha_rad", "beta_rad", "rho_kgpm3"),
@@ -72,7 +72,7 @@ class Flag:
     spans: tuple[tuple[float, float], ...] = ()
 
 
-def named_stretches(time_s: Array, labels: NDArray[Any]) -> list[tuple[float, float, str]]:
+def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[float, float, str]]:
     """Begin, end [s] and name of each stretch of equal labels (n,), empty ones left out."""
     if not len(time_s):
         return []
@@ -185,7 +185,7 @@ def _channel(
     return Figure(chart.name, chart.svg(), f"{quantity} [{unit}]: {meaning}.{told}")
 
 
-def _axis(label: str, values: Sequence[Array]) -> Scale:
+def _axis(label: str, values: Sequence[FloatArray]) -> Scale:
     axis = scale(label, values)
     middle, half = 0.5 * (axis.low + axis.high), 0.5 * (axis.high - axis.low)
     least = _STILL * max(abs(middle), 1e-6)

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.report.parts import Figure
 from uqharness.report.svg import Chart, Scale, scale
 
-Array = NDArray[np.float64]
 _HEIGHT, _LAP_HEIGHT = 330, 290
 _LONGEST_S = 120.0
 """Time shown of a track that does not turn through a whole circle."""
@@ -42,7 +41,7 @@ class Circle:
     radius_m: float
 
 
-def circle_of(north_m: Array, east_m: Array, distance_m: Array) -> Circle | None:
+def circle_of(north_m: FloatArray, east_m: FloatArray, distance_m: FloatArray) -> Circle | None:
     """The circle from which signed distances are measured (positive outside), by least squares; None where they are not.
 
     With r the distance from the middle c and d = r - R: n² + e² - d² = 2 c·(n, e) + 2 R d + R² - c², linear in c, R and the rest.
@@ -62,7 +61,7 @@ def circle_of(north_m: Array, east_m: Array, distance_m: Array) -> Circle | None
     return Circle(float(cn), float(ce), float(radius))
 
 
-def equal_scales(east: Array, north: Array, height: int) -> tuple[Scale, Scale]:
+def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scale, Scale]:
     """Axes east and north [m] of a chart that high around the points: one metre is as long to the east as to the north."""
     middle = [0.5 * float(np.nanmin(v) + np.nanmax(v)) for v in (east, north)]
     blank = Chart(
@@ -217,7 +216,7 @@ def _sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:]}"
 
 
-def _apart(time_s: Array, tracks: Sequence[pd.DataFrame]) -> Array:
+def _apart(time_s: FloatArray, tracks: Sequence[pd.DataFrame]) -> FloatArray:
     """Largest distance between two of the flights across the path [m] at each instant (n,); 0 where it is not known."""
     found = []
     for rows in tracks:
@@ -230,7 +229,7 @@ def _apart(time_s: Array, tracks: Sequence[pd.DataFrame]) -> Array:
 
 
 def flown_track(
-    name: str, columns: Mapping[str, Array], words: str = "", circles: Sequence[Circle] = ()
+    name: str, columns: Mapping[str, FloatArray], words: str = "", circles: Sequence[Circle] = ()
 ) -> Figure | None:
     """The whole track of a flight with its start and end, and the circles it was to keep.
 
@@ -274,7 +273,7 @@ def flown_track(
     )
 
 
-def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
+def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] | None:
     """North and east [m], positions before integrated velocities; None where neither moves."""
     if {"north_m", "east_m"} <= set(columns):
         north, east = (np.asarray(columns[n], dtype=float) for n in ("north_m", "east_m"))
@@ -291,7 +290,9 @@ def _places(columns: Mapping[str, Array]) -> tuple[Array, Array] | None:
     return (north, east) if moved else None
 
 
-def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> list[Circle]:
+def _commanded(
+    north: FloatArray, east: FloatArray, columns: Mapping[str, FloatArray]
+) -> list[Circle]:
     """The circle of the cross-track error, whichever side is positive; none where there is none."""
     if "cross_track_m" not in columns:
         return []
@@ -302,7 +303,7 @@ def _commanded(north: Array, east: Array, columns: Mapping[str, Array]) -> list[
     return [circle] if circle is not None and circle.radius_m <= _WIDEST * reach else []
 
 
-def _turn(time_s: Array, north: Array, east: Array, at: int) -> tuple[float, float]:
+def _turn(time_s: FloatArray, north: FloatArray, east: FloatArray, at: int) -> tuple[float, float]:
     """Begin and end [s] of one turn of the course around the instant ``at``, a whole one where the flight has one."""
     course = np.unwrap(np.arctan2(np.gradient(east), np.gradient(north)))
     low, high = float(course.min()) + math.pi, float(course.max()) - math.pi
@@ -318,7 +319,7 @@ def _turn(time_s: Array, north: Array, east: Array, at: int) -> tuple[float, flo
     return float(begin), float(end)
 
 
-def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[Array, Array, str]]:
+def _rings(circle: Circle, radius_m: float) -> Iterator[tuple[FloatArray, FloatArray, str]]:
     """East and north of the path and of what lies ``radius_m`` outside and inside it."""
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
     for size, kind in (

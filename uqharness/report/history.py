@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale
 
-Array = NDArray[np.float64]
 Z95 = 1.959963984540054
 MOST_SEGMENTS = 3
 _LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
@@ -207,7 +206,7 @@ def end_to_end(
     found: Sequence[History],
     name: str,
     series: Sequence[tuple[str, str, str]],
-    band: tuple[Sequence[Array], Sequence[Array], str] | None,
+    band: tuple[Sequence[FloatArray], Sequence[FloatArray], str] | None,
     label: str,
     axis: str,
     caption: str,

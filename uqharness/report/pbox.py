@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_tail
 from uqharness.campaign.spec import NOMINAL
 from uqharness.report.parts import Figure, shown
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.statistics import PBox, Sample, envelope
 
-Array = NDArray[np.float64]
 _CURVE_POINTS, _MOST_CURVES = 60, 96
 _SMOOTH_POINTS = 160
 """Values at which a smooth curve is computed, enough for a chart 360 units wide."""
@@ -116,7 +115,7 @@ def _draw_samples(chart: Chart, drawn: DrawnBox, box: PBox, number: int) -> None
             chart.line(*_steps(sample, chart.x), "corner", every, steps=True, data=data)
 
 
-def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[Array, Array, Array]:
+def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values and both sides from one end of the axis to the other."""
     if drawn.smooth:
         return box.value, box.lower, box.upper
@@ -129,7 +128,7 @@ def _sides(drawn: DrawnBox, box: PBox, x: Scale) -> tuple[Array, Array, Array]:
     )
 
 
-def smooth_share(values: Array, at: Array) -> Array:
+def smooth_share(values: FloatArray, at: FloatArray) -> FloatArray:
     """Share (m,) of ``values`` (n,) that are at most each of ``at`` (m,), as a Gaussian kernel estimate; values are 0 or larger.
 
     The bandwidth is s n^(-1/3) with the standard deviation s: the rate of the smallest mean squared error of a distribution
@@ -148,13 +147,13 @@ def smooth_share(values: Array, at: Array) -> Array:
         places = (np.arange(_MOST_KERNELS) + 0.5) * values.size / _MOST_KERNELS
         middles = np.sort(values)[places.astype(int)]
 
-    def below(ends: Array) -> Array:
+    def below(ends: FloatArray) -> FloatArray:
         return np.asarray(normal_tail((middles - ends[:, None]) / width).mean(axis=1))
 
     return np.where(at < 0.0, 0.0, below(at) - below(-at))
 
 
-def smooth_pbox(samples: Sequence[Sample], box: PBox, at: Array) -> PBox:
+def smooth_pbox(samples: Sequence[Sample], box: PBox, at: FloatArray) -> PBox:
     """The p-box ``box`` of ``samples`` with smooth sides at ``at`` (m,), ascending; flights without a value as in the box.
 
     The band is as wide around the curves as it is around the steps, and wider by the distance between the two.
@@ -269,7 +268,7 @@ def _curves(drawn: DrawnBox, box: PBox) -> list[Sample]:
     return [sample for sample in drawn.samples if sample.epistemic_id in wanted]
 
 
-def _steps(sample: Sample, x: Scale) -> tuple[Array, Array]:
+def _steps(sample: Sample, x: Scale) -> tuple[FloatArray, FloatArray]:
     """Steps of one corner's distribution function, few enough to keep a page small."""
     values = np.sort(sample.values)
     if not values.size:
@@ -283,5 +282,5 @@ def _steps(sample: Sample, x: Scale) -> tuple[Array, Array]:
     )
 
 
-def _between(first: float, steps: Array) -> Array:
+def _between(first: float, steps: FloatArray) -> FloatArray:
     return np.concatenate([[first], steps, steps[-1:]])

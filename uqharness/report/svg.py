@@ -19,9 +19,9 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.terminal import visible
 
-Array = NDArray[np.float64]
 WIDTH = 360
 _GAP = 16
 _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 12, 24, 38
@@ -41,7 +41,7 @@ class Scale:
     names: tuple[tuple[float, str], ...] = ()
     log: bool = False
 
-    def place(self, value: Array | float) -> Array:
+    def place(self, value: FloatArray | float) -> FloatArray:
         """Share of the axis' length at which a value stands; NaN for one that a logarithmic axis does not have."""
         value, low, high = np.asarray(value, dtype=float), self.low, self.high
         if self.log:
@@ -73,7 +73,7 @@ class Scale:
 
 
 def scale(
-    label: str, values: Sequence[Array], margin: float = 0.06, least: float | None = None
+    label: str, values: Sequence[FloatArray], margin: float = 0.06, least: float | None = None
 ) -> Scale:
     """A scale around all finite values, ``least`` its smallest end at most where it is given; 0 to 1 where there is none."""
     known = (
@@ -89,7 +89,7 @@ def scale(
     return Scale(label, low if least is None else max(least, low), high)
 
 
-def log_scale(label: str, values: Sequence[Array], margin: float = 0.06) -> Scale:
+def log_scale(label: str, values: Sequence[FloatArray], margin: float = 0.06) -> Scale:
     """A logarithmic scale around all finite values above 0; 0.1 to 1 where there is none."""
     known = np.concatenate([np.ravel(v) for v in values]) if values else np.empty(0)
     known = known[np.isfinite(known) & (known > 0.0)]
@@ -155,7 +155,7 @@ class Chart:
         """Left, top, width and height of the area inside the axes."""
         return self.left, _TOP, WIDTH - self.left - _RIGHT, self.height - _TOP - _BOTTOM
 
-    def at(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
+    def at(self, x: FloatArray | float, y: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Places of data in the drawing."""
         left, top, width, height = self.plot
         u, v = left + width * self.x.place(x), top + height * (1.0 - self.y.place(y))
@@ -164,7 +164,13 @@ class Chart:
         return u, v
 
     def line(
-        self, x: Array, y: Array, kind: str, words: str = "", steps: bool = False, data: str = ""
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        kind: str,
+        words: str = "",
+        steps: bool = False,
+        data: str = "",
     ) -> None:
         """A line through finite points; a gap where one is not. steps: each value holds until the next."""
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
@@ -175,13 +181,19 @@ class Chart:
             self.marks.append(f'<path class="line {kind}"{data} d="{path}"/>')
             self._entry(kind, words)
 
-    def path(self, x: Array, y: Array, kind: str, words: str = "") -> None:
+    def path(self, x: FloatArray, y: FloatArray, kind: str, words: str = "") -> None:
         """A line through points in any order, all of them drawn."""
         self.marks.append(f'<path class="line {kind}" d="{_path(*self.at(x, y))}"/>')
         self._entry(kind, words)
 
     def band(
-        self, x: Array, low: Array, high: Array, kind: str, words: str = "", steps: bool = False
+        self,
+        x: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        kind: str,
+        words: str = "",
+        steps: bool = False,
     ) -> None:
         """The area between two lines, where both are finite."""
         x, low, high = (np.asarray(v, dtype=float) for v in (x, low, high))
@@ -197,12 +209,14 @@ class Chart:
             self.marks.append(f'<path class="band {kind}" d="{outline}Z"/>')
             self._entry(kind, words)
 
-    def area(self, x: Array, y: Array, kind: str, words: str = "") -> None:
+    def area(self, x: FloatArray, y: FloatArray, kind: str, words: str = "") -> None:
         """The inside of a closed outline, all of whose points are finite."""
         self.marks.append(f'<path class="band {kind}" d="{_path(*self.at(x, y))}Z"/>')
         self._entry(kind, words)
 
-    def dots(self, x: Array, y: Array, kind: str, words: str = "", radius: float = 1.3) -> None:
+    def dots(
+        self, x: FloatArray, y: FloatArray, kind: str, words: str = "", radius: float = 1.3
+    ) -> None:
         """Small discs at finite points, one path for all of them."""
         u, v = self.at(x, y)
         known = np.isfinite(u) & np.isfinite(v)
@@ -245,7 +259,7 @@ class Chart:
                 f'<text class="inside" text-anchor="{anchor}" {place}>{escape(words)}</text>'
             )
 
-    def cells(self, x: Array, y: Array, share: Array, kind: str) -> None:
+    def cells(self, x: FloatArray, y: FloatArray, share: FloatArray, kind: str) -> None:
         """A map: cells between the edges ``x`` (n + 1,) and ``y`` (m + 1,), as dense as ``share`` (n, m) of 0 to 1; none for 0."""
         u, v = self.at(x, y[0])[0], self.at(x[0], y)[1]
         for i, j in zip(*np.nonzero(share), strict=True):
@@ -390,7 +404,9 @@ def _plain_style() -> str:
     return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
 
 
-def thinned(x: Array, y: Array, most: int = _MOST_POINTS) -> tuple[Array, Array]:
+def thinned(
+    x: FloatArray, y: FloatArray, most: int = _MOST_POINTS
+) -> tuple[FloatArray, FloatArray]:
     """A line of at most about ``most`` points that keeps every bucket's smallest and largest value, so no peak is lost."""
     if x.size <= most:
         return x, y
@@ -419,7 +435,7 @@ def _runs(known: NDArray[np.bool_]) -> list[slice]:
     ]
 
 
-def _path(u: Array, v: Array, steps: bool = False) -> str:
+def _path(u: FloatArray, v: FloatArray, steps: bool = False) -> str:
     known = np.isfinite(u) & np.isfinite(v)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     going_on = "H%.1fV%.1f" if steps else "L%.1f %.1f"
@@ -427,7 +443,7 @@ def _path(u: Array, v: Array, steps: bool = False) -> str:
     return "".join(_written("M%.1f %.1f" + going_on * (b - a - 1), u[a:b], v[a:b]) for a, b in runs)
 
 
-def _written(form: str, u: Array, v: Array) -> str:
+def _written(form: str, u: FloatArray, v: FloatArray) -> str:
     """Pairs of numbers in a form of one decimal, which is left out where it is 0."""
     return (form % tuple(np.column_stack([u, v]).ravel().tolist())).replace(".0", "")
 

@@ -8,25 +8,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.problem import Array
+from sysid.arrays import FloatArray
 
 OUTSIDE_ALLOWED = 0.02
 """Share of the corners' envelope's area by which an interior sample may leave it."""
 
 
-def box_area(y: Array) -> float:
+def box_area(y: FloatArray) -> float:
     """Area of the p-box of n distribution functions; y (n, A)."""
     ordered = np.sort(y, axis=-1)
     return float(np.mean(ordered.max(axis=0) - ordered.min(axis=0)))
 
 
-def log_area(y: Array) -> float:
+def log_area(y: FloatArray) -> float:
     """Logarithm of the area, NaN where there is none."""
     area = box_area(y)
     return float(np.log(area)) if area > 0.0 else float("nan")
 
 
-def pair_areas(ordered: Array, d: int) -> Array:
+def pair_areas(ordered: FloatArray, d: int) -> FloatArray:
     """(..., d, 2^(d-1)) areas between the corners that differ in one parameter alone.
 
     ``ordered`` (2^d, ..., A) has its draws sorted along the last axis and corners in the order of ``problem.corners``.
@@ -40,7 +40,7 @@ def pair_areas(ordered: Array, d: int) -> Array:
     return np.moveaxis(found, (0, 1), (-2, -1))
 
 
-def envelope_areas(ordered: Array, d: int) -> tuple[Array, Array]:
+def envelope_areas(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
     """Areas (...) of the envelope of all corners, and (..., d, 2) of those with one parameter fixed at its lower, then at its
     upper bound; ``ordered`` as above."""
     rest = ordered.shape[1:]
@@ -55,7 +55,7 @@ def envelope_areas(ordered: Array, d: int) -> tuple[Array, Array]:
     return (most[0] - least[0]).mean(axis=-1), np.moveaxis(found, (0, 1), (-2, -1))
 
 
-def beyond_corners(corners: Array, interior: Array, area: float) -> float:
+def beyond_corners(corners: FloatArray, interior: FloatArray, area: float) -> float:
     """Area by which the worst of ``interior`` (n, A) leaves the envelope of ``corners`` (m, A), over ``area``.
 
     inf where something leaves an envelope without area.
@@ -68,7 +68,7 @@ def beyond_corners(corners: Array, interior: Array, area: float) -> float:
     return worst / area if area > 0.0 else (float("inf") if worst > 0.0 else 0.0)
 
 
-def is_flat(area: float, *values: Array) -> bool:
+def is_flat(area: float, *values: FloatArray) -> bool:
     """Whether an area is nothing but rounding of the numbers it came from."""
     size = max((float(np.max(np.abs(v))) for v in values if v.size), default=0.0)
     return not area > 1e-12 * size

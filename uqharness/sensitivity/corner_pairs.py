@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
-from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.resampling import MIN_DRAWS, RESAMPLES, pair_band
 from uqharness.sensitivity.result import (
     Index,
@@ -80,7 +80,7 @@ def _no_interval(draws: int, wanted: bool) -> str:
 
 
 def _smoothness(
-    corners: Array, interior: Array | None, area: float
+    corners: FloatArray, interior: FloatArray | None, area: float
 ) -> tuple[bool | None, str, float]:
     """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
     if interior is None:

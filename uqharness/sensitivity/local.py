@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat, log_area
-from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.resampling import Z, reach_of_box, std_by_draws
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
@@ -62,7 +62,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
 
 
 def _linearity(
-    predicted: float, corners: Array, interior: Array | None, flat: bool
+    predicted: float, corners: FloatArray, interior: FloatArray | None, flat: bool
 ) -> tuple[bool, str]:
     """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
     corner_area = box_area(corners)

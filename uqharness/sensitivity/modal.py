@@ -12,13 +12,12 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.sensitivity.analysis import Sensitivity, analyse
 from uqharness.sensitivity.repeats import average
 from uqharness.sensitivity.study import Study, run_study
 
-Array = NDArray[np.float64]
 Reading = Literal["as_corrected", "as_published"]
 READINGS: tuple[Reading, ...] = ("as_corrected", "as_published")
 OUTPUTS = ("phugoid_damping", "short_period_damping", "short_period_frequency")
@@ -57,7 +56,7 @@ def intervals() -> dict[str, tuple[float, float]]:
     }
 
 
-def trim(values: Mapping[str, Any]) -> tuple[Array, Array]:
+def trim(values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
     """alpha [rad] and elevator [deg] of level flight by eqs 4.14 (sign repaired) and 4.15: two linear equations."""
     lift = -values["M_kg"] * G_MPS2 / (QBAR_PA * values["S_m2"]) - values["CZ_0"]
     det = values["CZ_alpha"] * values["Cm_de"] - values["CZ_de"] * values["Cm_alpha"]
@@ -70,15 +69,15 @@ def trim(values: Mapping[str, Any]) -> tuple[Array, Array]:
 class SystemMatrix:
     """The entries of eq. 4.9 that are not 0, 1 or -g, over (u, w, q, theta); ``row column`` from 1, each an array."""
 
-    a11: Array
-    a12: Array
-    a21: Array
-    a22: Array
+    a11: FloatArray
+    a12: FloatArray
+    a21: FloatArray
+    a22: FloatArray
     a23: float
-    a32: Array
-    a33: Array
+    a32: FloatArray
+    a33: FloatArray
 
-    def dense(self) -> Array:
+    def dense(self) -> FloatArray:
         """A (..., 4, 4)."""
         A = np.zeros((*np.broadcast(self.a11, self.a22, self.a32, self.a33).shape, 4, 4))
         A[..., 0, 0], A[..., 0, 1], A[..., 0, 3] = self.a11, self.a12, -G_MPS2
@@ -107,7 +106,7 @@ def system_matrix(reading: Reading, values: Mapping[str, Any]) -> SystemMatrix:
     )
 
 
-def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
+def longitudinal_modes(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Damping and frequency [rad/s] of phugoid and short period, in this order, from A (..., 4, 4).
 
     The two slower eigenvalues make the phugoid. wn = sqrt(l1 l2) and zeta = -(l1 + l2) / 2 wn serve a pair that has split into two
@@ -126,13 +125,13 @@ def longitudinal_modes(A: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def _damping(r: Array, s: Array) -> tuple[Array, Array]:
+def _damping(r: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """zeta and wn of l^2 + r l + s."""
     wn = np.sqrt(np.where(s > 0.0, s, np.nan))
     return r / (2.0 * wn), wn
 
 
-def modes_of(matrix: SystemMatrix) -> tuple[Array, Array, Array, Array]:
+def modes_of(matrix: SystemMatrix) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The same as ``longitudinal_modes`` of the dense matrix, twenty times as fast.
 
     The characteristic polynomial is split into a slow and a fast quadratic by Lin's iteration, which gains two digits a turn
@@ -162,10 +161,10 @@ def modes_of(matrix: SystemMatrix) -> tuple[Array, Array, Array, Array]:
     return found[0], found[1], found[2], found[3]
 
 
-def modal_model(reading: Reading) -> Callable[..., dict[str, Array]]:
+def modal_model(reading: Reading) -> Callable[..., dict[str, FloatArray]]:
     """The model as a function of its fourteen values by name, giving the three outputs; arrays in, arrays out."""
 
-    def outputs(**values: Array) -> dict[str, Array]:
+    def outputs(**values: FloatArray) -> dict[str, FloatArray]:
         phugoid_zeta, _, zeta, wn = modes_of(system_matrix(reading, values))
         if reading == "as_published":
             wn = zeta / np.sqrt(np.where(zeta < 1.0, 1.0 - zeta**2, np.nan))

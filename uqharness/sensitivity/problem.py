@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,14 +22,14 @@ class Problem:
     """
 
     names: tuple[str, ...]
-    lower: Array
-    upper: Array
-    nominal: Array
-    step: Array
+    lower: FloatArray
+    upper: FloatArray
+    nominal: FloatArray
+    step: FloatArray
     aleatory: Mapping[str, Any]
 
     @property
-    def width(self) -> Array:
+    def width(self) -> FloatArray:
         """(d,) widths of the intervals."""
         return self.upper - self.lower
 
@@ -93,8 +91,8 @@ def _check_interval(name: str, interval: Any) -> None:
 
 
 def _over(
-    names: tuple[str, ...], given: Mapping[str, float] | None, default: Array, what: str
-) -> Array:
+    names: tuple[str, ...], given: Mapping[str, float] | None, default: FloatArray, what: str
+) -> FloatArray:
     unknown = sorted(set(given or {}) - set(names))
     if unknown:
         raise BadInputError(
@@ -108,7 +106,7 @@ def _over(
     return values
 
 
-def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> Array:
+def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> FloatArray:
     """(draws, a) by Latin hypercube: the same draws serve every epistemic sample, so that differences are not chance's."""
     if not problem.aleatory:
         return np.empty((1, 0))
@@ -119,7 +117,7 @@ def aleatory_draws(problem: Problem, draws: int, rng: np.random.Generator) -> Ar
     return np.stack([np.asarray(column, dtype=float) for column in columns], axis=1)
 
 
-def aleatory_centre(problem: Problem) -> Array:
+def aleatory_centre(problem: Problem) -> FloatArray:
     """(1, a) means, or the median of a distribution that has no mean."""
     centre = []
     for distribution in problem.aleatory.values():
@@ -132,7 +130,7 @@ def aleatory_centre(problem: Problem) -> Array:
     return np.array([centre]).reshape(1, -1)
 
 
-def corners(lower: Array, upper: Array) -> Array:
+def corners(lower: FloatArray, upper: FloatArray) -> FloatArray:
     """(2^d, d) corners of the box, first parameter slowest."""
     d = lower.size
     bits = (np.arange(2**d)[:, None] >> np.arange(d - 1, -1, -1)) & 1

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile, student_quantile
 from uqharness.sensitivity.areas import envelope_areas, pair_areas
-from uqharness.sensitivity.problem import Array
 from uqharness.sensitivity.result import CONFIDENCE
 
 Z = float(normal_quantile(0.5 + 0.5 * CONFIDENCE))
@@ -34,8 +34,8 @@ MIN_DRAWS = 8
 
 
 def std_by_draws(
-    statistic: Callable[[NDArray[Any]], Array | float], draws: int, seed: int
-) -> Array:
+    statistic: Callable[[NDArray[Any]], FloatArray | float], draws: int, seed: int
+) -> FloatArray:
     """Standard deviation of ``statistic(columns)`` that the choice of the aleatory draws makes: over halves, for half kept is
     half left out. 0 where one draw stands for no chance at all."""
     if draws == 1:
@@ -49,8 +49,8 @@ def std_by_draws(
 
 
 def reach_of_box(
-    statistic: Callable[[Any, Any], Array | float], shape: tuple[int, ...], seed: int
-) -> Array:
+    statistic: Callable[[Any, Any], FloatArray | float], shape: tuple[int, ...], seed: int
+) -> FloatArray:
     """Half-width of the interval of a statistic of p-box areas, ``statistic(rows, columns)``.
 
     Rows: the spread over BLOCKS separate blocks, not narrowed to the full number of samples. An extreme of E samples varies as
@@ -81,17 +81,17 @@ class PairBand:
     many standard deviations as the band does.
     """
 
-    index: Array
-    low: Array
-    high: Array
+    index: FloatArray
+    low: FloatArray
+    high: FloatArray
     area: float
     area_low: float
     area_high: float
-    lead: Array
+    lead: FloatArray
 
 
 def pair_band(
-    y: Array,
+    y: FloatArray,
     d: int,
     seed: int,
     confidence: float = CONFIDENCE,
@@ -143,7 +143,7 @@ def pair_band(
     return PairBand(index, low, high.reshape(index.shape), area, area_low, area + spread, lead)
 
 
-def _lead(index: Array, again: Array, reach: float) -> Array:
+def _lead(index: FloatArray, again: FloatArray, reach: float) -> FloatArray:
     """(d, d) lower limits, ``reach`` standard deviations of the difference below it.
 
     The band's ``reach`` grows with what the draws show of skewness and outliers. Student's quantile does not: of ties between a
@@ -158,7 +158,7 @@ def _lead(index: Array, again: Array, reach: float) -> Array:
     return np.asarray(lead - reach * spread)
 
 
-def _chance_areas(y: Array, d: int, rng: np.random.Generator, reach: float) -> Array:
+def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float) -> FloatArray:
     """(d, 2^(d-1)) areas that chance alone gives a pair of corners whose distributions differ by a shift at most.
 
     The two values of each draw are swapped at random once the shift is removed: what is left is the noise that the draws do not
@@ -185,7 +185,7 @@ def _portions(repeats: int, values: int) -> Iterator[slice]:
     return (slice(begin, min(begin + at_once, repeats)) for begin in range(0, repeats, at_once))
 
 
-def _without_band(index: Array, area: float, nothing: float) -> PairBand:
+def _without_band(index: FloatArray, area: float, nothing: float) -> PairBand:
     pairs = index[:, :-2]
     lead = pairs.min(axis=1)[:, None] - pairs.max(axis=1)[None, :] + nothing
     return PairBand(
@@ -193,7 +193,7 @@ def _without_band(index: Array, area: float, nothing: float) -> PairBand:
     )
 
 
-def _indices(ordered: Array, d: int) -> tuple[Array, Array]:
+def _indices(ordered: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
     """The envelope's area (...) and the indices (..., d, 2^(d-1) + 2) of corners (2^d, ..., A); NaN without any width."""
     area, fixed = envelope_areas(ordered, d)
     width = np.where(area > 0.0, area, np.nan)[..., None, None]

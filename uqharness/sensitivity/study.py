@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.foreign.parsed_text import parse_json
 from uqharness.arguments import flag, instance, whole
 from uqharness.arguments import path as file_path
@@ -18,7 +19,6 @@ from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.sensitivity.array_archive import read_arrays
 from uqharness.sensitivity.problem import (
-    Array,
     Problem,
     aleatory_centre,
     aleatory_draws,
@@ -48,17 +48,17 @@ class Evaluations:
     everywhere.
     """
 
-    nominal: Array | None = None
-    forward: Array | None = None
-    sampled: Array | None = None
-    second: Array | None = None
-    mixed: Array | None = None
-    pinned: Array | None = None
-    corners: Array | None = None
-    interior: Array | None = None
+    nominal: FloatArray | None = None
+    forward: FloatArray | None = None
+    sampled: FloatArray | None = None
+    second: FloatArray | None = None
+    mixed: FloatArray | None = None
+    pinned: FloatArray | None = None
+    corners: FloatArray | None = None
+    interior: FloatArray | None = None
 
     @property
-    def between(self) -> Array | None:
+    def between(self) -> FloatArray | None:
         """Samples inside the box beside the corners: ``interior``, else ``sampled``; None where there are none."""
         return self.interior if self.interior is not None else self.sampled
 
@@ -71,11 +71,11 @@ class Study:
     """
 
     names: tuple[str, ...]
-    lower: Array
-    upper: Array
-    nominal: Array
-    step: Array
-    theta: Array
+    lower: FloatArray
+    upper: FloatArray
+    nominal: FloatArray
+    step: FloatArray
+    theta: FloatArray
     chance: bool
     outputs: Mapping[str, Evaluations]
 
@@ -83,7 +83,7 @@ class Study:
         return f"Study({len(self.theta)} samples of {', '.join(self.names)}; {', '.join(self.outputs)})"
 
     @property
-    def width(self) -> Array:
+    def width(self) -> FloatArray:
         """Width of each parameter's interval, (d,)."""
         return self.upper - self.lower
 
@@ -169,7 +169,7 @@ def run_study(
     )
     inside = problem.lower + rng.random((INTERIOR_SAMPLES, len(problem.names))) * problem.width
 
-    stages: dict[str, tuple[Array, Array]] = {}
+    stages: dict[str, tuple[FloatArray, FloatArray]] = {}
     if "local" in methods:
         stages["nominal"] = problem.nominal[None], centre
         stages["forward"] = problem.nominal + np.diag(problem.step), centre
@@ -192,7 +192,7 @@ def run_study(
 
     total = sum(len(theta) * len(draw) for theta, draw in stages.values())
     done = 0
-    found: dict[str, dict[str, Array]] = {}
+    found: dict[str, dict[str, FloatArray]] = {}
     for stage, (theta, draw) in stages.items():
         values = _evaluate(model, problem, theta, draw, vectorised)
         done += len(theta) * len(draw)
@@ -239,7 +239,7 @@ def _check(problem: Problem, samples: int, draws: int, methods: Sequence[str]) -
         )
 
 
-def _columns_from(first: Array, other: Array) -> Array:
+def _columns_from(first: FloatArray, other: FloatArray) -> FloatArray:
     """(d, E, d): copies of ``first`` with column i from ``other``."""
     d = first.shape[1]
     copies = np.repeat(first[None], d, axis=0)
@@ -248,18 +248,18 @@ def _columns_from(first: Array, other: Array) -> Array:
     return copies
 
 
-def _shaped(stage: str, y: Array, d: int) -> Array:
+def _shaped(stage: str, y: FloatArray, d: int) -> FloatArray:
     if stage in ("nominal", "forward"):
         return y[:, 0]
     return y.reshape(d, -1, y.shape[1]) if stage in ("mixed", "pinned") else y
 
 
 def _evaluate(
-    model: Model, problem: Problem, theta: Array, draws: Array, vectorised: bool
-) -> dict[str, Array]:
+    model: Model, problem: Problem, theta: FloatArray, draws: FloatArray, vectorised: bool
+) -> dict[str, FloatArray]:
     """Every row of theta (n, d) with every draw (A, a): (n, A) per output."""
     rows = max(1, _ROWS_AT_ONCE // len(draws))
-    parts: dict[str, list[Array]] = {}
+    parts: dict[str, list[FloatArray]] = {}
     for start in range(0, len(theta), rows):
         block = theta[start : start + rows]
         values = {name: np.repeat(block[:, k], len(draws)) for k, name in enumerate(problem.names)}
@@ -282,7 +282,7 @@ def _named(returned: Any) -> Mapping[str, Any]:
     return returned if isinstance(returned, Mapping) else {"output": returned}
 
 
-def _call(model: Model, values: dict[str, Array], n: int) -> dict[str, Array]:
+def _call(model: Model, values: dict[str, FloatArray], n: int) -> dict[str, FloatArray]:
     found = {}
     for output, y in _named(model(**values)).items():
         y = np.asarray(y, dtype=float)
@@ -296,7 +296,7 @@ def _call(model: Model, values: dict[str, Array], n: int) -> dict[str, Array]:
     return found
 
 
-def _call_each(model: Model, values: dict[str, Array]) -> dict[str, Array]:
+def _call_each(model: Model, values: dict[str, FloatArray]) -> dict[str, FloatArray]:
     rows = zip(*(column.tolist() for column in values.values()), strict=True)
     results = [_named(model(**dict(zip(values, row, strict=True)))) for row in rows]
     if any(set(item) != set(results[0]) for item in results):
@@ -405,7 +405,7 @@ def _text(value: Any) -> str:
     return value
 
 
-def _require(name: str, values: Array, shape: tuple[int | None, ...]) -> None:
+def _require(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> None:
     fits = values.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )

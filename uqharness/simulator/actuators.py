@@ -12,14 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.linalg.recursions import first_order
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
-
-Array = NDArray[np.float64]
-
 
 SHORTEST_S = 1e-3
 """Time constant below which a servo acts at once."""
@@ -46,11 +43,13 @@ class Actuator:
         """Rate limit [unit/s] where each unit of travel takes so much longer."""
         return 1.0 / max(more_s_per_unit + 1.0 / self.rate, 1e-9)
 
-    def follow(self, commands: Array, dt_s: float, step_s: float) -> Array:
+    def follow(self, commands: FloatArray, dt_s: float, step_s: float) -> FloatArray:
         """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
         return self.follow_finely(commands, dt_s, step_s)[0]
 
-    def follow_finely(self, commands: Array, dt_s: float, step_s: float) -> tuple[Array, Array]:
+    def follow_finely(
+        self, commands: FloatArray, dt_s: float, step_s: float
+    ) -> tuple[FloatArray, FloatArray]:
         """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
         runs = max(1, round(dt_s / step_s))
         # A row's command is there from the run on that arrives at the row.
@@ -82,7 +81,7 @@ def servo_number(servo: Actuator, term: str, value: float) -> float:
     return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
-def _limited(asked: Array, reach: float) -> Array:
+def _limited(asked: FloatArray, reach: float) -> FloatArray:
     """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the first is what is asked."""
     out = asked.copy()
     begun = np.flatnonzero(np.abs(np.diff(asked)) > reach) + 1

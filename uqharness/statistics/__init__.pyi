@@ -25,7 +25,6 @@ from .pbox import excursion_rate as excursion_rate
 from .pbox import flights_for_band as flights_for_band
 from .pbox import poisson_upper as poisson_upper
 from .pbox import widened as widened
-from .rates import Array as Array
 from .rates import bet_logs as bet_logs
 from .rates import dispersion_that_allows as dispersion_that_allows
 from .rates import log_e_above as log_e_above

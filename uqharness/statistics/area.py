@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqharness.statistics.pbox import Array, PBox, band_half_width, ecdf
+from sysid.arrays import FloatArray
+from uqharness.statistics.pbox import PBox, band_half_width, ecdf
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class AreaMetric:
     flights: int
 
 
-def area_metric(box: PBox, values: Array, confidence: float = 0.95) -> AreaMetric:
+def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> AreaMetric:
     """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights' own band.
 
     ValueError for no value, or one that is not finite.
@@ -39,7 +40,7 @@ def area_metric(box: PBox, values: Array, confidence: float = 0.95) -> AreaMetri
     share = ecdf(np.sort(values), at) / values.size
     row = np.searchsorted(box.value, at, side="right")
 
-    def steps(side: Array) -> Array:
+    def steps(side: FloatArray) -> FloatArray:
         return np.concatenate([[0.0], side])[row]
 
     widths = np.append(np.diff(at), 0.0)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
-from uqharness.statistics.rates import Array
 
 _QUIET_TILT, _QUIET_TILT_ANYTIME, _QUIET_WEIGHT_ANYTIME = 30.0, 6.0, 0.75
 """What a corner without an excursion is judged by: the largest tilt of ``upper_limits``, the first of its mixture."""
 
 
-def dispersion_limits(counts: Array, error: float) -> tuple[Array, Array]:
+def dispersion_limits(counts: FloatArray, error: float) -> tuple[FloatArray, FloatArray]:
     """Lower and upper limits (c,) of variance over mean from counts (c, n), NaN marking none; each fails with about ``error``.
 
     0 and inf where nothing was counted. The upper limit is never below 1.
@@ -26,7 +26,7 @@ def dispersion_limits(counts: Array, error: float) -> tuple[Array, Array]:
     flights = known.sum(axis=1).astype(float)
     reach = -float(normal_quantile(error))
 
-    def of(more: Array, sign: float) -> Array:
+    def of(more: FloatArray, sign: float) -> FloatArray:
         first, second, third, fourth = (
             (values**power).sum(axis=1) + more**power for power in (1, 2, 3, 4)
         )
@@ -35,7 +35,7 @@ def dispersion_limits(counts: Array, error: float) -> tuple[Array, Array]:
         ratio = second / total
         spread = np.sqrt(np.maximum(fourth - 2.0 * ratio * third + ratio**2 * second, 0.0)) / total
         number = np.maximum(flights + (more > 0.0), 1.0)
-        found: Array = np.where(
+        found: FloatArray = np.where(
             some, ratio + sign * reach * spread - total / number, np.inf if sign > 0.0 else 0.0
         )
         return found

@@ -14,6 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
+
 MIN_AIRS = 40
 """Fewer airs are resampled too coarsely to keep the level."""
 RESAMPLES = 1000
@@ -22,8 +24,6 @@ MIN_BEYOND = 20
 MOST_FLIGHTS = 100_000
 """Flights of one p-box beyond which drawing again costs more than the width is worth."""
 _SEED = 20161224
-
-Array = NDArray[np.float64]
 
 
 def is_enough(airs: int, flights: int, confidence: float) -> bool:
@@ -35,7 +35,7 @@ def is_enough(airs: int, flights: int, confidence: float) -> bool:
     )
 
 
-def common_air_half_width(values: Array, confidence: float, seed: int = _SEED) -> float:
+def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SEED) -> float:
     """Half-width of a band that holds for all corners and values at once; ``values`` (c, n) of n common airs, NaN: not known.
 
     What is not known counts as infinite for the lower side and as minus infinite for the upper side. Two corrections of order 1/n:
@@ -68,7 +68,7 @@ def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
     return found
 
 
-def _distances(row: Array, more: NDArray[np.int32]) -> NDArray[np.int64]:
+def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
     """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more`` (airs, resamples): how much
     oftener than once each air was drawn. Air by air, all resamples at once: a cumulative sum would leave the processor's cache."""
     order = np.argsort(row, kind="stable")

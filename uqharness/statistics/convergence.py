@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqharness.statistics.pbox import Array, band_half_width, ecdf
+from sysid.arrays import FloatArray
+from uqharness.statistics.pbox import band_half_width, ecdf
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,8 @@ class Repeats:
     flights: int
     distance: float
     expected: float
-    medians: Array
-    curves: Array
+    medians: FloatArray
+    curves: FloatArray
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Growth:
     chance_of_more: float
 
 
-def repeats(values: Array, number: int, confidence: float = 0.95) -> Repeats:
+def repeats(values: FloatArray, number: int, confidence: float = 0.95) -> Repeats:
     """Cut the flights ``values`` (n,), in the order of their ids, into ``number`` repeats. ValueError if they are too few."""
     flights = values.size // number
     if number < 2 or flights < 2:
@@ -59,7 +60,7 @@ def repeats(values: Array, number: int, confidence: float = 0.95) -> Repeats:
     return Repeats(number, flights, distance, expected, _median(curves), curves)
 
 
-def _median(curves: Array) -> Array:
+def _median(curves: FloatArray) -> FloatArray:
     middle = curves.shape[1] // 2
     return (
         curves[:, middle]
@@ -68,12 +69,12 @@ def _median(curves: Array) -> Array:
     )
 
 
-def _distance(first: Array, second: Array) -> float:
+def _distance(first: FloatArray, second: FloatArray) -> float:
     at = np.concatenate([first, second])
     return float(np.max(np.abs(ecdf(first, at) / first.size - ecdf(second, at) / second.size)))
 
 
-def growth(samples: Sequence[Array], seed: int, draws: int = 40) -> list[Growth]:
+def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Growth]:
     """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the flights' values of each."""
     at = np.unique(np.concatenate(list(samples)))
     at = at[np.isfinite(at)]

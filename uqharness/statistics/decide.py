@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uqharness.statistics.rates import Array, bet_logs, log_e_above, log_e_below
+from sysid.arrays import FloatArray
+from uqharness.statistics.rates import bet_logs, log_e_above, log_e_below
 
 YES, NO, OPEN = "yes", "no", "open"
 WITHIN_ZONE, USED_UP = "within the indifference zone", "all flights flown"
@@ -58,15 +59,15 @@ class Evidence:
     flight that ended early. ``answers``: of each corner, "" while it flies.
     """
 
-    flights: Array
-    total: Array
-    squares: Array
-    bets: Array
-    bets_zone: Array
-    lost: Array
-    bets_lost: Array
-    missing: Array
-    ended: Array
+    flights: FloatArray
+    total: FloatArray
+    squares: FloatArray
+    bets: FloatArray
+    bets_zone: FloatArray
+    lost: FloatArray
+    bets_lost: FloatArray
+    missing: FloatArray
+    ended: FloatArray
     answers: tuple[str, ...]
     cell: str = ""
     reason: str = ""
@@ -77,7 +78,7 @@ class Evidence:
         return np.array([answer == "" and not self.cell for answer in self.answers])
 
     @property
-    def dispersion(self) -> Array:
+    def dispersion(self) -> FloatArray:
         """Observed variance over mean of each corner's counts."""
         n = np.maximum(self.flights, 2.0)
         mean = self.total / n
@@ -96,10 +97,10 @@ def begin(corners: int) -> Evidence:
 def add(
     evidence: Evidence,
     question: Question,
-    low: Array,
-    high: Array,
-    lost: Array | None = None,
-    missing: Array | None = None,
+    low: FloatArray,
+    high: FloatArray,
+    lost: FloatArray | None = None,
+    missing: FloatArray | None = None,
 ) -> Evidence:
     """Evidence with one round more: least and most excursions (c, k) of each flight of the open corners, NaN elsewhere.
 
@@ -109,10 +110,10 @@ def add(
     counted, upper = np.where(flown, low, 0.0), np.where(flown, high, 0.0)
     absent = np.where(flown, 0.0 if missing is None else missing, 0.0)
 
-    def earned(counts: Array, mean: float) -> Array:
-        found: Array = np.where(flown[..., None], bet_logs(counts + mean * absent, mean), 0.0).sum(
-            axis=1
-        )
+    def earned(counts: FloatArray, mean: float) -> FloatArray:
+        found: FloatArray = np.where(
+            flown[..., None], bet_logs(counts + mean * absent, mean), 0.0
+        ).sum(axis=1)
         return found
 
     bets, zone = earned(counted, question.threshold), earned(counted, question.zone[0])
@@ -190,12 +191,12 @@ def look(evidence: Evidence, question: Question) -> Evidence:
     return replace(evidence, answers=tuple(answers), cell=cell, reason=reason)
 
 
-def evidence_of_either(excursions: Array, losses: Array) -> Array:
+def evidence_of_either(excursions: FloatArray, losses: FloatArray) -> FloatArray:
     """Logarithm of the evidence that one of two means is too large: the weighted mean of that of each, for any weights.
 
     Most of the weight lies on excursions, of which there are more.
     """
-    found: Array = np.logaddexp(
+    found: FloatArray = np.logaddexp(
         excursions + np.log(1.0 - LOSS_WEIGHT), losses + np.log(LOSS_WEIGHT)
     )
     return found

@@ -15,12 +15,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.distributions import chi2_quantile, chi2_upper_quantile
 from sysid.notebook_view import rows_table, view
 from uqharness.arguments import number
 from uqharness.statistics.common_air import common_air_half_width, is_enough
-
-Array = NDArray[np.float64]
 
 MAX_POINTS = 512
 """Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
@@ -36,7 +35,7 @@ class Sample:
     """
 
     epistemic_id: str
-    values: Array
+    values: FloatArray
     unknown: int = 0
     airs: NDArray[np.int64] | None = None
 
@@ -54,11 +53,11 @@ class PBox:
     ``corner_*`` (n,) name the epistemic sample that sets each side (the first, where several do).
     """
 
-    value: Array
-    lower: Array
-    upper: Array
-    band_lower: Array
-    band_upper: Array
+    value: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    band_lower: FloatArray
+    band_upper: FloatArray
     corner_lower: NDArray[np.str_]
     corner_upper: NDArray[np.str_]
 
@@ -102,7 +101,7 @@ class PBox:
         return left, _first(self.value, self.band_lower, probability)
 
 
-def _first(value: Array, probability: Array, wanted: float) -> float:
+def _first(value: FloatArray, probability: FloatArray, wanted: float) -> float:
     wanted = number(
         "probability", wanted, "a number from 0 to 1", lambda given: 0.0 <= given <= 1.0
     )
@@ -110,7 +109,7 @@ def _first(value: Array, probability: Array, wanted: float) -> float:
     return float(value[reached[0]]) if reached.size else float("inf")
 
 
-def ecdf(sorted_values: Array, at: Array) -> Array:
+def ecdf(sorted_values: FloatArray, at: FloatArray) -> FloatArray:
     """Number of ``sorted_values`` (n,) that are <= each of ``at`` (m,)."""
     return np.searchsorted(sorted_values, at, side="right").astype(float)
 
@@ -189,7 +188,7 @@ def pbox(samples: Sequence[Sample], confidence: float = 0.95, max_points: int = 
     )
 
 
-def _on_common_air(samples: Sequence[Sample], confidence: float) -> Array | None:
+def _on_common_air(samples: Sequence[Sample], confidence: float) -> FloatArray | None:
     """Values (c, n) of corners that all flew the same n airs, NaN where not known; None where they did not, or too few or many."""
     size = samples[0].size
     flights = sum(sample.size for sample in samples)
@@ -208,7 +207,7 @@ def _on_common_air(samples: Sequence[Sample], confidence: float) -> Array | None
     return found
 
 
-def envelope(samples: Sequence[Sample], at: Array) -> tuple[Array, Array]:
+def envelope(samples: Sequence[Sample], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lower and upper envelope (m,) of the samples' distribution functions at each of ``at`` (m,). ValueError for no flight."""
     if not samples or any(sample.size == 0 for sample in samples):
         raise ValueError(
@@ -246,9 +245,9 @@ class Containment:
     number of flights could make of that; ``area_ratio`` the inner area over the outer one (NaN if that is 0).
     """
 
-    value: Array
-    inner: tuple[Array, Array]
-    outer: tuple[Array, Array]
+    value: FloatArray
+    inner: tuple[FloatArray, FloatArray]
+    outer: tuple[FloatArray, FloatArray]
     excess_lower: float
     excess_upper: float
     at_lower: float

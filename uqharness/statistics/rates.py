@@ -23,10 +23,9 @@ arrays out.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaincinv, logsumexp
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
 
 # Bets of the lower side: small ones for rates near the tested one, large ones for rates far above it.
 _BETS = np.array([0.01, 0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7])
@@ -38,7 +37,7 @@ _BISECTIONS = 45
 _DISPERSIONS = (1e-3, 1e6)
 
 
-def observed_dispersion(counts: Array) -> Array:
+def observed_dispersion(counts: FloatArray) -> FloatArray:
     """Variance over mean of the counts (..., n), NaN marking none; 1 where it says nothing (fewer than 2 flights, or no count)."""
     known = np.isfinite(counts)
     flights = known.sum(axis=-1)
@@ -47,33 +46,33 @@ def observed_dispersion(counts: Array) -> Array:
     spread = np.where(known, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1) / np.maximum(
         flights - 1, 1
     )
-    found: Array = np.where(
+    found: FloatArray = np.where(
         (flights >= 2) & (mean > 0.0), spread / np.where(mean > 0.0, mean, 1.0), 1.0
     )
     return found
 
 
-def bet_logs(counts: Array, mean: float | Array) -> Array:
+def bet_logs(counts: FloatArray, mean: float | FloatArray) -> FloatArray:
     """Logarithm of what each bet earns on each count (...): (..., bets). ``mean`` is the tested one, above 0."""
     ratio = counts[..., None] / np.asarray(mean)[..., None]
-    logs: Array = np.log1p(_BETS * (ratio - 1.0))
+    logs: FloatArray = np.log1p(_BETS * (ratio - 1.0))
     return logs
 
 
-def log_e_above(bets: Array) -> Array:
+def log_e_above(bets: FloatArray) -> FloatArray:
     """Logarithm of the evidence that the mean is above the tested one, from sums over flights of ``bet_logs`` (..., bets)."""
-    found: Array = logsumexp(bets, axis=-1) - np.log(_BETS.size)
+    found: FloatArray = logsumexp(bets, axis=-1) - np.log(_BETS.size)
     return found
 
 
 def log_e_below(
-    flights: Array,
-    total: Array,
-    mean: float | Array,
-    dispersion: Array,
+    flights: FloatArray,
+    total: FloatArray,
+    mean: float | FloatArray,
+    dispersion: FloatArray,
     assumed: float,
-    missing: Array | None = None,
-) -> Array:
+    missing: FloatArray | None = None,
+) -> FloatArray:
     """Logarithm of the evidence that the mean is below ``mean``, after ``flights`` with ``total`` excursions (arrays alike).
 
     ``assumed`` dispersion chooses the tilts before anything is seen; ``dispersion`` >= assumed is the one allowed for, which may
@@ -86,18 +85,18 @@ def log_e_below(
     logs = -s * total[..., None] - flights[..., None] * np.log1p(
         mean[..., None] * np.expm1(-s * kappa) / kappa
     )
-    found: Array = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
+    found: FloatArray = logsumexp(logs, axis=-1, b=_TILT_WEIGHTS)
     return found
 
 
 def _log_error(
-    flights: Array,
-    total: Array,
-    mean: Array,
-    dispersion: Array,
+    flights: FloatArray,
+    total: FloatArray,
+    mean: FloatArray,
+    dispersion: FloatArray,
     assumed: float | None,
-    missing: Array,
-) -> Array:
+    missing: FloatArray,
+) -> FloatArray:
     """Logarithm of what bounds the chance of so few excursions (c,) where ``mean`` is true; arguments of `upper_limits`."""
     if assumed is not None:
         return -log_e_below(flights, total, mean, dispersion, assumed, missing)
@@ -112,12 +111,12 @@ def _log_error(
 
 def dispersion_that_allows(
     mean: float,
-    flights: Array,
-    total: Array,
+    flights: FloatArray,
+    total: FloatArray,
     error: float,
     assumed: float | None = None,
-    missing: Array | None = None,
-) -> Array:
+    missing: FloatArray | None = None,
+) -> FloatArray:
     """Largest dispersions (c,) with which the upper limit of the mean count per flight is at most ``mean``; arguments of
     `upper_limits`. 0 where no dispersion does."""
     flights, total = np.asarray(flights, float), np.asarray(total, float)
@@ -133,13 +132,13 @@ def dispersion_that_allows(
 
 
 def upper_limits(
-    flights: Array,
-    total: Array,
-    dispersion: Array,
+    flights: FloatArray,
+    total: FloatArray,
+    dispersion: FloatArray,
     error: float,
     assumed: float | None = None,
-    missing: Array | None = None,
-) -> Array:
+    missing: FloatArray | None = None,
+) -> FloatArray:
     """Upper limits (c,) of the mean count per flight, each missed with probability ``error`` at most; inf without flights.
 
     For a number of flights fixed beforehand, by Chernoff's bound. With the dispersion ``assumed`` before the first flight: valid at
@@ -152,7 +151,7 @@ def upper_limits(
     flights, total, dispersion = (np.asarray(item, float) for item in (flights, total, dispersion))
     absent = np.zeros_like(total) if missing is None else np.asarray(missing, float)
 
-    def log_error(mean: Array) -> Array:
+    def log_error(mean: FloatArray) -> FloatArray:
         return _log_error(flights, total, mean, dispersion, assumed, absent)
 
     high = np.maximum(total / np.maximum(flights, 1.0), 1.0 / np.maximum(flights, 1.0))
@@ -171,13 +170,13 @@ def upper_limits(
     return np.where(never, np.inf, high)
 
 
-def share_upper(events: Array, flights: Array, error: float) -> Array:
+def share_upper(events: FloatArray, flights: FloatArray, error: float) -> FloatArray:
     """Upper limits (c,) of the share of flights with an event, each missed with probability ``error`` at most (Clopper and Pearson
     1934): only that flights are independent is assumed. 1 without flights.
     """
     events, flights = np.asarray(events, float), np.asarray(flights, float)
     some = events < flights
-    found: Array = np.where(
+    found: FloatArray = np.where(
         some,
         betaincinv(
             np.where(some, events + 1.0, 1.0), np.where(some, flights - events, 1.0), 1.0 - error
@@ -187,7 +186,7 @@ def share_upper(events: Array, flights: Array, error: float) -> Array:
     return found
 
 
-def lower_limits(counts: Array, error: float) -> Array:
+def lower_limits(counts: FloatArray, error: float) -> FloatArray:
     """Lower limits (c,) of the mean count per flight from counts (c, n), NaN marking none, each missed with probability ``error``
     at most, at whatever moment the flying was stopped. 0 where nothing was counted.
     """
@@ -213,7 +212,7 @@ def lower_limits(counts: Array, error: float) -> Array:
     return found
 
 
-def _tally(counts: Array) -> tuple[Array, Array]:
+def _tally(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Different counts (c, v) of each row and how many flights have them: the limits do not depend on the flights' order."""
     rows = [np.unique(row[np.isfinite(row)], return_counts=True) for row in counts]
     width = max((values.size for values, _ in rows), default=0)

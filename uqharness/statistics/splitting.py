@@ -23,9 +23,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
-
-Array = NDArray[np.float64]
 
 COPIES = 3
 """Paths that go on for one that rises a level: between 2 and 4 the cost differs by some per cent."""
@@ -64,7 +63,7 @@ class Levels:
 class Seen:
     """Paths at a checkpoint: score (n,), events since the last one (n, kinds), and which have ended (n,)."""
 
-    score: Array
+    score: FloatArray
     events: NDArray[np.int64]
     ended: NDArray[np.bool_]
 
@@ -86,9 +85,9 @@ class Paths(Protocol):
 class Occupancy:
     """Of each score of a grid (g,): the share of time above it, by weights, and how many checkpoints of paths were seen there."""
 
-    grid: Array
-    share: Array
-    seen: Array
+    grid: FloatArray
+    share: FloatArray
+    seen: FloatArray
 
 
 @dataclass(frozen=True)
@@ -98,19 +97,19 @@ class Replicate:
     probability_by_root, events_by_root: the same of each root and what branched from it (roots, kinds); roots are independent."""
 
     roots: int
-    probability: Array
-    events: Array
+    probability: FloatArray
+    events: FloatArray
     ended: float
     steps: int
     most: int
     highest: int
     occupancy: Occupancy
-    probability_by_root: Array
-    events_by_root: Array
+    probability_by_root: FloatArray
+    events_by_root: FloatArray
 
 
 def run(
-    paths: Paths, roots: int, levels: Levels, kinds: int, grid: Array | None = None
+    paths: Paths, roots: int, levels: Levels, kinds: int, grid: FloatArray | None = None
 ) -> Replicate:
     """Fly ``roots`` paths to their end. An ended path counts one event of each kind that it has not had.
 
@@ -186,7 +185,7 @@ def pilot(
     start: Callable[[int], Paths],
     roots: int,
     kinds: int,
-    grid: Array,
+    grid: FloatArray,
     top: float,
     share: float = SHARE,
     plain: Occupancy | None = None,
@@ -270,7 +269,7 @@ class Interval:
     reason: str = ""
 
 
-def interval(values: Sequence[float] | Array, confidence: float = 0.95) -> Interval:
+def interval(values: Sequence[float] | FloatArray, confidence: float = 0.95) -> Interval:
     """Mean of positive replicates (n,) and its limits: mean times exp(+-t s / (mean sqrt(n))), t with n - 1 degrees of freedom.
 
     NaN with a reason where a replicate reached nothing, or where there are fewer than two.

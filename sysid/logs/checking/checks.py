@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.air_velocity import components_of
 from sysid.logs.channels import Channel
@@ -22,7 +22,6 @@ from sysid.record import FlightRecord, Metadata
 from sysid.units import percent
 from sysid.vocabulary import COMMANDS, LABELS, SIGNALS
 
-FloatArray = NDArray[np.float64]
 _GUIDANCE = frozenset({"h_demand_m", "V_demand_mps", "cross_track_m"})
 _EDGE_SHARE = 1e-3  # channels start and end a few samples apart: no dropout worth a line
 

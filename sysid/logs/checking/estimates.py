@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.checking.kinematics import (
     ACCELERATIONS,
@@ -26,7 +26,6 @@ from sysid.logs.checking.kinematics import (
 from sysid.logs.phase import moving_mean
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 _SAME = 0.005  # of a rate's size, by which it may miss the attitude's derivative
 _OWN = 0.5  # of the fast part of an angle of flow, what attitude and ground velocity leave of it
 _SMOOTHED_S = 0.5  # over which a filter takes the mean of a receiver's velocities, about

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 _LEAST = 60  # samples
 _LEAST_CHANGES = 20
 _STANDING = 50  # samples in a row after which a value stands still rather than is held

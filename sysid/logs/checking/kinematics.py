@@ -11,14 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.logs.air_velocity import components_of
 from sysid.logs.checking.spectra import NOTHING, Relation, relate, relate_means
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
-FloatArray = NDArray[np.float64]
 Columns = Mapping[str, FloatArray]
 Pair = tuple[FloatArray, FloatArray]
 BAND_HZ = (0.08, 2.5)

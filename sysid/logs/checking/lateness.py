@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from sysid.arrays import FloatArray
 from sysid.logs.checking.kinematics import Law, Stretches, band_of, stretches
 from sysid.logs.checking.spectra import LEAK, TAPERED, groups_of, spectrum
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
 INSTRUMENTS = {
     "V_mps": ("elevator_deg", "throttle_pct"),

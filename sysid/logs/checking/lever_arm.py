@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.checking.spectra import band_passed
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
-FloatArray = NDArray[np.float64]
 BAND_HZ = (0.08, 2.0)
 _MIN_SEGMENT_S = 20.0
 _MIN_ROWS = 20  # a log so slow that the band is not in it has nothing to compare

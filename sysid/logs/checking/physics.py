@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.checking.kinematics import (
     ACCELERATIONS,
@@ -33,7 +34,6 @@ from sysid.record import FlightRecord
 from sysid.units import FT_M, G0_MPS2, KT_MPS
 from sysid.vocabulary import LABELS, SIGNALS
 
-FloatArray = NDArray[np.float64]
 SAME = 1.33
 """Factor within which a scale passes for right: sensors that are out by less are a matter of calibration, not of units."""
 _SHARP = 2.0  # high over low of a relation that tells anything

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-FloatArray = NDArray[np.float64]
+from sysid.arrays import FloatArray
+
 ComplexArray = NDArray[np.complexfloating]
 SURE = 3.0
 """Standard errors on either side of what counts as possible."""

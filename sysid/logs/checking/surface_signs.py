@@ -12,14 +12,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.checking.mending import mend, spoils
 from sysid.logs.checking.spectra import band_passed
 from sysid.record import FlightRecord
 
-FloatArray = NDArray[np.float64]
 _BAND_HZ = (0.15, 4.0)
 _BLOCK_S = 3.0
 _LEAST_BLOCKS = 5

@@ -16,12 +16,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import TimeColumn
 from sysid.logs.importers.table_format import listed
 from sysid.logs.time_base import TIME_UNITS, likely_time_unit, time_unit_finding
 
-FloatArray = NDArray[np.float64]
 _UNIT_NAMES = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),

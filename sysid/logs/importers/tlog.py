@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.boots import boundaries
 from sysid.logs.importers.detect import frame_length, frame_time
 
-FloatArray = NDArray[np.float64]
 BLOCK_BYTES = 4 << 20
 _SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's
 _AUTOPILOT_TYPES = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.flying import Flyer, begun, slot, stepped
 from uqharness.batch.lanes.mission import AIR_WIND, WIND, LaneMission, Loaded, load_start
 from uqharness.batch.lanes.streams import Noise
@@ -18,8 +18,6 @@ from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec, first_levels
 from uqharness.simulator import CHANGEABLE
 
-Array = NDArray[np.float64]
-
 _TURNS = 200
 """Turns between two looks at whether engines have come to rest."""
 
@@ -28,7 +26,7 @@ _TURNS = 200
 class Begun:
     """``values``: slot to its value in each lane behind the initialising frames. ``noise``: by seed, drawn up to there."""
 
-    values: dict[str, Array]
+    values: dict[str, FloatArray]
     noise: Mapping[int, Noise]
 
 
@@ -80,7 +78,9 @@ def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
     return Begun(values, noise)
 
 
-def settle(settlers: Sequence[tuple[str, Flyer]], values: dict[str, Array], count: int) -> None:
+def settle(
+    settlers: Sequence[tuple[str, Flyer]], values: dict[str, FloatArray], count: int
+) -> None:
     """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives them."""
     for going, flyer in settlers:
         program = flyer.program
@@ -121,7 +121,7 @@ def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec) -> dict[str, fl
 
 
 def _require_kept(
-    specs: Sequence[FlightSpec], given: Mapping[str, Array], values: Mapping[str, Array]
+    specs: Sequence[FlightSpec], given: Mapping[str, FloatArray], values: Mapping[str, FloatArray]
 ) -> None:
     for name in specs[0].properties:
         if name.startswith("ic/") or name in CHANGEABLE:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.flying import begun, blocked, chosen, slot, unblocked
 from uqharness.batch.lanes.begin import begin
 from uqharness.batch.lanes.feeds import Air, Feeder, Splits, airs_of
@@ -30,8 +31,6 @@ from uqharness.flight import (
     row_counts,
 )
 from uqharness.simulator import Source, StagedMission
-
-Array = NDArray[np.float64]
 
 HEIGHT, SPEED = "position/h-agl-ft", "velocities/vt-fps"
 _CHUNK = 4000
@@ -82,8 +81,8 @@ class Held:
 
     spec: FlightSpec
     frame: int
-    state: Array
-    records: Array
+    state: FloatArray
+    records: FloatArray
     air: Air
     splits: Splits
     end: End
@@ -115,7 +114,7 @@ class Course:
             )
         self._made, self.frame = made, frames.pop()
         self._held = list(held)
-        self._parts: list[list[Array]] = [[one.records] for one in held]
+        self._parts: list[list[FloatArray]] = [[one.records] for one in held]
         self._ends = [one.end for one in held]
         self._alive = np.array([k for k, one in enumerate(held) if one.flying], dtype=np.intp)
         if self._alive.size:
@@ -236,7 +235,7 @@ class Course:
         self._alive = np.arange(len(held), dtype=np.intp)
         self._parts = [[one.records[:, :0]] for one in held]
 
-    def taken(self) -> list[Array]:
+    def taken(self) -> list[FloatArray]:
         """Each lane's rows (channels, rows) since the last call, in the order of the program's records; they are dropped here."""
         found = [
             np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0] for parts in self._parts
@@ -254,7 +253,7 @@ class Course:
         """Where each lane's flight branched so far."""
         return [one.splits for one in self._held]
 
-    def watched(self, name: str) -> Array:
+    def watched(self, name: str) -> FloatArray:
         """(lanes,) a slot's value in each lane that is flying, NaN elsewhere. Raises ValueError for what is no slot."""
         out = np.full(len(self._held), np.nan)
         if self._alive.size:
@@ -289,7 +288,7 @@ class Course:
 
 
 def _over(
-    records: Array, columns: dict[str, int], points: Sequence[ContactPoint]
+    records: FloatArray, columns: dict[str, int], points: Sequence[ContactPoint]
 ) -> NDArray[np.bool_]:
     """Rows (..., rows) of records (channels, ..., rows) in which a flight is over."""
     height, speed = records[columns[HEIGHT]], records[columns[SPEED]]
@@ -297,12 +296,12 @@ def _over(
     return np.asarray(over | (records[columns[TOUCHED]] >= 0.0)) if points else over
 
 
-def _going(records: Array, columns: dict[str, int]) -> End:
+def _going(records: FloatArray, columns: dict[str, int]) -> End:
     return End(flown_s=float(records[columns[TIME], -1]))
 
 
 def _ended(
-    records: Array, columns: dict[str, int], points: Sequence[ContactPoint]
+    records: FloatArray, columns: dict[str, int], points: Sequence[ContactPoint]
 ) -> tuple[int | None, End]:
     """The row in which a lane's flight ended, None while it goes on, and how."""
     height, speed, time = (records[columns[name]] for name in (HEIGHT, SPEED, TIME))
@@ -321,7 +320,7 @@ def _ended(
     return row, End("ground-contact", f"{what} touched the ground at {flown_s:.1f} s", flown_s)
 
 
-def _first_row(made: Ready, values: dict[str, Array], lanes: int) -> Array:
+def _first_row(made: Ready, values: dict[str, FloatArray], lanes: int) -> FloatArray:
     """Recorded properties before the first frame (channels, lanes)."""
     slots = made.lanes.program.slots
     return np.stack(
@@ -332,7 +331,7 @@ def _first_row(made: Ready, values: dict[str, Array], lanes: int) -> Array:
     )
 
 
-def _recorded(made: Ready, end: End, records: Array) -> Recorded:
+def _recorded(made: Ready, end: End, records: FloatArray) -> Recorded:
     index = {name: k for k, name in enumerate(made.lanes.program.records)}
     properties = [s.property for s in made.table.values()] + [
         s.over for s in made.table.values() if s.over is not None

@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.batch.form.flying import Feed, shared, slot
 from uqharness.batch.lanes.mission import LaneMission
@@ -35,9 +36,6 @@ from uqharness.flight import (
     dryden_parameters,
     refuse_above_ceiling,
 )
-
-Array = NDArray[np.float64]
-
 
 Air = tuple[float, float, float]
 """Airspeed [m/s], height [m] and span [m] from which the host's gusts are made."""
@@ -108,7 +106,7 @@ class Feeder:
             if found is not None:
                 self._series[GUSTS.name, key] = found
 
-    def feeds(self, alive: NDArray[np.intp], frames: int, state: Array) -> dict[str, Feed]:
+    def feeds(self, alive: NDArray[np.intp], frames: int, state: FloatArray) -> dict[str, Feed]:
         """For ``frames`` frames on."""
         out: dict[str, Feed] = {}
         if self._noise:
@@ -191,7 +189,7 @@ class Feeder:
             made.branch_from_now_on()
         return made
 
-    def _turbulence(self, alive: NDArray[np.intp], frames: int, state: Array) -> Feed:
+    def _turbulence(self, alive: NDArray[np.intp], frames: int, state: FloatArray) -> Feed:
         """Lanes of one air may stand at different rows: each air keeps those that any of its lanes may still need."""
         counters = slot(self._program, state, COUNTER, len(alive)).astype(np.int64)
         seeds = [(self._specs[k].seed_turbulence, self._splits[k]) for k in alive]
@@ -206,13 +204,15 @@ class Feeder:
 
 
 def airs_of(
-    lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, Array]
+    lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, FloatArray]
 ) -> list[Air]:
     """Each lane's air, of its values behind initialising."""
     return [_air_of(lanes, spec, values, lane) for lane, spec in enumerate(specs)]
 
 
-def _air_of(lanes: LaneMission, spec: FlightSpec, values: Mapping[str, Array], lane: int) -> Air:
+def _air_of(
+    lanes: LaneMission, spec: FlightSpec, values: Mapping[str, FloatArray], lane: int
+) -> Air:
     if lanes.air:
         speed = float(values["velocities/vt-fps"][lane]) * FT_M
     else:
@@ -260,9 +260,9 @@ class _Window:
 
     def __init__(self, series: Series) -> None:
         self._series, self._first = series, 0
-        self._held: Array | None = None
+        self._held: FloatArray | None = None
 
-    def from_to(self, first: int, last: int) -> Array:
+    def from_to(self, first: int, last: int) -> FloatArray:
         known = 0 if self._held is None else len(self._held)
         lacking = last - (self._first + known)
         if lacking > 0 or self._held is None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.flying import Flyer, begun, carried, slot
 from uqharness.batch.form.passes import alive, joined, lowered, trimmed
 from uqharness.batch.form.program import Program
@@ -22,7 +22,6 @@ from uqharness.batch.translate.sources import Sources
 from uqharness.errors import BadInputError
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS
 
-Array = NDArray[np.float64]
 _TOGETHER = 4096
 """States computed together: their memory is used again."""
 RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
@@ -82,12 +81,12 @@ def make_states(
 
 def at_states(
     program: StateProgram,
-    conditions: Mapping[str, Array],
-    terrain_ft: Array,
+    conditions: Mapping[str, FloatArray],
+    terrain_ft: FloatArray,
     dt_s: float,
-    controls: Array,
+    controls: FloatArray,
     properties: Mapping[str, float],
-) -> Array:
+) -> FloatArray:
     """(n, records) at n states: ``conditions`` by CONDITIONS and terrain_ft (n,), ``controls`` (n, c) in the units of their
     properties."""
     out = np.empty((len(controls), len(program.records)))
@@ -96,7 +95,7 @@ def at_states(
     for begin in range(0, len(out), _TOGETHER):
         part = slice(begin, begin + _TOGETHER)
         start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
-        values: dict[str, Array | float] = {**same, TERRAIN: terrain_ft[part], **start}
+        values: dict[str, FloatArray | float] = {**same, TERRAIN: terrain_ft[part], **start}
         values |= dict(zip(program.controls, controls[part].T, strict=True))
         count = len(controls[part])
         state = begun(
@@ -111,12 +110,12 @@ def at_states(
     return out
 
 
-def _read(flyer: Flyer, state: Array, names: Sequence[str], count: int) -> Array:
+def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> FloatArray:
     """(count, names) slots of a state."""
     return np.column_stack([slot(flyer.program, state, name, count) for name in names])
 
 
-def _settle(program: StateProgram, renewer: Flyer, state: Array, out: Array) -> None:
+def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray) -> None:
     """Records ``out`` (n, records) anew in frames in which time stands still, until RATES have settled; a force that outgrows the
     acceleration that it is a part of settles nowhere, and no frame of it is better than another."""
     count = len(out)

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight import normals
-
-Array = NDArray[np.float64]
 
 MODULUS, MULTIPLIER = 2**31 - 1, 16807
 
@@ -30,7 +29,7 @@ _TRIES = 4096
 _SHARE = np.pi / 4.0
 """Of tries that give normals."""
 
-Tries = Callable[[int, int], tuple[Array, int]]
+Tries = Callable[[int, int], tuple[FloatArray, int]]
 """Takes the generator's state and a number of tries; gives their normals, in order, and the state behind them."""
 
 
@@ -43,7 +42,7 @@ class JsbsimNormals:
         self._state, self._tries = max(seed, 1), tries or numpy_tries
         self._left = np.empty(0)
 
-    def take(self, n: int) -> Array:
+    def take(self, n: int) -> FloatArray:
         """The next ``n`` numbers, (n,). They do not depend on how they are cut into calls."""
         parts, known = [self._left], self._left.size
         while known < n:
@@ -61,7 +60,7 @@ class JsbsimNormals:
         return other
 
 
-def numpy_tries(state: int, count: int) -> tuple[Array, int]:
+def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
     """See ``Tries``; by numpy."""
     parts = []
     for first in range(0, count, _TRIES):

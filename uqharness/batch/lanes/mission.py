@@ -12,9 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from uqharness.batch.form.flying import Flyer
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
@@ -46,8 +43,6 @@ from uqharness.flight import (
 )
 from uqharness.simulator import CHANGEABLE, MARK, RATES_FREE, RATES_HELD, StagedMission, engine
 from uqharness.xml import Document, read_document
-
-Array = NDArray[np.float64]
 
 _DECLARING = (
     "system",

@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.flying import BLOCK, Flyer, begun, shared, stepped
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.passes import for_what_follows, optimised
@@ -31,8 +31,6 @@ from uqharness.batch.translate.sources import Sources
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 
-Array = NDArray[np.float64]
-
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
 """Records of lanes that are flown together: the memory is used again."""
@@ -47,7 +45,7 @@ class ReplayLane:
     properties: Mapping[str, float]
     conditions: Mapping[str, float]
     terrain_ft: float
-    controls: Array
+    controls: FloatArray
     dt_s: float
 
 
@@ -166,7 +164,9 @@ def _renewed(flight: Flight) -> tuple[Program, ...]:
     return () if flight.renewed is None else (flight.renewed,)
 
 
-def fly_replays(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> Iterator[tuple[int, Array]]:
+def fly_replays(
+    replay: ReplayProgram, jobs: Sequence[ReplayLane]
+) -> Iterator[tuple[int, FloatArray]]:
     """The number of each job, in any order, and its recorded properties (rows, records): at the start, then behind every ``stride``
     frames."""
     values = _begun(replay, jobs)
@@ -202,7 +202,7 @@ def _parts(replay: ReplayProgram, frames: Sequence[int]) -> Iterator[list[int]]:
         yield part
 
 
-def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array]:
+def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, FloatArray]:
     """Slots behind the initialising frames, a value for each job."""
     count = len(jobs)
     values = start_state(
@@ -228,7 +228,9 @@ def _begun(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[str, Array
     }
 
 
-def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, Array]) -> Array:
+def _flown(
+    replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[str, FloatArray]
+) -> FloatArray:
     """(records, lanes, rows) behind the start; those behind a shorter job's end mean nothing."""
     frames = max(len(job.controls) for job in jobs) - 1
     pieces = {id(job.controls): _held(job.controls[1:], frames) for job in jobs}
@@ -237,7 +239,7 @@ def _flown(replay: ReplayProgram, jobs: Sequence[ReplayLane], values: Mapping[st
     return replay.flyer.fly(state, 1, frames, {"controls": feed}, replay.stride)
 
 
-def _held(controls: Array, frames: int) -> Array:
+def _held(controls: FloatArray, frames: int) -> FloatArray:
     """(frames, c) controls, the last held to the end."""
     missing = frames - len(controls)
     return (

@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.program import Stream
 from uqharness.batch.lanes.jsbsim_random import (
     MODULUS,
@@ -39,8 +39,6 @@ from uqharness.flight import (
     TransientDriver,
 )
 
-Array = NDArray[np.float64]
-
 GUSTS = Stream(
     "gusts",
     tuple(
@@ -60,7 +58,7 @@ _LONGEST_PERIOD = 100_000
 class Rows(NamedTuple):
     """Rows (n, columns) of a stream, and the number of the first."""
 
-    array: Array
+    array: FloatArray
     first_row: int
 
 

@@ -24,11 +24,11 @@ def compiled_recursion(target: Target) -> gust_filters.Recur:
     )
 
     def recur(
-        drive: gust_filters.Array,
-        powers: gust_filters.Array,
-        inverse: gust_filters.Array,
+        drive: gust_filters.FloatArray,
+        powers: gust_filters.FloatArray,
+        inverse: gust_filters.FloatArray,
         last: float,
-    ) -> gust_filters.Array:
+    ) -> gust_filters.FloatArray:
         segments = drive.size // powers.size
         if (
             segments * powers.size != drive.size

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.flying import BLOCK
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.machine.llvm import Kernel, compiled
 from uqharness.batch.machine.target import Target, attributes, built
 from uqharness.flight import normals
-
-Array = NDArray[np.float64]
 
 assert normals.GROUP == 2 * BLOCK
 
@@ -59,7 +58,7 @@ def compiled_pairs(target: Target) -> normals.Pairs:
     one, other = normals.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)
     kernel = compiled(b.finish({"one": one, "other": other}), target)
 
-    def pairs(raw: NDArray[np.int64]) -> Array:
+    def pairs(raw: NDArray[np.int64]) -> FloatArray:
         out = np.empty(raw.shape)
         kernel.run(raw.view(np.float64), np.empty((len(raw), 0, BLOCK)), out)
         return out
@@ -67,7 +66,7 @@ def compiled_pairs(target: Target) -> normals.Pairs:
     return pairs
 
 
-Tries = Callable[[int, int], tuple[Array, int]]
+Tries = Callable[[int, int], tuple[FloatArray, int]]
 
 
 Points = Callable[[Sequence[Any], normals.Operations], tuple[Any, Any, Any]]
@@ -91,7 +90,7 @@ def compiled_tries(target: Target, modulus: int, multiplier: int, points: Points
     # Arrays are kept, for new ones cost as much as what is computed in them; each thread has its own.
     kept = threading.local()
 
-    def tries(state: int, count: int) -> tuple[Array, int]:
+    def tries(state: int, count: int) -> tuple[FloatArray, int]:
         if not hasattr(kept, "arrays"):
             kept.arrays = tuple(np.empty((_ROUND // BLOCK, rows, BLOCK)) for rows in (4, 3, 0))
         drawn, made, nothing = kept.arrays

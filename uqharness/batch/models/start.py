@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch.form.ir import Builder, Function, Value, evaluate
 from uqharness.batch.form.maths import lower
 from uqharness.batch.form.program import Section
@@ -23,8 +23,6 @@ from uqharness.batch.models.vectors import (
     times,
     transposed,
 )
-
-Array = NDArray[np.float64]
 
 CONDITIONS = (
     "ic/lat-geod-rad",
@@ -54,7 +52,7 @@ def rounded(value: float) -> float:
     )
 
 
-def _rounded(values: Array) -> Array:
+def _rounded(values: FloatArray) -> FloatArray:
     """`rounded` of every element."""
     fraction, exponent = np.frexp(values)
     return np.asarray(
@@ -66,13 +64,13 @@ def _rounded(values: Array) -> Array:
     )
 
 
-def start_state(conditions: Mapping[str, Array]) -> dict[str, Array]:
+def start_state(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Slots of the motion from CONDITIONS, arrays over lanes."""
     found, _ = evaluate(_FUNCTION, start_conditions(conditions))
     return found
 
 
-def start_conditions(conditions: Mapping[str, Array]) -> dict[str, Array]:
+def start_conditions(conditions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """CONDITIONS as a start is made of them, arrays over lanes."""
     return {
         name: _rounded(np.atleast_1d(np.asarray(conditions[name], dtype=float)))

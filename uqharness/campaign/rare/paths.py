@@ -14,12 +14,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.batch import Branch, Course, ready
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, Split, record_stride, row_counts
 from uqharness.statistics import Seen
-
-Array = NDArray[np.float64]
 
 DISTANCE = "cross_track"
 
@@ -42,7 +41,9 @@ class Score(Protocol):
     def properties(self) -> tuple[str, ...]:
         """Properties of the aircraft that are read at a checkpoint."""
 
-    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
         """(paths,) score of those properties (paths,), the distance from the commanded path and its rate (paths,)."""
 
 
@@ -53,7 +54,9 @@ class Lookahead:
     lookahead_s: float
     properties: tuple[str, ...] = ()
 
-    def of(self, values: Mapping[str, Array], distance_m: Array, closing_mps: Array) -> Array:
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
         """(paths,) [m]."""
         return distance_m + self.lookahead_s * closing_mps
 
@@ -149,14 +152,14 @@ class LoiterPaths:
         self._numbers[aleatory_id, level] = number + 1
         return Branch(self._root, aleatory_id, level, number)
 
-    def _distances(self, rows: Sequence[Array]) -> Array:
+    def _distances(self, rows: Sequence[FloatArray]) -> FloatArray:
         """(paths, rows) [m] without sign; NaN behind a flight's end."""
         found = np.full((len(rows), max(2, *(each.shape[1] for each in rows))), np.nan)
         for place, each in enumerate(rows):
             found[place, : each.shape[1]] = each[self._channel]
         return np.abs(found * self._factor)
 
-    def _note(self, first: NDArray[np.bool_], frame: int, distance: Array) -> None:
+    def _note(self, first: NDArray[np.bool_], frame: int, distance: FloatArray) -> None:
         if not self._watch.noted:
             return
         for path, kind in np.argwhere(first):

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sysid.arrays import FloatArray
 
 HORIZONS_S = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
 """Behind ten seconds a loiter's state is forgotten: the prediction is then the mean of that place on the circle."""
@@ -35,7 +34,7 @@ class Predicted:
     constants: tuple[float, ...]
     sigmas: tuple[float, ...]
 
-    def score(self, regressors: Array, distance_m: Array) -> Array:
+    def score(self, regressors: FloatArray, distance_m: FloatArray) -> FloatArray:
         """Standard deviations to the radius (...), negative inside it, of regressors (..., k) and distances (...)."""
         # One regressor after the other: a matrix product would round differently with the number of paths.
         slopes, expected = (
@@ -49,8 +48,8 @@ class Predicted:
 
 
 def fit(
-    regressors: Array,
-    distance_m: Array,
+    regressors: FloatArray,
+    distance_m: FloatArray,
     row_s: float,
     radius_m: float,
     horizons_s: Sequence[float] = HORIZONS_S,

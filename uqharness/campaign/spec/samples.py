@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.campaign.inputs import Estimates
 from uqharness.campaign.spec import ellipsoid
 from uqharness.campaign.spec.campaign import CampaignSpec
@@ -25,8 +25,6 @@ from uqharness.flight import (
     normals,
     numbered_stream,
 )
-
-Array = NDArray[np.float64]
 
 INTERIOR_MARK = "lhs-"
 """How ids of points of a Latin hypercube begin."""
@@ -157,7 +155,7 @@ def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
         )
 
 
-def _inside(spec: CampaignSpec, columns: Mapping[str, Array], number: int) -> dict[str, float]:
+def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) -> dict[str, float]:
     """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is the set."""
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
@@ -187,13 +185,13 @@ def _drawn(
         yield Epistemic(name, levels, driver, mean_levels, draws[number] if draws else {})
 
 
-def latin_column(root_seed: int, name: str, samples: int) -> Array:
+def latin_column(root_seed: int, name: str, samples: int) -> FloatArray:
     """One dimension of a Latin hypercube, (samples,) in 0..1: one value in each of ``samples`` equal cells, in random order.
 
     The stream is named after the dimension: adding another one moves none of these.
     """
     generator = np.random.Generator(np.random.PCG64(named_stream(root_seed, "levels", name)))
-    column: Array = (generator.permutation(samples) + generator.random(samples)) / samples
+    column: FloatArray = (generator.permutation(samples) + generator.random(samples)) / samples
     return column
 
 
@@ -208,7 +206,7 @@ def _parameter_draws(spec: CampaignSpec) -> list[dict[str, float]]:
 
 def parameter_draws(
     section: ParametersSection, estimates: Estimates, samples: int, root_seed: int
-) -> Array:
+) -> FloatArray:
     """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
     if section.distribution == "normal":
         rows = [

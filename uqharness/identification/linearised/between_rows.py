@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics.rigid_body import STATES
+from sysid.arrays import FloatArray
 from sysid.parallel import Processes
 from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.types import Flown, Point, Setup
@@ -24,15 +25,13 @@ from uqharness.replay import (
     surface_positions,
 )
 
-Array = NDArray[np.float64]
-
 
 def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
     """The setup with the flights in which some control of the model jumps: what accelerometers miss of that is estimated."""
     return replace(setup, jumping=tuple(jumping_in(model, setup.segments, setup.late)))
 
 
-def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
+def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
     """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
 
     A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
@@ -62,12 +61,12 @@ def _halved(segment: Segment) -> Segment:
 
 def _middle(
     segment: Segment,
-    ends: Array,
-    half: Array | None,
+    ends: FloatArray,
+    half: FloatArray | None,
     held: NDArray[np.bool_],
     jumps: NDArray[np.bool_],
     k: int,
-) -> Array:
+) -> FloatArray:
     middle = np.where(
         held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2]
     )
@@ -86,9 +85,9 @@ def bends_of(
     setup: Setup,
     flown: Flown,
     found: Sequence[Probe],
-    away: Sequence[Array],
+    away: Sequence[FloatArray],
     map_: Processes,
-) -> list[Array]:
+) -> list[FloatArray]:
     """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of its ends, and at its end from
     the next row's: what the model says there, the surfaces where they stand by their `middles`, the motion half-way."""
     asked = []
@@ -118,6 +117,6 @@ def bends_of(
     return out
 
 
-def jumped(away: Array) -> Array | None:
+def jumped(away: FloatArray) -> FloatArray | None:
     """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not known. None where none does."""
     return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None

@@ -7,18 +7,17 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS, GustStates, whole_states
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
+from sysid.arrays import FloatArray
 from sysid.effects import Columns, Effect, MadeColumns
 from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import CONTROLS, FELT, SENSOR_OF, Segment, runs_per_row
 from uqharness.simulator import Actuator
 
-Array = NDArray[np.float64]
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 """Steepness and angles of attack of the separation point that a loss of lift by stall is written with."""
 GROUND_SPANS = 3.0
@@ -49,10 +48,10 @@ def effect_columns(
 
 def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect]) -> Columns:
     segment, y, point = setup.segments[k], flown.outputs[k], flown.point
-    inputs: dict[str, tuple[int, Array]] = {}
-    outputs: dict[str, Array] = {}
-    ends: dict[str, Array] = {}
-    felt: dict[str, Array] = {}
+    inputs: dict[str, tuple[int, FloatArray]] = {}
+    outputs: dict[str, FloatArray] = {}
+    ends: dict[str, FloatArray] = {}
+    felt: dict[str, FloatArray] = {}
     before, share, found = p.just_before(), unseen_share(point, segment.flight), p.variables()
     earlier = found if before is p else before.variables()
     for e in effects:
@@ -81,7 +80,7 @@ def slopes_here(active: Sequence[Effect], point: Point) -> list[Effect]:
     return [replace(e, term=e.term + HERE) for e in faster]
 
 
-def seen_of(values: Array, earlier: Array, share: float) -> Array:
+def seen_of(values: FloatArray, earlier: FloatArray, share: float) -> FloatArray:
     """Values that jump at their rows as the channels of these rows have seen them; earlier: just before; share: what is unseen."""
     return np.asarray(values + share * (earlier - values))
 
@@ -97,7 +96,7 @@ def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
     return own + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
-def unsensed(shown: Array, channel: str, segment: Segment, point: Point) -> Array:
+def unsensed(shown: FloatArray, channel: str, segment: Segment, point: Point) -> FloatArray:
     """(n,) what a sensor shows without what it adds and multiplies at a point."""
     return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
@@ -107,7 +106,7 @@ def vane_place_m(point: Point) -> float:
     return point.effects.get("effect/sensor.vane/place_x", 0.0)
 
 
-def at_vane(y: Array, outputs: Sequence[str]) -> Array:
+def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """(n, m) change of the outputs (n, m) by each metre that the vanes stand further forward: alpha by -q/V, beta by r/V."""
     out = np.zeros_like(y)
     at = {c: k for k, c in enumerate(outputs)}
@@ -120,13 +119,13 @@ def at_vane(y: Array, outputs: Sequence[str]) -> Array:
     return out
 
 
-def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
+def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
     """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each metre further forward: the rates
     there are those relative to the air, which rotates."""
     at = (x if gusts is None else whole_states(x, gusts)).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
-    def felt(z: Array) -> Array:
+    def felt(z: FloatArray) -> FloatArray:
         air = np.zeros((3, 1)) if gusts is None else np.array(gusts.rotation(z))
         rates = z[3:6] - air
         return np.array(
@@ -141,8 +140,13 @@ def vane_slopes(x: Array, gusts: GustStates | None) -> Array:
 
 
 def _input(
-    e: Effect, setup: Setup, segment: Segment, p: Probe, found: Mapping[str, Array], point: Point
-) -> tuple[int, Array]:
+    e: Effect,
+    setup: Setup,
+    segment: Segment,
+    p: Probe,
+    found: Mapping[str, FloatArray],
+    point: Point,
+) -> tuple[int, FloatArray]:
     """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1, values (n, 6)) of all."""
     if (term := e.parsed) is not None:
         return COEFFICIENTS.index(e.coefficient), term.values(found)
@@ -201,8 +205,8 @@ def _input(
 
 
 def _of_sensor(
-    e: Effect, setup: Setup, segment: Segment, p: Probe, y: Array, point: Point
-) -> Array:
+    e: Effect, setup: Setup, segment: Segment, p: Probe, y: FloatArray, point: Point
+) -> FloatArray:
     """(n, m) what a unit of a sensor's effect adds to the outputs (n, m)."""
     what = (e.subsystem or "").partition(".")[2]
     if e.term.startswith("place_"):
@@ -222,7 +226,7 @@ def _of_sensor(
     return out
 
 
-def _felt_by_vanes(p: Probe, y: Array, outputs: Sequence[str]) -> Array:
+def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """`at_vane` of the rates relative to the air, which rotates."""
     measured = [c for c in AIR_RATES if c in outputs]
     seen = y.copy()
@@ -256,7 +260,7 @@ def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     return limit, min(NEAR * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit)
 
 
-def in_dead_zone(u: Array, width_deg: float, flown: bool = False) -> Array:
+def in_dead_zone(u: FloatArray, width_deg: float, flown: bool = False) -> FloatArray:
     """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read by one of that width; flown: by
     each degree that the one it stands in is wider."""
     if flown:
@@ -266,13 +270,13 @@ def in_dead_zone(u: Array, width_deg: float, flown: bool = False) -> Array:
     return np.asarray(-np.clip(u, -half, half) / width_deg)
 
 
-def _felt_at(p: Probe, outputs: Sequence[str], place_m: Array) -> Array:
+def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArray:
     """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x (w x r)."""
     rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
     return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
 
 
-def as_felt(felt: Array, outputs: Sequence[str]) -> Array:
+def as_felt(felt: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """(n, m) outputs of accelerometers that feel ``felt`` (n, 3), zero in all others."""
     out = np.zeros((len(felt), len(outputs)))
     for name, value in zip(FELT, felt.T, strict=True):
@@ -281,7 +285,9 @@ def as_felt(felt: Array, outputs: Sequence[str]) -> Array:
     return out
 
 
-def later_controls(p: Probe, late_s: float) -> tuple[tuple[int, Array], Array, Array]:
+def later_controls(
+    p: Probe, late_s: float
+) -> tuple[tuple[int, FloatArray], FloatArray, FloatArray]:
     """Input (n, 6), its values just before each row and what the row's accelerometers see of them: change of the coefficients per
     second by which all controls act later.
 
@@ -302,13 +308,13 @@ def later_controls(p: Probe, late_s: float) -> tuple[tuple[int, Array], Array, A
     return (-1, values), ends, steady
 
 
-def _written(slopes: Mapping[str, float], control: str) -> Array:
+def _written(slopes: Mapping[str, float], control: str) -> FloatArray:
     """(6,) change of CX..Cn by a degree of a tail surface as the slipstream over it is written."""
     of = {"de": ("CZ", "Cm"), "dr": ("CY", "Cl", "Cn")}[control]
     return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
 
 
-def _attached(alpha_deg: Array) -> Array:
+def _attached(alpha_deg: FloatArray) -> FloatArray:
     """Lift factor [(1 + sqrt X)/2]^2 of section 2's separation point X."""
     a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
     X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
@@ -321,7 +327,7 @@ def surface_change(
     segment: Segment,
     k: int,
     limits: tuple[float, float] | None = None,
-) -> Array:
+) -> FloatArray:
     """(n,) `servo_change` of control ``k`` at a segment's rows."""
     own = segment.at_commands()
     command = own.controls[:, k]
@@ -331,10 +337,10 @@ def surface_change(
 def servo_change(
     kind: str,
     servo: Actuator | None,
-    command: Array,
+    command: FloatArray,
     h: float,
     limits: tuple[float, float] | None = None,
-) -> Array:
+) -> FloatArray:
     """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
 
     Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at rows h [s] apart. limits: rate

@@ -11,12 +11,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import GustStates, Reference, Steps, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
+from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
     Evidence,
@@ -70,8 +70,6 @@ from uqharness.replay import (
     surface_positions,
 )
 
-Array = NDArray[np.float64]
-
 
 def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
@@ -102,7 +100,7 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
     )
 
 
-def cost_of(setup: Setup, outputs: Sequence[Array]) -> float:
+def cost_of(setup: Setup, outputs: Sequence[FloatArray]) -> float:
     """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf where one is no number."""
     cost = 0.0
     for z, y in zip(setup.measured, outputs, strict=True):
@@ -116,7 +114,7 @@ def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: 
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[Array]:
+def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
     """(n, c) where the controls stood in every segment, servos as they are at a point."""
     return surface_positions(
         model, setup.segments, CONTROLS, {} if point is None else setup.properties(point)
@@ -127,7 +125,7 @@ def probes(
     straight: ReplayModel,
     setup: Setup,
     flown: Flown,
-    controls: Sequence[Array],
+    controls: Sequence[FloatArray],
     map_: Processes,
     consistent: bool = True,
 ) -> list[Probe]:
@@ -324,8 +322,8 @@ def fit_at(
 
 
 def moved_starts(
-    starts: Sequence[Array], white: Sequence[White], delta: Array, share: float = 1.0
-) -> tuple[Array, ...]:
+    starts: Sequence[FloatArray], white: Sequence[White], delta: FloatArray, share: float = 1.0
+) -> tuple[FloatArray, ...]:
     """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
     order = [STATES.index(s) for s in X_STATES]
     moved = [start.copy() for start in starts]
@@ -334,7 +332,7 @@ def moved_starts(
     return tuple(moved)
 
 
-def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[Array, float]:
+def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArray, float]:
     """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays, and what flights would have
     beyond where it ends: a share of a jump beyond SHARES, a rate limit where it is not felt."""
     delta, length = evidence.step(setup.held)

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, whole_states
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
+from sysid.arrays import FloatArray
 from sysid.effects import (
     DIFFERENT,
     REMEMBERED_AIRS,
@@ -54,7 +54,6 @@ from uqharness.identification.linearised.types import Flown, Point, Setup, late_
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
 
-Array = NDArray[np.float64]
 _KINDS = {
     c: kind
     for kind, members in {
@@ -94,7 +93,7 @@ class GustFit:
         return minus_twice_log(self.fit.evidence.white)
 
 
-def measured_states(setup: Setup, point: Point) -> list[Array]:
+def measured_states(setup: Setup, point: Point) -> list[FloatArray]:
     """[(n, 8)] the flight as measured, smoothed, what the sensors make of it taken out."""
     x = []
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
@@ -114,7 +113,7 @@ def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
     return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
 
 
-def in_step(setup: Setup, point: Point) -> list[Array]:
+def in_step(setup: Setup, point: Point) -> list[FloatArray]:
     """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample speaks of the state it was taken of.
 
     A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
@@ -128,7 +127,7 @@ def in_step(setup: Setup, point: Point) -> list[Array]:
     ]
 
 
-def moved(values: Array, rows: int) -> Array:
+def moved(values: FloatArray, rows: int) -> FloatArray:
     """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
     at, last = np.arange(len(values)) - rows, len(values) - 1
     return np.where((at >= 0) & (at <= last), values[np.clip(at, 0, last)], np.nan)
@@ -140,7 +139,7 @@ def predict(
     setup: Setup,
     point: Point,
     map_: Processes,
-    path: Sequence[Array] | None = None,
+    path: Sequence[FloatArray] | None = None,
 ) -> tuple[Flown, list[Probe]]:
     """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's forces along it."""
     x = measured_states(setup, point) if path is None else list(path)
@@ -192,7 +191,7 @@ def _at_places(
     return replace(setup, segments=tuple(cut))
 
 
-def _between(both: Sequence[Sequence[Array]], shares: Sequence[float]) -> list[Array]:
+def _between(both: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
     """Of each segment what stands the share of the way from one to the other."""
     first, last = both[0], both[-1]
     return [a + share * (b - a) for a, b, share in zip(first, last, shares, strict=True)]
@@ -225,8 +224,8 @@ def gust_refit(
     )
     gusts, analytic = near, None
     length, share, since = float("inf"), 1.0, float("inf")
-    delta: Array | None = None
-    path: list[Array] | None = None
+    delta: FloatArray | None = None
+    path: list[FloatArray] | None = None
     own, flights = (
         [n for n in names if n not in {e.key for e in setup.active}],
         {s.flight for s in setup.segments},
@@ -286,7 +285,7 @@ def gust_refit(
     )
 
 
-def relaxed(share: float, before: Array, now: Array, information: Array) -> float:
+def relaxed(share: float, before: FloatArray, now: FloatArray, information: FloatArray) -> float:
     """Share of the step ``now`` (K,) to take, by what became of that ``before``, of which ``share`` was taken: Aitken's for vectors
     (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in standard errors.
 
@@ -302,7 +301,9 @@ def relaxed(share: float, before: Array, now: Array, information: Array) -> floa
     )
 
 
-def as_measured(setup: Setup, path: Sequence[Array], before: Point, after: Point) -> list[Array]:
+def as_measured(
+    setup: Setup, path: Sequence[FloatArray], before: Point, after: Point
+) -> list[FloatArray]:
     """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
     return [
         np.column_stack(
@@ -327,7 +328,7 @@ def unfiltered(
     point: Point,
     map_: Processes,
     gusts: Gusts,
-) -> tuple[Flown, list[Array]]:
+) -> tuple[Flown, list[FloatArray]]:
     """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
     flown, found = predict(model, straight, setup, point, map_)
     steps = _Linear(setup, flown, found, map_)
@@ -401,7 +402,9 @@ class _Linear:
             self.made.popitem(last=False)
         return out
 
-    def _behind(self, p: Probe, steps: Steps, y: Array, acting: GustStates, late: Array) -> Array:
+    def _behind(
+        self, p: Probe, steps: Steps, y: FloatArray, acting: GustStates, late: FloatArray
+    ) -> FloatArray:
         """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,) of a row, as the model moves its
         states and as controls move what is not made of these. The reference itself jumps: each row begins with what the one before
         did not predict. Of a step, a parabola from its start with the rate that is there to where it ends."""
@@ -430,7 +433,7 @@ class _Linear:
         return self(range(len(self.found)), states)
 
 
-def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> Array:
+def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> FloatArray:
     """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row to row: (I + T)^a in powers of
     T = phi - I of the step in which that is, a = -late."""
     H = steps.H.copy()
@@ -445,7 +448,7 @@ def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> A
     return H
 
 
-def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, Array]:
+def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, FloatArray]:
     """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked for."""
     speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
@@ -493,7 +496,7 @@ def predicted(
     return replace(flown, outputs=outputs), out
 
 
-def _changed(p: Probe, moved: Array) -> Array:
+def _changed(p: Probe, moved: FloatArray) -> FloatArray:
     """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
     faster = moved[:, :1] / p.reference.x[:, :1]
     change = (

@@ -21,6 +21,7 @@ from sysid.aerodynamics import (
 )
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.rigid_body import STATES
+from sysid.arrays import FloatArray
 from sysid.effects import V_REFERENCE_MPS
 from sysid.parallel import ALONE, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
@@ -37,7 +38,6 @@ from uqharness.replay import (
 )
 from uqharness.simulator import MOST_FRAMES, TRIM_LATITUDE_DEG, body_velocity, engine
 
-Array = NDArray[np.float64]
 EVERY = 4
 """Slopes are read at every fourth sample: they move with the state, and the state takes longer than that."""
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
@@ -70,26 +70,26 @@ class Probe:
 
     reference: Reference
     mass: MassProperties
-    coefficients: Array
-    other_force: Array
-    other_moment: Array
-    by_control: Array
-    controls: Array
-    by_inflow: Array
-    height_m: Array
-    body: Array
-    x: Array
-    rate: Array
-    flow_rate: Array
-    by_property: Mapping[str, Array] = field(default_factory=dict)
-    jumped: Array | None = None
+    coefficients: FloatArray
+    other_force: FloatArray
+    other_moment: FloatArray
+    by_control: FloatArray
+    controls: FloatArray
+    by_inflow: FloatArray
+    height_m: FloatArray
+    body: FloatArray
+    x: FloatArray
+    rate: FloatArray
+    flow_rate: FloatArray
+    by_property: Mapping[str, FloatArray] = field(default_factory=dict)
+    jumped: FloatArray | None = None
 
     @property
-    def scale(self) -> Array:
+    def scale(self) -> FloatArray:
         """(n, 6) forces [N] and moments [N m] of coefficients CX..Cn of 1."""
         return _scale(self.reference.qbar, self.mass)
 
-    def jumps(self, before: float = 0.5) -> Array:
+    def jumps(self, before: float = 0.5) -> FloatArray:
         """(n, 6, c) change of CX..Cn by what each control jumps at each row, by its slopes on the two sides of the jump, of which
         those before weigh ``before``: thrust bends with the throttle."""
         if self.jumped is None:
@@ -118,13 +118,13 @@ class Probe:
             jumped=None,
         )
 
-    def felt_jump(self, before: float = 0.5) -> Array:
+    def felt_jump(self, before: float = 0.5) -> FloatArray:
         """(n, 3) what the accelerometers feel of the controls' jumps [m/s2], by `jumps`."""
         load = self.jumps(before).sum(axis=2) * self.scale
         turn = load[:, 3:] @ np.linalg.inv(self.mass.inertia).T
         return np.asarray(load[:, :3] / self.mass.mass + np.cross(turn, self.reference.arm_m))
 
-    def rate_of(self, channel: str, values: Array) -> Array:
+    def rate_of(self, channel: str, values: FloatArray) -> FloatArray:
         """(n,) rate of change of an output: in turbulence the model's, or where it has none that of earlier predictions."""
         if self.reference.consistent:
             return np.gradient(values, self.reference.dt_s)
@@ -132,7 +132,7 @@ class Probe:
             return np.asarray(self.rate[:, STATES.index(channel)])
         return np.diff(values, prepend=values[:1]) / self.reference.dt_s
 
-    def variables(self) -> dict[str, Array]:
+    def variables(self) -> dict[str, FloatArray]:
         """Variables of coefficient terms, (n,) each."""
         b, c = self.mass.b, self.mass.c
         V, alpha, beta, p, q, r = self.x.T[:6]
@@ -148,7 +148,7 @@ class Probe:
         }
 
 
-def _scale(qbar: Array, mass: MassProperties) -> Array:
+def _scale(qbar: FloatArray, mass: MassProperties) -> FloatArray:
     return np.asarray(qbar[:, None] * mass.S * np.append(np.ones(3), mass.lengths))
 
 
@@ -158,11 +158,11 @@ class ProbeJob:
 
     straight: ReplayModel
     segment: Segment
-    x: Array
-    controls: Array
+    x: FloatArray
+    controls: FloatArray
     properties: Mapping[str, float]
     consistent: bool
-    height_m: Array
+    height_m: FloatArray
 
 
 def probe_all(jobs: Sequence[ProbeJob], map_: Processes = ALONE) -> list[Probe]:
@@ -175,7 +175,7 @@ def _coarse(n: int) -> NDArray[np.intp]:
     return np.unique(np.append(np.arange(0, n, EVERY), n - 1))
 
 
-def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
     """Rows that are forced as they are, ``coarse`` rows at which the model is asked for slopes, and the states (k, coarse, 8) and
     controls (k, coarse, c) of these: AIR moved, then controls, then banks where rates of the wind angles are asked for."""
     coarse, (n, controls) = _coarse(len(job.x)), job.controls.shape
@@ -216,7 +216,7 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
     load, other, qbar = (all_rows(v[: len(base)]) for v in (load, other, found.qbar))
     scale = _scale(qbar, mass)
 
-    def known_before(values: Array) -> Array:
+    def known_before(values: FloatArray) -> FloatArray:
         # On a line between predicted states a row would know of samples that came after it: it reads them as sensors that are off
         # (alpha by a degree in light turbulence). Held, a slope goes with the dynamic pressure of each row.
         if job.consistent:
@@ -275,8 +275,10 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
 
 
 def property_slopes(
-    job: tuple[ReplayModel, Segment, Array, Array, Array, Mapping[str, float], Sequence[str]],
-) -> dict[str, Array]:
+    job: tuple[
+        ReplayModel, Segment, FloatArray, FloatArray, FloatArray, Mapping[str, float], Sequence[str]
+    ],
+) -> dict[str, FloatArray]:
     """property -> (n, 6) change of force [N] and moment [N m] by a unit of it, central. job: the model, a segment and of n of its
     samples states (n, 8), controls (n, c) and heights (n,) [m]; properties in force, names of those that are moved.
 
@@ -345,7 +347,7 @@ def property_slopes(
     return out
 
 
-def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> Array:
+def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
     """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still; return them."""
     fdm.run()
     loads, moved = np.array([g() for g in get]), np.inf
@@ -360,7 +362,7 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> Array:
     return loads
 
 
-def _between(coarse: NDArray[np.intp], n: int, values: Array) -> Array:
+def _between(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
     """(n, ...) what was found at ``coarse`` rows, at every row along straight lines."""
     return np.asarray(np.apply_along_axis(lambda v: np.interp(np.arange(n), coarse, v), 0, values))
 
@@ -420,7 +422,7 @@ def named_terms(
     return out
 
 
-def term_column(name: str, found: Mapping[str, Array]) -> tuple[int, Array]:
+def term_column(name: str, found: Mapping[str, FloatArray]) -> tuple[int, FloatArray]:
     """Coefficient's index and values (n,) of a property such as ``aero/Cm_q``."""
     parsed = split_name(name)
     assert parsed is not None

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.identification.linearised.columns import (
     at_vane,
     sensor_gain,
@@ -18,18 +18,16 @@ from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.types import Point, Setup
 from uqharness.replay import SENSOR_OF, Segment, late_rows
 
-Array = NDArray[np.float64]
-
 
 def as_sensed(
-    y: Array,
+    y: FloatArray,
     setup: Setup,
     segment: Segment,
     point: Point,
     earlier: Mapping[str, int] | None = None,
-    between: Array | None = None,
-    behind: Array | None = None,
-) -> Array:
+    between: FloatArray | None = None,
+    behind: FloatArray | None = None,
+) -> FloatArray:
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
 
     earlier: channel -> rows by which it is compared with what was measured that much later.
@@ -69,7 +67,7 @@ def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
     )
 
 
-def moved_later(values: Array, rows: float) -> Array:
+def moved_later(values: FloatArray, rows: float) -> FloatArray:
     """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
     # Takes a tenth of a second to load, and few flights have a late sensor.
     from scipy.interpolate import CubicSpline
@@ -78,7 +76,7 @@ def moved_later(values: Array, rows: float) -> Array:
     return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
 
 
-def late_rate(p: Probe, channel: str, values: Array, late_s: float) -> Array:
+def late_rate(p: Probe, channel: str, values: FloatArray, late_s: float) -> FloatArray:
     """(n,) rate of change of an output that is late: in a replay that of the time before each row (after it, if early), since a
     step of a control makes a kink at a row."""
     if not p.reference.consistent or late_s == 0.0:

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.estimation import channel_noise, process_noise_shown
 from uqharness.errors import BadInputError
 from uqharness.identification.channels import BIASES, OUTPUTS
@@ -18,8 +18,6 @@ from uqharness.replay import CONTROLS, SENSOR_OF, Flight, ReplayFolder, measured
 from uqharness.replay.flights import segments
 from uqharness.simulator import Actuator, Aircraft
 from uqharness.simulator.actuators import actuators
-
-Array = NDArray[np.float64]
 
 
 def make_setup(
@@ -56,7 +54,9 @@ def make_setup(
     )
 
 
-def known_noise(aircraft: Aircraft, measured: Sequence[Array], outputs: Sequence[str]) -> Array:
+def known_noise(
+    aircraft: Aircraft, measured: Sequence[FloatArray], outputs: Sequence[str]
+) -> FloatArray:
     """(m,) noise of outputs [(n, m)] by their own samples and the aircraft's card."""
     known = channel_noise(measured, outputs, aircraft.card.sensors.noise_std)
     return np.array([known[c] for c in outputs])
@@ -113,7 +113,7 @@ def estimated_channels(setup: Setup) -> tuple[str, ...]:
     return tuple(c for c in setup.outputs if c in told)
 
 
-def noise_left(setup: Setup, left: Mapping[str, float]) -> Array:
+def noise_left(setup: Setup, left: Mapping[str, float]) -> FloatArray:
     """(m,) noise of the setup, but for channels that an estimator computed: there, the rms of what a fit has ``left`` of them where
     it is larger, for no card knows an estimator's error."""
     guessed = estimated_channels(setup)

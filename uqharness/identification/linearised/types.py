@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
+from sysid.arrays import FloatArray
 from sysid.effects import Effect
 from uqharness.replay import CONTROL_DELAY, UNSEEN, Flight, Segment
 from uqharness.simulator import Actuator, servo_number
-
-Array = NDArray[np.float64]
 
 
 def in_dynamics(effect: Effect) -> bool:
@@ -71,10 +67,10 @@ class Setup:
 
     flights: tuple[Flight, ...]
     segments: tuple[Segment, ...]
-    channels: tuple[Mapping[str, Array], ...]
+    channels: tuple[Mapping[str, FloatArray], ...]
     outputs: tuple[str, ...]
-    measured: tuple[Array, ...]
-    noise: Array
+    measured: tuple[FloatArray, ...]
+    noise: FloatArray
     biased: tuple[str, ...]
     late: Mapping[str, Sequence[str]]
     positions: tuple[str, ...] = ()
@@ -121,7 +117,7 @@ class Point:
 
     values: Mapping[str, float]
     nuisance: Mapping[str, float]
-    starts: tuple[Array, ...]
+    starts: tuple[FloatArray, ...]
     effects: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -140,7 +136,7 @@ class Flown:
     """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""
 
     point: Point
-    outputs: list[Array]
-    x: list[Array]
-    height: list[Array]
+    outputs: list[FloatArray]
+    x: list[FloatArray]
+    height: list[FloatArray]
     cost: float

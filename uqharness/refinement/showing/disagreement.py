@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.effects import DISAGREES
 
-FloatArray = NDArray[np.float64]
 _LEAST_S = 0.5
 
 

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.effects import Effect, scores
 from sysid.estimation import rms
 from uqharness.identification.linearised import Flown, Setup
@@ -33,7 +33,6 @@ from uqharness.refinement.showing.scan import (
 from uqharness.refinement.showing.show import Shown
 from uqharness.refinement.showing.words import would_tell
 
-Array = NDArray[np.float64]
 NEAREST = 3
 LOOKED_AT = 12
 """Candidates of largest gain that are asked what they leave of the channel."""
@@ -52,12 +51,12 @@ class Series:
     flight: str
     manoeuvre: str
     channel: str
-    white: Array
-    time_s: Array
-    states: Mapping[str, Array]
+    white: FloatArray
+    time_s: FloatArray
+    states: Mapping[str, FloatArray]
 
     @property
-    def present(self) -> Array:
+    def present(self) -> FloatArray:
         """Residual at the rows at which the channel was measured."""
         return self.white[np.isfinite(self.white)]
 
@@ -72,7 +71,7 @@ def place_of(
     judged: Judged,
     left: Mapping[str, Sequence[str]],
     asked: Sequence[str],
-    controls: Sequence[Array],
+    controls: Sequence[FloatArray],
 ) -> dict[str, Any]:
     """`remaining.place` of refinement.json where something remains.
 
@@ -122,7 +121,9 @@ def no_place(reason: str) -> dict[str, Any]:
     return empty | {"candidates": [], "reason": reason, "state_reason": reason}
 
 
-def series_of(flights: str, setup: Setup, shown: Shown, controls: Sequence[Array]) -> list[Series]:
+def series_of(
+    flights: str, setup: Setup, shown: Shown, controls: Sequence[FloatArray]
+) -> list[Series]:
     """Every channel of every segment of one side's flights."""
     return [
         Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
@@ -133,7 +134,7 @@ def series_of(flights: str, setup: Setup, shown: Shown, controls: Sequence[Array
     ]
 
 
-def states_along(flown: Flown, controls: Sequence[Array]) -> list[dict[str, Array]]:
+def states_along(flown: Flown, controls: Sequence[FloatArray]) -> list[dict[str, FloatArray]]:
     """States and controls by name, each (n,), one mapping a segment."""
     both = zip(flown.x, controls, strict=True)
     return [
@@ -200,12 +201,12 @@ class Nearest:
         )
         self.scores = scores(self.evidence, self.free, [*open_, *flew])
 
-    def residual(self, *more: str, without: str = "") -> list[Array]:
+    def residual(self, *more: str, without: str = "") -> list[FloatArray]:
         """[(n, m)] residuals over noise with everything fitted beside these candidates, less one effect."""
         free = [n for n in (*self.free, *more) if n != without]
         return self.evidence.residual(self.evidence.fitted(self.evidence.index(free)))
 
-    def trace(self, key: str) -> list[Array]:
+    def trace(self, key: str) -> list[FloatArray]:
         """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the others."""
         having = self.residual(*(() if key in self.free else (key,)))
         return [a - b for a, b in zip(self.residual(without=key), having, strict=True)]

@@ -17,12 +17,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.distributions import f_tail, gamma_tail
 from sysid.estimation import integral_time
 
-Array = NDArray[np.float64]
 BLOCKS_S = (0.5, 1.0, 2.0, 4.0)
 """Lengths of the blocks that are tried; a band is known to one over the length."""
 MOST_BLOCKS, MOST_BANDS = 64, 24
@@ -63,7 +62,7 @@ class With:
     p: float
 
 
-def loudest(white: Array, rate_hz: float) -> Burst | None:
+def loudest(white: FloatArray, rate_hz: float) -> Burst | None:
     """The rectangle of largest gain in a residual over its noise (n,) at equal steps; None where no rectangle is above the noise
     or the series is shorter than `LEAST_SAMPLES`."""
     found: list[tuple[Burst, int]] = []
@@ -83,13 +82,13 @@ def loudest(white: Array, rate_hz: float) -> Burst | None:
     return replace(burst, start=start, stop=stop, p=min(1.0, burst.p * tried))
 
 
-def _gain(S: Array, N: Array) -> Array:
+def _gain(S: FloatArray, N: FloatArray) -> FloatArray:
     """Equation (G) of sums S of N ordinates; 0 where they are not above the noise."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where((S > N) & (N > 0.0), 2.0 * (S - N - N * np.log(S / N)), 0.0)
 
 
-def _sharpened(white: Array, rate_hz: float, burst: Burst, n: int) -> tuple[int, int]:
+def _sharpened(white: FloatArray, rate_hz: float, burst: Burst, n: int) -> tuple[int, int]:
     """Rows [start, stop) of the largest gain in the burst's band, whose ends lie within a block of the burst's: where in a block
     it begins, the blocks do not say."""
     f = np.fft.rfftfreq(len(white), 1.0 / rate_hz)
@@ -106,7 +105,9 @@ def _sharpened(white: Array, rate_hz: float, burst: Burst, n: int) -> tuple[int,
     return (int(starts[k]), int(stops[j])) if gain[k, j] > 0.0 else (burst.start, burst.stop)
 
 
-def _periodogram(white: Array, n: int, rate_hz: float) -> tuple[Array, Array, Array]:
+def _periodogram(
+    white: FloatArray, n: int, rate_hz: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(blocks, bands) sums of ordinates, (bands,) ordinates in each band, (bands + 1,) edges [Hz]; Nyquist's is left out."""
     blocks = white[: len(white) // n * n].reshape(-1, n)
     window = np.hanning(n + 1)[:-1]
@@ -121,7 +122,7 @@ def _periodogram(white: Array, n: int, rate_hz: float) -> tuple[Array, Array, Ar
     return np.add.reduceat(power * weight, starts, axis=1), np.add.reduceat(weight, starts), edges
 
 
-def _largest(white: Array, n: int, rate_hz: float) -> tuple[Burst | None, int]:
+def _largest(white: FloatArray, n: int, rate_hz: float) -> tuple[Burst | None, int]:
     """The rectangle of largest gain in blocks of n rows, p that of this rectangle alone, and how many rectangles there are."""
     power, weight, edges = _periodogram(white, n, rate_hz)
     blocks, bands = power.shape
@@ -147,7 +148,7 @@ def _largest(white: Array, n: int, rate_hz: float) -> tuple[Burst | None, int]:
     return best, blocks * (blocks + 1) // 2 * len(low)
 
 
-def _spread(ordinates: Array) -> Array:
+def _spread(ordinates: FloatArray) -> FloatArray:
     """By how much the variance of a sum of neighbouring ordinates exceeds that of independent ones."""
     one, two = (
         c * np.maximum(ordinates - lag, 0.0) / ordinates for lag, c in enumerate(WINDOW_LIKENESS, 1)
@@ -155,7 +156,7 @@ def _spread(ordinates: Array) -> Array:
     return np.asarray(1.0 + 2.0 * (one + two))
 
 
-def densest(weights: Array, share: float = 0.5) -> tuple[int, int]:
+def densest(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
     """The shortest stretch [start, stop) that holds at least ``share`` of the sum of weights (n,), none negative."""
     total = np.append(0.0, np.cumsum(weights))
     need = share * total[-1] * (1.0 - 1e-12)
@@ -166,7 +167,7 @@ def densest(weights: Array, share: float = 0.5) -> tuple[int, int]:
     return k, int(stops[k])
 
 
-def band_of(series: Array, rate_hz: float) -> tuple[float, float]:
+def band_of(series: FloatArray, rate_hz: float) -> tuple[float, float]:
     """The narrowest band [Hz] that holds half of a series' power."""
     window = np.hanning(len(series) + 2)[1:-1]
     power = np.abs(np.fft.rfft(series * window)) ** 2
@@ -176,7 +177,7 @@ def band_of(series: Array, rate_hz: float) -> tuple[float, float]:
 
 
 def goes_with(
-    series: Sequence[Array], states: Sequence[Mapping[str, Array]], certain: bool = False
+    series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], certain: bool = False
 ) -> With | None:
     """The state, or control, with which a residual goes: a mean by tenths of the state explains most of its variance.
 
@@ -209,7 +210,7 @@ def goes_with(
 
 
 def dependence(
-    series: Sequence[Array], states: Sequence[Mapping[str, Array]], most: int = 3
+    series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], most: int = 3
 ) -> list[tuple[str, float]]:
     """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean by tenths of the state
     explains), the largest first."""
@@ -219,7 +220,9 @@ def dependence(
     return sorted(((n, row[0]) for n, row in every if row is not None), key=lambda r: -r[1])[:most]
 
 
-def _explained(y: Array, x: Array, worth: float) -> tuple[float, float, float, float] | None:
+def _explained(
+    y: FloatArray, x: FloatArray, worth: float
+) -> tuple[float, float, float, float] | None:
     """(adjusted share of y's variance that a mean by tenths of x explains, its p-value, the range of x with half of that)."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, TENTHS + 1)))
     total = float(y @ y)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
 from sysid.effects import COLOURED_P, Gusts
 from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
 from sysid.model_form import floor_of
@@ -35,16 +35,14 @@ from uqharness.refinement.types import Side
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over
 from uqharness.simulator import Aircraft
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Replays:
     """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their channels: what `compare` shows."""
 
     flown: Flown
-    residual: list[Array]
-    noise: Array
+    residual: list[FloatArray]
+    noise: FloatArray
 
 
 @dataclass(frozen=True)
@@ -55,11 +53,11 @@ class Shown:
     replays: of flights shown by predictions, the same model's replays, where they were asked for."""
 
     flown: Flown
-    residual: list[Array]
-    noise: Array
-    coefficients: list[Array]
-    floor: Array
-    white: list[Array]
+    residual: list[FloatArray]
+    noise: FloatArray
+    coefficients: list[FloatArray]
+    floor: FloatArray
+    white: list[FloatArray]
     cost: float
     logdet: tuple[float, ...]
     replays: Replays | None = None
@@ -172,17 +170,17 @@ def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, 
         return replace(shown, replays=Replays(flown, _residual(setup, flown), noise))
 
 
-def _residual(setup: Setup, flown: Flown) -> list[Array]:
+def _residual(setup: Setup, flown: Flown) -> list[FloatArray]:
     return [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
 
 
-def _told_noise(aircraft: Aircraft, setup: Setup) -> Array:
+def _told_noise(aircraft: Aircraft, setup: Setup) -> FloatArray:
     """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an estimator computed."""
     computed = np.isin(setup.outputs, estimated_channels(setup))
     return np.where(computed, setup.noise, known_noise(aircraft, setup.measured, setup.outputs))
 
 
-def _as_recorded(setup: Setup, point: Point, rows: Sequence[Array]) -> list[Array]:
+def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list[FloatArray]:
     """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
     both = ((rows_late(setup, s, point), r) for s, r in zip(setup.segments, rows, strict=True))
     return [
@@ -221,7 +219,7 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
     was, now = before.replays or before, after.replays or after
 
     def rows(
-        names: Sequence[str], b: Sequence[Array], a: Sequence[Array], noise: Array
+        names: Sequence[str], b: Sequence[FloatArray], a: Sequence[FloatArray], noise: FloatArray
     ) -> dict[str, dict[str, float]]:
         columns = zip(names, np.concatenate(b).T, np.concatenate(a).T, noise.tolist(), strict=True)
         return {

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.dossier import (
     ABSENT,
     FAIL,
@@ -29,7 +29,6 @@ from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.parts import Block, Cell, Figure, Figures, Level, Section, Table, Words, shown
 from uqharness.report.svg import Chart, Scale, scale
 
-Array = NDArray[np.float64]
 _LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", UNSURE: "warn", ABSENT: ""}
 _MOST_ROWS = 60
 _MOST_DOTS = 250
@@ -210,7 +209,7 @@ def _drawn(
     share = (
         "" if row is None else f"; {100.0 * row.share:.1f} % of the samples within the tolerance"
     )
-    both: list[tuple[str, Array]] = [("dot", measured), ("first", model)]
+    both: list[tuple[str, FloatArray]] = [("dot", measured), ("first", model)]
     gap = f"{quantity} measured minus model [{unit}]"
     return [
         _chart(
@@ -238,8 +237,8 @@ def _chart(
     name: str,
     label: str,
     segment: History,
-    series: Sequence[tuple[str, Array]],
-    band: tuple[Array, Array] | None,
+    series: Sequence[tuple[str, FloatArray]],
+    band: tuple[FloatArray, FloatArray] | None,
     axis: str,
     caption: str,
 ) -> Figure:

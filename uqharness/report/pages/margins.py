@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight import LoopMargins
 from uqharness.report.parts import (
     Figure,
@@ -22,7 +22,6 @@ from uqharness.report.parts import (
 )
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
-Array = NDArray[np.float64]
 _TURN = 360.0
 _SPACED_DEG = (30.0, 45.0, 90.0, 180.0, 360.0)
 _MOST_TICKS = 8
@@ -146,7 +145,7 @@ class _Response:
         )
 
     @property
-    def delayed(self) -> Array | None:
+    def delayed(self) -> FloatArray | None:
         """The phase [deg] with the delay margin added; None where there is no such margin."""
         delay = self.margins.delay_s
         return self.phase - np.degrees(self.w * delay) if math.isfinite(delay) else None
@@ -170,7 +169,7 @@ def _critical(low: float, high: float) -> list[float]:
     ]
 
 
-def _phase_scale(values: Sequence[Array]) -> Scale:
+def _phase_scale(values: Sequence[FloatArray]) -> Scale:
     found = scale("phase of L [deg]", [*values, np.array([-180.0])])
     step = next((s for s in _SPACED_DEG if (found.high - found.low) / s <= _MOST_TICKS), 720.0)
     ticks = [

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.model_form import HOLDS_FROM, STEP_S, CoefficientBounds, ModelForm, Parts, Variation
 from sysid.units import significant
 from uqharness.errors import BadInputError
@@ -40,7 +41,6 @@ from uqharness.report.parts import (
 from uqharness.report.svg import Chart, scale
 from uqharness.result_documents import Bounds, read_document
 
-Array = NDArray[np.float64]
 FORM, DETAILS, COVERAGE, RESIDUALS = (
     "model-form.json",
     "bounds.json",
@@ -237,8 +237,8 @@ def _slice(
     coefficient: str,
     b: CoefficientBounds,
     k: int,
-    states: Mapping[str, Array],
-    values: Array,
+    states: Mapping[str, FloatArray],
+    values: FloatArray,
     prefix: str,
     baseline: CoefficientBounds | None,
 ) -> Figure:
@@ -276,13 +276,15 @@ def _slice(
     return Figure(chart.name, chart.svg(), f"{coefficient} along {quantity} [{unit}]")
 
 
-def slice_states(b: CoefficientBounds, state: str, at: Array) -> dict[str, Array]:
+def slice_states(b: CoefficientBounds, state: str, at: FloatArray) -> dict[str, FloatArray]:
     """States along a slice: ``state`` runs through ``at``, the others stand at the medians of the data."""
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     return {s: at if s == state else np.full(len(at), middle[s]) for s in b.states}
 
 
-def near_slice(b: CoefficientBounds, state: str, states: Mapping[str, Array]) -> NDArray[np.bool_]:
+def near_slice(
+    b: CoefficientBounds, state: str, states: Mapping[str, FloatArray]
+) -> NDArray[np.bool_]:
     """(n,) which samples of the states lie near the slice along ``state``."""
     near = np.ones(len(states[state]), dtype=bool)
     for k, other in enumerate(b.states):

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from uqharness.flight import (
     OSCILLATORY,
     Assessment,
@@ -35,7 +35,6 @@ from uqharness.report.parts import (
 )
 from uqharness.report.svg import Chart, Scale, log_scale, scale
 
-Array = NDArray[np.float64]
 NAMES = {
     "short_period": "short period",
     "phugoid": "phugoid",
@@ -170,7 +169,7 @@ def _maps(asked: ModesAsked, point: LocusPoint, locus: Locus) -> Section:
     )
 
 
-def _branches(locus: Locus, mode: str) -> list[tuple[Array, Array, Array]]:
+def _branches(locus: Locus, mode: str) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Speed, real and imaginary part of a mode's roots along the speeds, NaN where there is no such root; one branch a root."""
     found = [
         sorted((m for m in p.modes if m.name == mode), key=lambda m: m.real) for p in locus.points

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.model_form import CoefficientBounds, Outside, parameter_variance
 from sysid.units import percent
 from uqharness.next_flight import NextFlight
@@ -26,7 +26,6 @@ from uqharness.report.parts import (
 )
 from uqharness.report.svg import Chart, Scale
 
-Array = NDArray[np.float64]
 _BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
 
 
@@ -102,8 +101,8 @@ def _point_table(found: NextFlight) -> Table:
 def uncertainty_figures(
     now: CoefficientBounds,
     then: CoefficientBounds,
-    mission: Mapping[str, Array],
-    flown: Mapping[str, Array],
+    mission: Mapping[str, FloatArray],
+    flown: Mapping[str, FloatArray],
     outside: Outside,
     coefficient: str,
 ) -> list[Figure]:
@@ -130,7 +129,12 @@ def uncertainty_figures(
 
 
 def _profile(
-    b: CoefficientBounds, state: str, values: Array, before: Array, after: Array, coefficient: str
+    b: CoefficientBounds,
+    state: str,
+    values: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    coefficient: str,
 ) -> Figure:
     quantity, unit, factor = shown_channel(state)
     low, high = (float(v) for v in np.quantile(values, [0.002, 0.998]))
@@ -178,9 +182,9 @@ def _profile(
 def _maps(
     b: CoefficientBounds,
     pair: tuple[str, str],
-    mission: Mapping[str, Array],
-    flown: Mapping[str, Array],
-    curves: tuple[Array, Array],
+    mission: Mapping[str, FloatArray],
+    flown: Mapping[str, FloatArray],
+    curves: tuple[FloatArray, FloatArray],
 ) -> list[Figure]:
     factors = [shown_channel(s)[2] for s in pair]
     x, y = (f * mission[s] for f, s in zip(factors, pair, strict=True))
@@ -219,7 +223,7 @@ def _maps(
     return figures
 
 
-def _reach(box: Array, values: Array) -> tuple[float, float]:
+def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
     """Axis limits: the mission, and the flight as far as it lies within as much again on either side."""
     span = float(box[1] - box[0])
     low, high = np.quantile(values, [0.01, 0.99])
