@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import Finding, LogError, finding_from_dict, in_a_line
 from sysid.foreign.limited import read_record
-from sysid.foreign.parsed_text import parse_json
+from sysid.foreign.regular_files import parse_json
 from sysid.vocabulary import LABELS, SIGNALS
 
 _METADATA_KEY = b"flight_record"

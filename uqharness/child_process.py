@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.foreign.parsed_text import ParseError, parse_json
+from sysid.foreign.regular_files import ParseError, parse_json
 from sysid.parallel import ONE_THREAD
 from uqharness.errors import BadInputError
 

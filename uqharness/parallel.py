@@ -104,7 +104,7 @@ class _Workers:
 
     def share(self, value: Any) -> _InFile:
         # Imported here and below: a campaign's worker, which needs none of it, loads this module.
-        from sysid.foreign.data_file import dump
+        from sysid.foreign.typed_files import dump
 
         self._number += 1
         path = self._folder / str(self._number)
@@ -128,6 +128,6 @@ class _InFile:
 
 @lru_cache(maxsize=_KEPT)
 def _read(path: str) -> Any:
-    from sysid.foreign.data_file import load
+    from sysid.foreign.typed_files import load
 
     return load(Path(path).read_bytes())

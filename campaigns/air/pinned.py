@@ -14,8 +14,8 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
+from uqharness.files import PROJECT_ROOT
 from uqharness.flight.dryden import COMPONENTS, FT_M, KT_MPS, Component, dryden_gusts
-from uqharness.project_files import PROJECT_ROOT
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging

@@ -26,8 +26,8 @@ from uqharness.campaign.conditions import CONFIDENCE
 from uqharness.campaign.convergence import CONVERGENCE, Converged, converged, sentences, table
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes, write_text
-from uqharness.report.convergence import convergence_section
 from uqharness.report.parts import Figures
+from uqharness.report.pbox import convergence_section
 from uqharness.report.svg import standalone
 from uqharness.statistics.pbox import band_half_width
 from uqharness.text_tables import csv_text

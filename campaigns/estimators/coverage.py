@@ -19,7 +19,7 @@ from campaigns.estimators import aircraft
 from sysid.arrays import FloatArray
 from sysid.estimation.filter_error import filter_error
 from sysid.estimation.output_error import output_error
-from sysid.estimation.result import OutputErrorFit
+from sysid.estimation.results import OutputErrorFit
 
 LIGHT_KT = 15.0  # wind at 20 ft, MIL-F-8785C light
 FAMILY_LEVEL = 0.01

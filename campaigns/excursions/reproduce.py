@@ -23,13 +23,11 @@ from pathlib import Path
 import pandas as pd
 
 from uqharness.campaign.conditions import CONFIDENCE
-from uqharness.campaign.folder.files import read_checked
 from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import EXCURSIONS
+from uqharness.campaign.folder.tables import EXCURSIONS, read_checked
 from uqharness.campaign.statements import STATEMENTS
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
-from uqharness.project_files import PROJECT_ROOT
+from uqharness.files import PROJECT_ROOT, write_bytes
 from uqharness.statistics.pbox import poisson_limits
 
 PUBLISHED = {25.0: "table_3_1.csv", 15.0: "table_3_2.csv"}

@@ -13,8 +13,8 @@ from campaigns.full_size.ending import ending
 from campaigns.full_size.flying import Told, flown_shard, fly
 from campaigns.full_size.folder import is_whole, lines, refuse_other_flights
 from campaigns.full_size.plan import Plan, cell_name
-from uqharness.campaign.execution.flying import fly_group
 from uqharness.campaign.execution.processes import ProcessExecutor
+from uqharness.campaign.execution.worker import fly_group
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table
 

@@ -17,12 +17,19 @@ from campaigns.full_size.plan import Plan, Shard, identity
 from campaigns.full_size.sketch import packed
 from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
-from uqharness.campaign.engine_check import compared, refuse_difference, spread
-from uqharness.campaign.execution.flying import BATCH, JUDGE, ONE_ULP_OFF, fly_group
+from uqharness.campaign.engines import compared, refuse_difference, spread
 from uqharness.campaign.execution.processes import Executor, ProcessExecutor
-from uqharness.campaign.execution.worker import CaseOutcome, Group, GroupFunction
-from uqharness.campaign.folder.digests import digest_of_rows, row_digest
-from uqharness.campaign.folder.engine_file import WHOLE
+from uqharness.campaign.execution.worker import (
+    BATCH,
+    JUDGE,
+    ONE_ULP_OFF,
+    CaseOutcome,
+    Group,
+    GroupFunction,
+    fly_group,
+)
+from uqharness.campaign.folder.manifest import digest_of_rows, row_digest
+from uqharness.campaign.folder.tables import WHOLE
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightResult, FlightSpec
 from uqharness.parquet_files import table_bytes

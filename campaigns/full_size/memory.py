@@ -31,8 +31,7 @@ from campaigns.full_size.sketch import SKETCHED, coded
 from campaigns.loiter import full_size as loiter
 from sysid.digests import sha256_hex
 from uqharness.campaign.cases import Case
-from uqharness.campaign.columns import excursion_columns
-from uqharness.campaign.conditions import Condition
+from uqharness.campaign.conditions import Condition, excursion_columns
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import table_bytes
 

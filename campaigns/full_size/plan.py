@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns.full_size.sketch import RESOLUTION
-from uqharness.campaign.aircraft import make_copy, needs_copy
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.folder.digests import digest_of_rows
+from uqharness.campaign.engines import make_copy, needs_copy
+from uqharness.campaign.folder.manifest import digest_of_rows
 from uqharness.campaign.run import find_mission
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import read_campaign, with_samples
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.spec.samples import epistemic_samples, read_campaign, with_samples
 from uqharness.errors import BadInputError
 
 COPY = "results-copy"

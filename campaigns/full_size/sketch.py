@@ -16,9 +16,9 @@ import pandas as pd
 import pyarrow as pa
 
 from uqharness.campaign.cases import Case
-from uqharness.campaign.columns import ERROR_METRICS, excursion_columns
+from uqharness.campaign.conditions import ERROR_METRICS, excursion_columns
 from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.case_table import build_table
+from uqharness.campaign.folder.tables import build_table
 from uqharness.errors import BadInputError
 
 RESOLUTION = 0.005

@@ -1,10 +1,10 @@
 """Equations of motion in air-relative states, for filter error: gusts enter as process noise.
 
-    x = V [m/s], alpha, beta [rad], p, q, r [rad/s], phi, theta [rad], and the gusts' five (sysid.aerodynamics.gust_states)
+    x = V [m/s], alpha, beta [rad], p, q, r [rad/s], phi, theta [rad], and the gusts' five (sysid.aerodynamics.air_motion)
     u = elevator, aileron, rudder positions [deg], throttle position [percent], air density [kg/m3]
     y = V, alpha, beta, phi, theta, p, q, r, ax, ay, az (specific force at the CG, m/s2)
 
-Gusts do more than change V, alpha and beta: `sysid.aerodynamics.gust_states`. Without its rotation of the air the filter
+Gusts do more than change V, alpha and beta: `sysid.aerodynamics.air_motion`. Without its rotation of the air the filter
 takes the rates' slow
 wander for weak damping, and Cl_p and Cl_da come out a third too small.
 
@@ -131,7 +131,7 @@ def _yaw(k: Mapping[str, Any], t: Terms) -> Any:
 class AirEquations:
     """f(x, u, theta) and g(x, u, theta) of a coefficient build-up; ``names`` are the elements of theta, ``fixed`` the others.
 
-    passing_mps: the speed at which simulated gusts pass (`sysid.aerodynamics.gust_states.GustStates`).
+    passing_mps: the speed at which simulated gusts pass (`sysid.aerodynamics.air_motion.GustStates`).
     """
 
     build: Build

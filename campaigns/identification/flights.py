@@ -9,8 +9,8 @@ from pathlib import Path
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.aircraft_files import copy_folder
-from uqharness.simulator.manoeuvre_script import PLANS, script
+from uqharness.simulator.own_mission import PLANS, script
+from uqharness.simulator.staging import copy_folder
 
 FLIGHTS = ("flight-ident", "flight-bounds", "flight-validation")
 FINE_STEP_S = 0.002

@@ -37,7 +37,7 @@ from campaigns.identification.air_equations import (
 from campaigns.identification.flights import FINE_STEP_S, PASSING_MPS, fly_flights
 from sysid.arrays import FloatArray
 from sysid.estimation.filter_error import filter_error
-from sysid.estimation.result import FilterErrorFit
+from sysid.estimation.results import FilterErrorFit
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import (
     control_columns,

@@ -22,8 +22,7 @@ from scipy import stats
 
 from sysid.arrays import FloatArray
 from uqharness.files import write_bytes
-from uqharness.statistics.common_air import common_air_half_width
-from uqharness.statistics.pbox import band_half_width
+from uqharness.statistics.pbox import band_half_width, common_air_half_width
 from uqharness.text_tables import csv_text, text_table
 
 CONFIDENCE, SEED = 0.95, 20161224

@@ -22,8 +22,7 @@ from campaigns.full_size.figures import MEDIANS, drawn_pboxes
 from uqharness.campaign.conditions import CONFIDENCE, samples
 from uqharness.campaign.sensitivity import Flown, MetricSensitivity, analyse_campaign
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes, write_text
-from uqharness.project_files import PROJECT_ROOT
+from uqharness.files import PROJECT_ROOT, write_bytes, write_text
 from uqharness.sensitivity import PairRange
 from uqharness.statistics.pbox import pbox
 from uqharness.text_tables import csv_text

@@ -22,7 +22,7 @@ from sysid.model_form.model_form import ModelForm, read_model_form
 from uqharness.cli.benchmarks.loop import without_plugin
 from uqharness.flight.fly import set_conditions
 from uqharness.flight.spec import FlightSpec
-from uqharness.plugin.folder import write
+from uqharness.plugin.apply import write
 from uqharness.plugin.instrument import Bounds, plan
 from uqharness.plugin.model_form_xml import model_form_xml, state_source
 from uqharness.scratch import scratch_folder

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import Residuals, together
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.model_form.components import WALK_CUTOFF_HZ
 from sysid.model_form.coverage import coverage
 from sysid.model_form.fit import FitOptions, FittedBounds, fit_bounds
 from sysid.model_form.model_form import AircraftReference, CoefficientBounds, Filtering, ModelForm
-from sysid.model_form.variation import WALK_CUTOFF_HZ
 from uqharness.files import finite
 from uqharness.simulator.aircraft import content_hash, find_aircraft
 

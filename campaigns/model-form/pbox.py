@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sysid.model_form.components import variation
 from sysid.model_form.fit import FittedBounds, fit_bounds
-from sysid.model_form.variation import variation
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
 from uqharness.scratch import scratch_folder
 from uqharness.simulator.mission import find_script
 from uqharness.statistics.pbox import Sample, containment, pbox
-from uqharness.study.performance import area
+from uqharness.study.answer import area
 from uqharness.text_tables import markdown_table
 
 from .flights import BOUNDS, CASES, MODEL, Case, model_pair, noisy_twin, quiet_flight

@@ -20,15 +20,22 @@ from pathlib import Path
 import pandas as pd
 
 from sysid.aerodynamics.residuals import Cutoffs, Residuals, together
+from sysid.model_form.components import WALK_CUTOFF_HZ
 from sysid.model_form.fit import FitOptions, fit_bounds
+from sysid.model_form.information_gain import Width
 from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm
-from sysid.model_form.variation import WALK_CUTOFF_HZ
-from sysid.model_form.worth import Width
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
 from uqharness.next_flight.mission_states import Occupancy, recorded_mission
-from uqharness.next_flight.plan import NextFlight, Options, plan_from, try_library
-from uqharness.next_flight.prospects import designs_of, prospects, widths_over
+from uqharness.next_flight.plan import (
+    NextFlight,
+    Options,
+    designs_of,
+    plan_from,
+    prospects,
+    try_library,
+    widths_over,
+)
 from uqharness.next_flight.trials import (
     Refused,
     TestFlight,

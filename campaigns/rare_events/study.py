@@ -15,10 +15,9 @@ from campaigns.rare_events.states import LoiterScore, Recorder, regressors
 from uqharness.batch import ready
 from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.execution.flying import BATCH, fly_group
-from uqharness.campaign.folder.digests import digest_of_rows
-from uqharness.campaign.rare.paths import DISTANCE, Hit, LoiterPaths, Watch
-from uqharness.campaign.rare.predicted import Predicted, fit
+from uqharness.campaign.execution.worker import BATCH, fly_group
+from uqharness.campaign.folder.manifest import digest_of_rows
+from uqharness.campaign.rare.paths import DISTANCE, Hit, LoiterPaths, Predicted, Watch, fit
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

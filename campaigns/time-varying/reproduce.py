@@ -21,10 +21,17 @@ from typing import Any
 
 import pandas as pd
 
-from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS
-from uqharness.campaign.conditions import CONFIDENCE, Condition, conditions, in_condition, samples
-from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.conditions import (
+    CONFIDENCE,
+    ERROR_METRICS,
+    UNCOMMANDED_METRICS,
+    Condition,
+    conditions,
+    in_condition,
+    samples,
+)
 from uqharness.campaign.folder.manifest import read_complete
+from uqharness.campaign.folder.tables import read_cases
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes, write_text
 from uqharness.report.pbox import PROBABILITY, metric_label

@@ -18,11 +18,11 @@ import reference_words as words
 from lxml import etree
 from reference_python import python
 
-from sysid.logs.vocabulary_table import markdown_table
+from sysid.logs.signal_map import markdown_table
 from sysid.model_form.model_form import CoefficientBounds, ModelForm
 from uqharness.campaign import rounds as campaign_rounds
-from uqharness.campaign import sensitivity_tables, statements
-from uqharness.campaign.folder import case_table
+from uqharness.campaign import sensitivity, statements
+from uqharness.campaign.folder import tables
 from uqharness.campaign.folder import tables as campaign_results
 from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
@@ -135,7 +135,7 @@ def files() -> str:
         (campaign_results.EXCURSIONS, campaign_results._EXCURSION_COLUMNS, words.RATES),
         (statements.STATEMENTS, statements._COLUMNS, words.RATES),
         (campaign_rounds.DECISIONS, campaign_rounds._COLUMNS, words.RATES),
-        ("sensitivity.csv", sensitivity_tables.COLUMNS, words.SENSITIVITY),
+        ("sensitivity.csv", sensitivity.COLUMNS, words.SENSITIVITY),
     ):
         text += f"## {name}\n\n" + described([(column, "") for column in columns], told)
     for name, places, told in DOCUMENTS:
@@ -180,7 +180,7 @@ DOCUMENTS = (
         words.REFINEMENT,
     ),
     ("next-flight.json", ("uqharness.report.next_flight:document",), words.NEXT_FLIGHT),
-    ("study.json", ("uqharness.study.state:begin",), words.STUDY),
+    ("study.json", ("uqharness.study.run:begin",), words.STUDY),
 )
 
 
@@ -242,8 +242,8 @@ def described(columns: Sequence[tuple[str, str]], told: dict[str, str]) -> str:
 
 def case_columns() -> list[tuple[str, str]]:
     """Every column that cases.parquet may have, with its type."""
-    more = (*case_table.UNCOMMANDED_METRICS,)
-    schema = case_table._schema((15.0, 25.0), more, ("level_<property>", "variable_<property>"))
+    more = (*tables.UNCOMMANDED_METRICS,)
+    schema = tables._schema((15.0, 25.0), more, ("level_<property>", "variable_<property>"))
     return [(field.name, str(field.type)) for field in schema]
 
 
@@ -252,7 +252,7 @@ def case_rows() -> list[tuple[str, str, str]]:
 
 
 def _no_flights() -> typing.Any:
-    return case_table._schema((15.0, 25.0), (), ()).empty_table().to_pandas()
+    return tables._schema((15.0, 25.0), (), ()).empty_table().to_pandas()
 
 
 def jsbsim_sources() -> list[tuple[str, str, str]]:

@@ -21,9 +21,9 @@ CHAPTERS = {
 }
 RESULTS = (
     "uqharness.api.flights.Flight",
-    "uqharness.identification.result.Identification",
+    "uqharness.identification.replay_fit.Identification",
     "uqharness.identification.compare.Comparison",
-    "uqharness.identification.model_form.MadeBounds",
+    "uqharness.identification.bounds.MadeBounds",
     "uqharness.plugin.apply.Instrumented",
     "uqharness.refinement.run.Refinement",
     "uqharness.api.campaigns.CampaignResult",

@@ -1,6 +1,6 @@
 """Equations of a rigid aeroplane in moving air, for one state or for many, and the loops that linearise them along a flight.
 
-x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of `sysid.aerodynamics.gust_states`: a vector, or the
+x is V, alpha, beta, p, q, r, phi, theta and, in turbulence, the five states of `sysid.aerodynamics.air_motion`: a vector, or the
 rows of an array with a flight in its columns. The loops are compiled (`linearised` and `carried`), with everything in this one
 file: numba looks at no other when it decides whether what it kept is still what stands here.
 """

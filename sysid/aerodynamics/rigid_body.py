@@ -1,6 +1,6 @@
 """A rigid aeroplane linearised along a reference flight: how a small extra coefficient moves every measured channel.
 
-    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of `sysid.aerodynamics.gust_states`
+    dx/dt = f(x, F(t, x))    V alpha beta p q r phi theta, and in turbulence the five states of `sysid.aerodynamics.air_motion`
     d(k+1) = Phi(k) d(k) + G0(k) u(k) + G1(k) u(k+1) + defect(k)          d = x - x_ref,  u = extra CX CY CZ Cl Cm Cn
     y(k)   = y_ref(k) + H(k) d(k) + D(k) u(k)
 
@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.flight_equations import Along, Body, flow_rates, loops, sines
-from sysid.aerodynamics.gust_states import GustStates
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 

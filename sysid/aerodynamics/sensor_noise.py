@@ -23,6 +23,7 @@ from sysid.aerodynamics.residuals import (
     Cutoffs,
     Model,
     Passage,
+    Piece,
     PieceNoise,
     Prediction,
     Residuals,
@@ -31,7 +32,6 @@ from sysid.aerodynamics.residuals import (
     residual_rows,
     steady_airspeed,
 )
-from sysid.aerodynamics.segmentation import Piece
 from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 

@@ -1,8 +1,7 @@
-from .after_selection import conditional_interval as conditional_interval
+from .catalogue import V_REFERENCE_MPS as V_REFERENCE_MPS
 from .catalogue import Effect as Effect
-from .effect_terms import V_REFERENCE_MPS as V_REFERENCE_MPS
-from .effect_terms import Term as Term
-from .file import read_effects as read_effects
+from .catalogue import Term as Term
+from .catalogue import read_effects as read_effects
 from .prediction import Columns as Columns
 from .prediction import Followed as Followed
 from .prediction import MadeColumns as MadeColumns
@@ -28,6 +27,7 @@ from .selection import Choice as Choice
 from .selection import Refusal as Refusal
 from .selection import Selection as Selection
 from .selection import chance_limit as chance_limit
+from .selection import conditional_interval as conditional_interval
 from .selection import judged as judged
 from .selection import select as select
 from .selection import threshold as threshold

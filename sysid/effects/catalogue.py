@@ -6,10 +6,137 @@ how a simulator would carry it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects.effect_terms import VARIABLES, Term, parse
+from sysid.arrays import FloatArray
+from sysid.effects.tuned import ODDS
+from sysid.errors import LogError
+from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
+
+# The language of coefficient terms: ``alpha*beta``, ``abs(beta)*beta``, ``p_hat^2``,
+# ``1/h_over_b``; values and property names.
+#
+# A term is a product of factors; a factor is a variable, ``abs(variable)``, ``variable^n`` (n =
+# -3 ... 9) or ``1/variable``. It is brought to one form: factors in the order of VARIABLES,
+# ``abs()`` before the variable itself, equal factors gathered in a power.
+
+VARIABLES: Mapping[str, str] = {
+    "alpha": "rad",
+    "beta": "rad",
+    "p_hat": "pb/2V",
+    "q_hat": "qc/2V",
+    "r_hat": "rb/2V",
+    "alphadot_hat": "alphadot c/2V",
+    "betadot_hat": "betadot b/2V",
+    "de": "deg",
+    "da": "deg",
+    "dr": "deg",
+    "dt": "throttle/100",
+    "CT": "T/(qbar S)",
+    "V_rel": "V/22.2",
+    "h_over_b": "h/b",
+}
+"""Variables of a term and their units, in the order in which a term's factors stand."""
+V_REFERENCE_MPS = 22.2
+_FACTOR = re.compile(
+    r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?"
+)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """variable^power, or |variable|^power."""
+
+    variable: str
+    absolute: bool = False
+    power: int = 1
+
+    @property
+    def text(self) -> str:
+        """The factor as a term writes it: ``p_hat^2``, ``abs(beta)``, ``1/V_rel``."""
+        if self.power == -1 and not self.absolute:
+            return f"1/{self.variable}"
+        name = f"abs({self.variable})" if self.absolute else self.variable
+        return name if self.power == 1 else f"{name}^{self.power}"
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors in their standing order."""
+
+    factors: tuple[Factor, ...]
+
+    @property
+    def text(self) -> str:
+        """The term as it is written: factors joined by ``*``, in the vocabulary's order."""
+        return "*".join(f.text for f in self.factors)
+
+    @property
+    def suffix(self) -> str:
+        """What stands behind ``aero/Cm_`` in a property: letters, digits and underscores alone."""
+        out = []
+        for f in self.factors:
+            before, power = (
+                ("over" if f.power < 0 else "") + ("abs" if f.absolute else ""),
+                abs(f.power),
+            )
+            out.append(f"{before}{f.variable.removesuffix('_hat')}{power if power > 1 else ''}")
+        return "_".join(out)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables, each once, in order of appearance."""
+        return tuple(dict.fromkeys(f.variable for f in self.factors))
+
+    @property
+    def odd_lateral(self) -> bool:
+        """Whether the term changes sign when left and right are exchanged."""
+        lateral = {"beta", "p_hat", "r_hat", "betadot_hat", "da", "dr"}
+        return (
+            sum(f.power for f in self.factors if f.variable in lateral and not f.absolute) % 2 == 1
+        )
+
+    def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
+        """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
+        each = [
+            (np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power)
+            for f in self.factors
+        ]
+        return np.asarray(np.prod(each, axis=0), dtype=np.float64)
+
+
+def parse(text: str) -> Term:
+    """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
+    gathered: dict[tuple[str, bool], int] = {}
+    for part in text.replace(" ", "").split("*"):
+        found = _FACTOR.fullmatch(part)
+        name = (found["absolute"] or found["plain"]) if found else ""
+        if found is None or name not in VARIABLES:
+            raise ValueError(
+                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable), variable^n and 1/variable with "
+                f"variable one of {', '.join(VARIABLES)}, joined by *"
+            )
+        key = (name, found["absolute"] is not None)
+        gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (
+            -1 if found["inverse"] else 1
+        )
+    factors = [
+        Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power
+    ]
+    if not factors:
+        raise ValueError(
+            f"term '{text}': the factors cancel; a constant is the coefficient's own _0"
+        )
+    return Term(
+        tuple(sorted(factors, key=lambda f: ([*VARIABLES].index(f.variable), not f.absolute)))
+    )
+
 
 _NAMES = (
     "axial force",
@@ -322,4 +449,271 @@ def catalogue() -> list[Effect]:
         for c in COEFFICIENTS
         for term in _TERMS
         if term != "1/h_over_b" or c in ("CX", "Cm")
+    ]
+
+
+# A user's own effects from a TOML file:
+#
+# [[effect]] coefficient = "Cm" term = "p_hat^2*CT" physics = "slipstream on the tail in a roll"
+# # optional, as are name, regime, sign, reference
+
+_KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
+_MOST_CHARACTERS = 2000
+"""Of a text of an effect: some paragraphs."""
+
+
+def read_effects(path: Path) -> list[Effect]:
+    """The effects of a file. Raises LogError with file, entry and what is allowed."""
+    try:
+        data = parse_toml(read_regular_text(path))
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", path) from None
+    except ParseError as error:
+        raise LogError(str(error), path) from None
+    except UnicodeDecodeError:
+        raise LogError("not a text file in UTF-8", path) from None
+    rows = data.get("effect")
+    if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
+        raise LogError(
+            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term",
+            path,
+        )
+    out: list[Effect] = []
+    numbers: dict[str, int] = {}
+    for number, row in enumerate(rows, 1):
+        where = f"[[effect]] {number}"
+        if not isinstance(row, dict) or {"coefficient", "term"} - set(row):
+            raise LogError("needs coefficient and term", path, where)
+        if unknown := sorted(set(row) - _KEYS):
+            raise LogError(
+                f"unknown key '{unknown[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where
+            )
+        if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
+            raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
+        # The texts go into pages and into comments of the refined XML, which has no place for control characters.
+        for key, text in row.items():
+            if len(text) > _MOST_CHARACTERS:
+                raise LogError(
+                    f"{key} has {len(text)} characters; allowed are {_MOST_CHARACTERS}", path, where
+                )
+            if control := [c for c in text if ord(c) < 32 and c not in "\n\r\t"]:
+                raise LogError(
+                    f"{key} has the control character {control[0]!r}; give plain text", path, where
+                )
+        try:
+            effect = coefficient_effect(row["coefficient"], row["term"])
+        except ValueError as error:
+            raise LogError(str(error), path, where) from None
+        if effect.key in numbers:
+            raise LogError(
+                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give each effect once",
+                path,
+                where,
+            )
+        numbers[effect.key] = number
+        told = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
+        out.append(replace(effect, odds=0.0, **told))
+    return out
+
+
+# Candidate effects that are no coefficient term: stall, ground, propulsion, mass, actuators,
+# sensors.
+
+_POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic")
+_WIND = ("V_mps", "alpha_rad", "beta_rad")
+# subsystem, term, name, physics, regime, unit
+_AIRCRAFT = (
+    (
+        "stall",
+        "separation",
+        "lift lost by separation",
+        "flow separates from the trailing edge at high angle of attack",
+        "high angle of attack",
+        "1",
+    ),
+    (
+        "stall",
+        "dynamic",
+        "lift lost by separation that lags",
+        "separation follows angle of attack late (eq 2.40)",
+        "fast changes at high angle of attack",
+        "1",
+    ),
+    (
+        "ground",
+        "lift",
+        "lift gained near the ground",
+        "the ground holds up the wing's downwash: normal force grows by a share that falls off as exp(-2 h/b)",
+        "low height",
+        "1",
+    ),
+    (
+        "propulsion",
+        "thrust_scale",
+        "thrust off by a factor",
+        "propeller or battery give more or less than the map",
+        "throttle changes",
+        "1",
+    ),
+    (
+        "propulsion",
+        "inflow",
+        "inflow at the propeller off by a factor",
+        "the propeller meets the air faster or slower than the map has it",
+        "throttle and speed changes",
+        "1",
+    ),
+    (
+        "propulsion",
+        "airspeed",
+        "thrust off by a factor that goes with airspeed",
+        "propeller and motor are matched at another speed",
+        "throttle and speed changes",
+        "1",
+    ),
+    (
+        "propulsion",
+        "torque",
+        "propeller torque",
+        "the motor's reaction rolls the aircraft against the propeller",
+        "throttle changes",
+        "1",
+    ),
+    (
+        "propulsion",
+        "p_factor",
+        "p-factor",
+        "the descending blade sees more angle of attack: yaw with alpha, pitch with beta",
+        "throttle at angle of attack",
+        "1",
+    ),
+    (
+        "propulsion",
+        "slipstream",
+        "slipstream over the tail",
+        "tail surfaces act in more dynamic pressure as thrust grows",
+        "elevator and rudder at different power",
+        "1",
+    ),
+    (
+        "mass",
+        "cg_x",
+        "centre of gravity further forward",
+        "the moments are about another point",
+        "all manoeuvres",
+        "m",
+    ),
+    (
+        "mass",
+        "Ixz",
+        "product of inertia Ixz off",
+        "roll and yaw accelerations are coupled, and pitch with roll rate squared",
+        "aileron and rudder doublets",
+        "kg m^2",
+    ),
+)
+
+
+def _effect(
+    subsystem: str, term: str, name: str, physics: str, regime: str, unit: str, odds: float = ODDS
+) -> Effect:
+    return Effect(
+        None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, term in _POSITIVE
+    )
+
+
+def subsystem_effects(
+    surfaces: Sequence[str],
+    channels: Sequence[str],
+    delays: Sequence[str],
+    parts: Sequence[str] = (),
+) -> list[Effect]:
+    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand.
+
+    parts: channels of a sensor with several, whose filter may be another than the others'.
+    """
+    found = [_effect(*row) for row in _AIRCRAFT]
+    for s in surfaces:
+        servo = f"actuator.{s}"
+        found += [
+            _effect(
+                servo,
+                "lag",
+                f"{s} servo's lag other than modelled",
+                "first-order lag of the servo",
+                f"{s} steps",
+                "s",
+            ),
+            _effect(
+                servo,
+                "deadband",
+                f"{s} servo with a deadband",
+                "small commands do not move the surface",
+                f"small {s} commands",
+                "deg",
+            ),
+            _effect(
+                servo,
+                "rate_limit",
+                f"{s} servo's rate limit other than modelled",
+                "the servo's speed is limited",
+                f"large {s} steps",
+                "s/deg",
+            ),
+        ]
+    any_, abrupt, twice = "all manoeuvres", "abrupt manoeuvres", 2.0 * ODDS
+    for c in channels:
+        short, unit = c.split("_")
+        physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
+        found.append(
+            _effect(
+                f"sensor.{c}", "scale", f"{short} sensor's scale off", physics, any_, "1", twice
+            )
+        )
+        if short not in ("p", "q", "r"):
+            physics = "calibration or misalignment"
+            found.append(
+                _effect(
+                    f"sensor.{c}", "bias", f"{short} sensor's zero off", physics, any_, unit, twice
+                )
+            )
+    if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
+        physics = "they feel the rotation about the CG"
+        found += [
+            _effect(
+                "sensor.accelerometer",
+                f"place_{axis}",
+                f"accelerometers further {way}",
+                physics,
+                abrupt,
+                "m",
+                twice,
+            )
+            for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
+        ]
+    if {"V_mps", "q_radps", "r_radps"} <= set(channels) and {"alpha_rad", "beta_rad"} & set(
+        channels
+    ):
+        physics = "they move with pitch and yaw rate"
+        found.append(
+            _effect(
+                "sensor.vane", "place_x", "wind vanes further forward", physics, abrupt, "m", twice
+            )
+        )
+    late = [(c, "sensor late", "filtering and transport of the signal", twice) for c in delays]
+    late += [
+        (c, "alone late", "filtered otherwise than the other channels of its sensor", 2.0 * twice)
+        for c in parts
+    ]
+    return found + [
+        _effect(
+            f"sensor.{c}",
+            "delay",
+            f"{c.split('_')[0]} {name}",
+            physics,
+            "fast manoeuvres",
+            "s",
+            odds,
+        )
+        for c, name, physics, odds in late
     ]

@@ -9,9 +9,8 @@ import numpy as np
 
 from sysid.aerodynamics import GustStates, Reference, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties
-from sysid.effects.gust_score import AirLikelihood
 from sysid.effects.prediction import Columns, whiten
-from sysid.effects.turbulence import process_of
+from sysid.effects.turbulence import AirLikelihood, process_of
 from sysid.estimation import Process
 
 _ROWS, _DT_S, _SPEED_MPS = 4, 0.02, 20.0

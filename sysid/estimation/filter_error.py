@@ -13,28 +13,620 @@ Maine, R. E. and Iliff, K. W., NASA RP-1168 (1986), ch. 5-6; Jategaonkar (2015),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from sysid.arrays import FloatArray, as_bounds, as_free, as_names, as_parameters, is_many
-from sysid.estimation.ekf import ModelFunction, make_model
-from sysid.estimation.filter_input import (
-    measurement_noise,
-    noisy_states,
-    output_spread,
-    positive_vector,
-    read_record,
-    state_scale,
+from sysid.arrays import (
+    FloatArray,
+    as_array,
+    as_bounds,
+    as_free,
+    as_names,
+    as_parameters,
+    as_segments,
+    is_many,
 )
-from sysid.estimation.filter_layout import Layout
-from sysid.estimation.filter_report import assemble
-from sysid.estimation.gauss_newton import Minimum, Told, minimise
-from sysid.estimation.innovations import FilterProblem
-from sysid.estimation.result import FilterErrorFit
+from sysid.estimation.coloured_residuals import colour, colour_warnings, coloured_information
+from sysid.estimation.ekf import Innovations, Model, ModelFunction, Record, make_model, run_filter
+from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
+from sysid.estimation.results import (
+    FilterErrorFit,
+    assess,
+    at_bound,
+    idle_bound,
+    masked_covariance,
+    outward,
+)
+
+# Input of filter_error: padded records, and first guesses of noise and scale read off the data.
+
+
+def read_record(
+    x0: Any, u: Any, z: Any, t: Any, held: bool, u_middle: Any = None
+) -> tuple[Record, FloatArray]:
+    """Padded record and initial states (nx, s). Raises ValueError where segments disagree."""
+    outputs = as_segments(z, "z", dropouts=True)
+    times = [part[:, 0] for part in as_segments(t, "t", dropouts=False)]
+    empty = [np.zeros((part.shape[0], 1)) for part in outputs]
+    inputs = empty if u is None else as_segments(u, "u", dropouts=False)
+    lengths = [part.shape[0] for part in outputs]
+    if [part.shape[0] for part in inputs] != lengths or [part.size for part in times] != lengths:
+        raise ValueError(
+            f"samples per segment differ: z {lengths}, u {[part.shape[0] for part in inputs]}, t "
+            f"{[p.size for p in times]}; give u, z and t at the same samples"
+        )
+    for number, time in enumerate(times):
+        if time.size < 2 or not (np.diff(time) > 0.0).all():
+            raise ValueError(
+                f"t of segment {number} does not increase at every sample (or has fewer than 2); sort or split it"
+            )
+    each = (
+        is_many(x0) or np.ndim(x0) == 2
+    )  # a vector a segment, be they arrays, lists or the rows of one array
+    starts = [as_parameters(part, "x0") for part in (x0 if each else [x0] * len(lengths))]
+    if len(starts) != len(lengths) or any(part.size != starts[0].size for part in starts):
+        raise ValueError(
+            f"x0 has {len(starts)} vectors of {[p.size for p in starts]}, z has {len(lengths)} segments; match them"
+        )
+    longest, s = max(lengths), len(lengths)
+    U = np.zeros((longest, inputs[0].shape[1], s))
+    Z = np.full((longest, outputs[0].shape[1], s), np.nan)
+    dt = np.empty((longest - 1, s))
+    for index, length in enumerate(lengths):
+        U[:length, :, index], U[length:, :, index] = inputs[index], inputs[index][-1]
+        Z[:length, :, index] = outputs[index]
+        step = np.diff(times[index])
+        # Padding repeats no dynamics: with dt = 0 the filter stands still behind a segment's end.
+        dt[:, index] = np.concatenate([step, np.zeros(longest - length)])
+    middle = None if u_middle is None else _middle(u_middle, inputs, longest)
+    return Record(U, Z, dt, tuple(lengths), held, middle), np.column_stack(starts)
+
+
+def _middle(u_middle: Any, inputs: list[FloatArray], longest: int) -> FloatArray:
+    """Inputs half-way between samples, padded (longest - 1, nu, s)."""
+    found = as_segments(u_middle, "u_middle", dropouts=False)
+    wanted = [(part.shape[0] - 1, part.shape[1]) for part in inputs]
+    if [part.shape for part in found] != wanted:
+        raise ValueError(
+            f"u_middle has segments of shape {[part.shape for part in found]}; half-way between the samples of u there are {wanted}"
+        )
+    out = np.zeros((longest - 1, inputs[0].shape[1], len(inputs)))
+    for index, part in enumerate(found):
+        out[: len(part), :, index], out[len(part) :, :, index] = part, inputs[index][-1]
+    return out
+
+
+def noisy_states(chosen: Any, nx: int) -> NDArray[np.intp]:
+    """Indices of the states that process noise acts on; None chooses all. Raises ValueError."""
+    if chosen is None:
+        return np.arange(nx)
+    try:
+        return (
+            np.flatnonzero(as_free(list(chosen), tuple(f"x{i}" for i in range(nx))))
+            if len(list(chosen))
+            else np.arange(0)
+        )
+    except ValueError as error:
+        raise ValueError(f"process_noise: {error}") from None
+
+
+def positive_vector(value: ArrayLike, size: int, what: str) -> FloatArray:
+    """``value`` as a vector (size,) of finite positive numbers; one number serves all. Raises ValueError that names ``what``."""
+    vector = np.broadcast_to(as_array(value, what), (size,)).astype(float)
+    if not (np.isfinite(vector).all() and (vector > 0.0).all()):
+        raise ValueError(f"{what} is {vector.tolist()}; give {size} positive numbers")
+    return vector
+
+
+def output_spread(record: Record) -> FloatArray:
+    """Standard deviation (m,) of each output, its size where it is constant."""
+    flat = record.z.transpose(0, 2, 1).reshape(-1, record.z.shape[1])
+    deviation, size = np.nanstd(flat, axis=0), np.nanmax(np.abs(flat), axis=0)
+    return np.where(deviation > 1e-12 * size, deviation, np.where(size > 0.0, size, 1.0))
+
+
+def measurement_noise(record: Record) -> FloatArray:
+    """First guess (m,) from third differences, which smooth motion does not reach: var = 20 sigma^2."""
+    out = np.empty(record.z.shape[1])
+    spread = output_spread(record)
+    for channel in range(out.size):
+        rough = np.diff(record.z[:, channel, :], n=3, axis=0)
+        rough = rough[np.isfinite(rough)]
+        out[channel] = (
+            np.sqrt(np.mean(rough**2) / 20.0) if rough.size > 10 else 0.1 * spread[channel]
+        )
+    return np.maximum(out, 1e-4 * spread)
+
+
+def state_scale(
+    model: Model, record: Record, theta: FloatArray, initial: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """How far (nx,) each state may be off: the change that moves an output by its own spread; else its size, or 1."""
+    nx = model.states
+    scale = np.empty(nx)
+    x, u = initial[:, :1], record.u[0, :, :1]
+    base = model.output(x, u, theta[:, None])[:, 0]
+    for index in range(nx):
+        size = max(float(np.abs(initial[index]).max()), 1e-3)
+        shifted = x.copy()
+        shifted[index] += 1e-4 * size
+        slope = np.abs(model.output(shifted, u, theta[:, None])[:, 0] - base) / (1e-4 * size)
+        reach = [
+            spread[c] / slope[c] for c in range(base.size) if slope[c] * size > 1e-9 * spread[c]
+        ]
+        scale[index] = min(reach) if reach else max(float(np.abs(initial[index]).max()), 1.0)
+    return scale
+
+
+# Order of filter error's unknowns in one vector: parameters, process noise, measurement noise,
+# initial states.
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Order of the vector: free theta, Q of noisy states, ln r, initial states segment by segment.
+
+    Q enters as a variance with zero as its bound: there its gradient tells whether the data want any (as a logarithm it
+    would run away along a flat valley), and Fisher scoring is nearly exact in variances. R has no such bound.
+    """
+
+    theta0: FloatArray
+    columns: NDArray[np.intp]
+    noisy: NDArray[np.intp]
+    outputs: int
+    states: int
+    segments: int
+    with_x0: bool
+
+    @property
+    def process(self) -> slice:
+        """Where the process-noise variances stand."""
+        return slice(self.columns.size, self.columns.size + self.noisy.size)
+
+    @property
+    def logs(self) -> slice:
+        """Where the logarithms of the measurement noise stand."""
+        return slice(self.process.stop, self.process.stop + self.outputs)
+
+    def pack(self, theta: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> FloatArray:
+        """The search's vector from parameters (k,), process noise (nx,), noise (ny,) and start states (segments, nx)."""
+        parts = [theta[self.columns], q[self.noisy], np.log(r)]
+        return np.concatenate([*parts, x0.T.ravel()] if self.with_x0 else parts)
+
+    def unpack(
+        self, vector: FloatArray, x0: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """theta (k,), Q (nx,) variances per second, r (m,) standard deviations, x0 (nx, s)."""
+        theta, q = self.theta0.copy(), np.zeros(self.states)
+        a, b = self.columns.size, self.columns.size + self.noisy.size
+        theta[self.columns] = vector[:a]
+        q[self.noisy] = vector[a:b]
+        r = np.exp(vector[b : b + self.outputs])
+        if self.with_x0:
+            x0 = vector[b + self.outputs :].reshape(self.segments, self.states).T
+        return theta, q, r, x0
+
+    def limits(
+        self, lower: FloatArray, upper: FloatArray, scale: FloatArray, spread: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the whole vector: Q up to (a thousand states' scales)^2, r within 1e-5 and 10 of the spread."""
+        low = [lower[self.columns], np.zeros(self.noisy.size), np.log(1e-5 * spread)]
+        high = [upper[self.columns], (1e3 * scale[self.noisy]) ** 2, np.log(1e1 * spread)]
+        extra = [np.full(self.segments * self.states, np.inf)] if self.with_x0 else []
+        return np.concatenate(low + [-part for part in extra]), np.concatenate(high + extra)
+
+    def names(self, labels: tuple[str, ...]) -> list[str]:
+        """Name of every entry of the search's vector, in its order."""
+        out = [labels[i] for i in self.columns] + [f"Q of state {i}" for i in self.noisy]
+        out += [f"ln r of output {i}" for i in range(self.outputs)]
+        if self.with_x0:
+            out += [
+                f"x0[{i}] of segment {s}" for s in range(self.segments) for i in range(self.states)
+            ]
+        return out
+
+
+# The innovations' likelihood as a function of one parameter vector: packing, cost, gradient,
+# Fisher information.
+
+LANES = 600  # points x segments filtered side by side, bounded for memory
+CARRIED = 8  # secant updates before derivatives are differenced anew
+NEARBY = 0.1  # standard errors within which they need no renewal
+TARGET = 1e-3  # wanted rms change of the whitened innovations under a difference step
+ROUGHLY = (
+    1e-7,
+    0.1,
+)  # a change outside this range is repeated with another step: a filter pass is dear
+LOG_STEP = 1e-3
+
+
+@dataclass
+class State:
+    """Innovations at a point; e, s and e/sqrt(s) (N, m) by rows, N = n x segments, segment-major; and, once linearised, the
+    whitened derivatives of e (N, m, K)."""
+
+    base: Innovations
+    e: FloatArray
+    s: FloatArray
+    white: FloatArray
+    sensitivity: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+@dataclass
+class Sensitivities:
+    """Derivatives of e and s, dE and dS (N, m, K), at a point with its e and s; what the secant updates hold on to."""
+
+    vector: FloatArray
+    e: FloatArray
+    s: FloatArray
+    dE: FloatArray
+    dS: FloatArray
+    metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def _cost(white: FloatArray, s: FloatArray) -> float:
+    """1/2 sum [e^2/s + ln s] from e/sqrt(s) and s."""
+    return 0.5 * float(np.sum(white**2)) + 0.5 * float(np.sum(np.log(s)))
+
+
+@dataclass
+class FilterProblem:
+    """The cost over the packed vector; keeps the adapted difference steps and counts the filter runs."""
+
+    model: Model
+    record: Record
+    layout: Layout
+    initial: FloatArray
+    p0: FloatArray
+    difference: FloatArray
+    every: int
+    state_scale: FloatArray
+    step: FloatArray | None = None
+    told: Told | None = None
+    runs: int = 0
+    _last: Sensitivities | None = None
+    _fresh: tuple[FloatArray, FloatArray] | None = None
+    _updates: int = 0
+
+    def _filter(self, vectors: list[FloatArray]) -> Innovations | None:
+        parts = [self.layout.unpack(vector, self.initial) for vector in vectors]
+        self.runs += len(vectors)
+        return run_filter(
+            self.model,
+            self.record,
+            np.column_stack([part[0] for part in parts]),
+            np.column_stack([part[1] for part in parts]),
+            np.column_stack([part[2] for part in parts]),
+            np.stack([part[3] for part in parts], axis=1),
+            self.p0,
+            self.difference,
+            self.every,
+        )
+
+    def best_process_noise(
+        self, theta: FloatArray, candidates: list[FloatArray], r: FloatArray
+    ) -> FloatArray:
+        """Of the candidate Q (nx,), all filtered side by side, the one with the lowest cost."""
+        found = self._filter([self.layout.pack(theta, q, r, self.initial) for q in candidates])
+        if found is None:
+            return candidates[-1]  # the most noise: the filter that trusts the model least
+        costs = []
+        for point in range(len(candidates)):
+            s = self._rows(found.s, point)
+            costs.append(_cost(self._rows(found.e, point) / np.sqrt(s), s))
+        return candidates[int(np.argmin(costs))]
+
+    def _rows(self, values: FloatArray, point: int) -> FloatArray:
+        """One point's lanes of e or s (n, m, W) as (N, m), segment-major."""
+        n, m, segments = self.record.z.shape
+        return (
+            values[:, :, point * segments : (point + 1) * segments]
+            .transpose(2, 0, 1)
+            .reshape(n * segments, m)
+        )
+
+    def evaluate(self, vector: FloatArray) -> tuple[float, State] | None:
+        """J of filtererror.py, None where the filter fails."""
+        found = self._filter([vector])
+        if found is None:
+            return None
+        e, s = self._rows(found.e, 0), self._rows(found.s, 0)
+        white = e / np.sqrt(s)
+        return _cost(white, s), State(found, e, s, white)
+
+    def _points(self, vector: FloatArray, some: Iterable[int], central: bool) -> list[FloatArray]:
+        """Points a step up for each of `some`, in turn, and with ``central`` a step down."""
+        points = []
+        for index in some:
+            for shift in self._shifts(vector, index)[: 2 if central else 1]:
+                point = vector.copy()
+                point[index] += shift
+                points.append(point)
+        return points
+
+    def _shifts(self, vector: FloatArray, index: int) -> tuple[float, float]:
+        """Up and down a step; no variance is taken below zero."""
+        assert self.step is not None
+        step = float(self.step[index])
+        process = self.layout.process
+        down = min(step, float(vector[index])) if process.start <= index < process.stop else step
+        return step, -down
+
+    def _first_steps(self, vector: FloatArray) -> FloatArray:
+        step = 1e-4 * np.where(vector != 0.0, np.abs(vector), 1.0)
+        step[self.layout.process] = 1e-3 * np.maximum(
+            vector[self.layout.process], 1e-6 * self.state_scale[self.layout.noisy] ** 2
+        )
+        step[self.layout.logs] = LOG_STEP
+        if self.layout.with_x0:
+            step[self.layout.logs.stop :] = 1e-3 * np.tile(self.state_scale, self.layout.segments)
+        return step
+
+    def linearise(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
+        """Gradient and information of the module's equations at a point whose innovations are given.
+
+        The derivatives of e and s are those of the last point, carried on by Broyden's update (Math. Comp. 19, 1965)
+
+            D += (dy - D d) (M d)' / (d' M d)
+
+        which costs no filter run; they are differenced anew, forwards, when that has been done CARRIED times, when the search
+        nears its end and at a point asked for twice.
+        """
+        near = self._carry(vector, state, central)
+        if near is None:
+            return self._anew(vector, state, False)
+        assert self._last is not None
+        line = self._line(state)
+        self._last.metric = line.information
+        return replace(line, exact=near, fresh=False)
+
+    def settle(self, vector: FloatArray, state: State) -> Linearisation:
+        """The linearisation that bounds are computed from, by central differences."""
+        return self._anew(vector, state, True)
+
+    def _anew(self, vector: FloatArray, state: State, central: bool) -> Linearisation:
+        self._difference(vector, state, central)
+        assert self._last is not None
+        line = self._line(state)
+        self._last.metric, self._fresh = line.information, (vector.copy(), line.information)
+        return line
+
+    def _line(self, state: State) -> Linearisation:
+        assert self._last is not None
+        size = self._last.vector.size
+        state.sensitivity = self._last.dE / np.sqrt(state.s)[:, :, None]
+        e, flat = state.white.ravel(), state.sensitivity.reshape(-1, size)
+        trace = (self._last.dS / state.s[:, :, None]).reshape(-1, size)
+        gradient = -(e @ flat + 0.5 * trace.sum(axis=0) - 0.5 * (e**2) @ trace)
+        information = flat.T @ flat + 0.5 * trace.T @ trace
+        cost = _cost(state.white, state.s)
+
+        def predict(delta: FloatArray) -> float:
+            return cost - float(gradient @ delta) + 0.5 * float(delta @ information @ delta)
+
+        return Linearisation(gradient, information, predict)
+
+    def _carry(self, vector: FloatArray, state: State, central: bool) -> bool | None:
+        """Derivatives carried on: True near where they were differenced, False far from there, None: not possible."""
+        last = self._last
+        if last is None or self._fresh is None or self._updates >= CARRIED:
+            return None
+        step = vector - last.vector
+        along = last.metric @ step
+        size = float(step @ along)
+        away = vector - self._fresh[0]
+        near = float(away @ self._fresh[1] @ away) < NEARBY**2
+        if not size > 0.0 or (central and not near):
+            return None
+        for derivative, change in ((last.dE, state.e - last.e), (last.dS, state.s - last.s)):
+            derivative += (change - derivative @ step)[:, :, None] * (along / size)
+        last.vector, last.e, last.s = vector.copy(), state.e, state.s
+        self._updates += 1
+        return near
+
+    def _difference(self, vector: FloatArray, state: State, central: bool) -> None:
+        """Derivatives by differences of the filter, in blocks of lanes."""
+        if self.step is None:
+            self.step = self._first_steps(vector)
+        size = vector.size
+        new = Sensitivities(
+            vector.copy(),
+            state.e,
+            state.s,
+            np.zeros((*state.e.shape, size)),
+            np.zeros((*state.e.shape, size)),
+        )
+        pending = list(range(size))
+        for attempt in range(4):
+            again: list[int] = []
+            block = max(1, LANES // ((2 if central else 1) * self.record.z.shape[2]))
+            for first in range(0, len(pending), block):
+                some = pending[first : first + block]
+                again += self._differences(new, some, central, attempt == 3)
+            pending = again
+            if not pending:
+                break
+        self._last, self._updates = new, 0
+
+    def _differences(
+        self, new: Sensitivities, some: list[int], central: bool, last: bool
+    ) -> list[int]:
+        """Fill the derivatives by the parameters `some`; return those whose step was bad."""
+        assert self.step is not None
+        found = self._filter(self._points(new.vector, some, central))
+        if found is None:
+            if len(some) > 1:  # one bad point spoils the batch: find it
+                half = len(some) // 2
+                return [
+                    index
+                    for part in (some[:half], some[half:])
+                    for index in self._differences(new, part, central, last)
+                ]
+            self.step[some[0]] *= 0.03
+            return list(some)
+        again = []
+        logs = range(*self.layout.logs.indices(new.vector.size))
+        deviation = np.sqrt(new.s)
+        for place, index in enumerate(some):
+            up, down = self._shifts(new.vector, index)
+            if central:
+                above, below = (
+                    tuple(self._rows(v, 2 * place + k) for v in (found.e, found.s)) for k in (0, 1)
+                )
+            else:
+                above, below, down = (
+                    (self._rows(found.e, place), self._rows(found.s, place)),
+                    (new.e, new.s),
+                    0.0,
+                )
+            new.dE[:, :, index] = (above[0] - below[0]) / (up - down)
+            new.dS[:, :, index] = (above[1] - below[1]) / (up - down)
+            if index in logs:
+                continue
+            change = self.step[index] * float(
+                np.sqrt(
+                    np.mean((new.dE[:, :, index] / deviation) ** 2)
+                    + np.mean((new.dS[:, :, index] / new.s) ** 2)
+                )
+            )
+            if change <= 1e-11:
+                limit = 1e2 * max(abs(new.vector[index]), 1.0)
+                if self.step[index] < limit and not last:
+                    self.step[index] = min(1e3 * self.step[index], limit)
+                    again.append(index)
+                else:
+                    new.dE[:, :, index], new.dS[:, :, index] = 0.0, 0.0
+            elif not ROUGHLY[0] < change < ROUGHLY[1] and not last:
+                self.step[index] *= TARGET / change
+                again.append(index)
+            else:
+                self.step[index] *= float(np.clip(TARGET / change, 0.1, 10.0))
+        return again
+
+    def whitened(self, state: State) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Per segment: sensitivities of the innovations (n, m, K), zero where missing; white innovations, NaN there.
+
+        The sign is that of a model output's sensitivity, minus the innovation's.
+        """
+        n, m, segments = self.record.z.shape
+        sensitivity = -state.sensitivity.reshape(segments, n, m, -1)
+        white = state.white.reshape(segments, n, m)
+        pieces, whites = [], []
+        for index, length in enumerate(self.record.lengths):
+            there = np.isfinite(self.record.z[:length, :, index])
+            pieces.append(np.where(there[:, :, None], sensitivity[index, :length], 0.0))
+            whites.append(np.where(there, white[index, :length], np.nan))
+        return pieces, whites
+
+
+# From the filter's optimum to a FilterErrorFit: bounds, gate, warnings.
+
+
+def assemble(
+    problem: FilterProblem,
+    best: Minimum,
+    labels: tuple[str, ...],
+    low: FloatArray,
+    high: FloatArray,
+    record: Record,
+    many: bool,
+) -> FilterErrorFit:
+    """Bounds, gate and warnings at the optimum."""
+    layout = problem.layout
+    again = problem.evaluate(best.theta)
+    assert again is not None
+    line = problem.settle(best.theta, again[1])
+    held = outward(best.theta, line.gradient, low, high)
+    inside = np.flatnonzero(~held)
+    every_name = layout.names(labels)
+    gate = assess(line.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside))
+    pieces, whites = problem.whitened(again[1])
+    # (MK) of coloured.py for the innovations' share of the information; the covariances' share is left as it is.
+    sensitivities = [piece[:, :, inside] for piece in pieces]
+    plain = np.zeros((inside.size, inside.size))
+    for piece in sensitivities:
+        flat = np.nan_to_num(piece).reshape(-1, inside.size)
+        plain += flat.T @ flat
+    bracket = (
+        coloured_information(sensitivities, whites)
+        + line.information[np.ix_(inside, inside)]
+        - plain
+    )
+    total, k_free = best.theta.size, layout.columns.size
+    cov, crb, vif = (
+        np.full((total, total), np.nan),
+        np.full((total, total), np.nan),
+        np.full(total, np.inf),
+    )
+    at = np.ix_(inside, inside)
+    cov[at] = masked_covariance(gate.inverse @ bracket @ gate.inverse, gate.identified)
+    crb[at] = masked_covariance(gate.inverse, gate.identified)
+    vif[inside] = gate.vif
+    reason = [""] * total
+    for position, index in enumerate(inside.tolist()):
+        reason[index] = gate.reason[position]
+    for index in np.flatnonzero(held).tolist():
+        reason[index] = at_bound(best.theta[index], low[index], high[index])
+    for index in range(k_free):
+        reason[index] = reason[index] or idle_bound(
+            float(np.sqrt(cov[index, index])), high[index] - low[index]
+        )
+    identified = np.array([not text for text in reason])
+    cov, crb = masked_covariance(cov, identified), masked_covariance(crb, identified)
+
+    theta, q, r, x0 = layout.unpack(best.theta, problem.initial)
+    k = theta.size
+    spread_cov, spread_crb, spread_vif = (
+        np.full((k, k), np.nan),
+        np.full((k, k), np.nan),
+        np.full(k, np.inf),
+    )
+    block = np.ix_(layout.columns, layout.columns)
+    spread_cov[block], spread_crb[block] = cov[:k_free, :k_free], crb[:k_free, :k_free]
+    spread_vif[layout.columns] = vif[:k_free]
+    status, why = dict.fromkeys(labels, "fixed"), dict.fromkeys(labels, "held at theta0 (free=)")
+    warnings = [note for note in gate.notes if any(name in note for name in labels)]
+    for position, index in enumerate(layout.columns):
+        status[labels[index]] = "not-identified" if reason[position] else "identified"
+        why[labels[index]] = reason[position]
+        if reason[position]:
+            warnings.append(f"{labels[index]} not identified: {reason[position]}")
+    if not best.converged:
+        warnings.insert(0, f"not converged: {best.message}")
+    found = colour(whites)
+    ratio = np.sqrt(np.diagonal(cov)[:k_free]), np.sqrt(np.diagonal(crb)[:k_free])
+    warnings += colour_warnings(found, *ratio, "filter error")
+    innovation = [again[1].base.raw[:length, :, s] for s, length in enumerate(record.lengths)]
+    q_std = np.full(q.size, np.nan)
+    q_std[layout.noisy] = np.sqrt(np.diagonal(cov)[k_free : k_free + layout.noisy.size])
+    return FilterErrorFit(
+        names=labels,
+        theta=theta,
+        std=np.sqrt(np.diagonal(spread_cov)),
+        std_crb=np.sqrt(np.diagonal(spread_crb)),
+        cov=spread_cov,
+        cov_crb=spread_crb,
+        status=status,
+        reason=why,
+        vif=spread_vif,
+        noise_cov=np.diag(r**2),
+        residual=innovation if many else innovation[0],
+        whiteness=found.p_value,
+        converged=best.converged,
+        warnings=warnings,
+        iterations=best.iterations,
+        n_simulations=problem.runs,
+        cost=best.cost,
+        cost_history=np.array(best.cost_history),
+        process_noise_cov=np.diag(q),
+        process_noise_std=q_std,
+        x0=[x0[:, s] for s in range(x0.shape[1])],
+    )
+
 
 NEAR_NOISE = 0.1  # how far the logarithm of R may move while theta is far off
 FIRST_NOISE = (

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.estimation.autocorrelation import integral_time
-from sysid.estimation.diagnostics import STRONG_SHARE, WHITENESS_LEVEL, colour
+from sysid.estimation.coloured_residuals import STRONG_SHARE, WHITENESS_LEVEL, colour, integral_time
 
 FORM_SHARE = 0.6  # share of a residual that is a function of the motion above which the model's form is to blame
 

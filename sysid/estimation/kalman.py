@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.estimation.kalman_arrays import STARTS, Acting, Gains, Seen
+from sysid.estimation.kalman_loops import STARTS, Acting, Gains, Seen
 
 _AT_ONCE = 96
 """Columns that go through the gains together: what stays in a processor's first cache."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.special import logsumexp
 
 from sysid.arrays import FloatArray
 
@@ -87,3 +90,120 @@ def concentrated(residual: FloatArray, noise: Noise) -> float:
             if seen.size:
                 logarithm += count * float(np.linalg.slogdet(noise.cov[np.ix_(seen, seen)])[1])
     return 0.5 * (quadratic + logarithm - float(there.sum()))
+
+
+# Size of a channel's white noise, from what its signal leaves at high frequencies, with the
+# sensor's data sheet as prior.
+#
+# Near half the sampling rate a flight's signal falls at least as the inverse square of the
+# frequency (gusts do; the aircraft's own motion falls faster), while white noise stays. The
+# spectrum of the signal's differences is therefore
+#
+# S(w) = q + 2 std**2 (1 - cos w) w in radians a sample
+#
+# with q of the signal, another in each piece: what is quiet tells most. The Whittle likelihood
+# of the periodogram above a frequency, times a log-normal prior about the card's figure, is
+# integrated over std and q on a grid (Whittle 1953; Harvey, "Forecasting, Structural Time
+# Series Models" (1989), 4.3).
+
+PRIOR_SPREAD = float(np.log(2.0))
+"""Standard deviation of the logarithm of a noise's size about the card's figure: data sheets are wrong by a factor of two."""
+_KEPT = 64  # channels of flights whose sizes are remembered
+_LEAST = 16  # frequencies below which a channel shows nothing of its noise
+_MULTIPLIED = 8  # frequencies whose variances are multiplied before their logarithm is taken
+_SIZES = np.concatenate(
+    [np.linspace(-5.0, -1.0, 41)[:-1], np.linspace(-1.0, 0.6, 81)]
+)  # logarithm, about what is shown
+_SIGNALS = np.exp(
+    np.linspace(-12.0, 1.0, 41)
+)  # of a piece's mean power, equally likely in the logarithm
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """Root mean square ``std`` of a channel's noise in its own unit, and the relative standard deviation ``spread`` of std."""
+
+    std: float
+    spread: float
+
+
+def noise_size(
+    pieces: Sequence[FloatArray], dt_s: float, from_hz: float, stated: float | None = None
+) -> NoiseSize | None:
+    """Size of white noise in a channel.
+
+    pieces   [(n,)] of the channel without gaps, ``dt_s`` apart       from_hz   the signal's own motion lies below
+    stated   what the card says of the sensor, a prior; None: nothing
+    None where neither card nor samples tell: fewer than 16 frequencies above ``from_hz``, or a channel without any noise.
+    """
+    return _size(tuple(np.asarray(x, dtype=float).tobytes() for x in pieces), dt_s, from_hz, stated)
+
+
+@lru_cache(_KEPT)
+def _size(
+    pieces: tuple[bytes, ...], dt_s: float, from_hz: float, stated: float | None
+) -> NoiseSize | None:
+    """`noise_size` of the pieces' bytes: several models are held against the same flights."""
+    spectra = [
+        found
+        for x in pieces
+        if (found := _periodogram(np.frombuffer(x), dt_s, from_hz)) is not None
+    ]
+    known = stated is not None and np.isfinite(stated) and stated > 0.0
+    if sum(len(power) for power, _ in spectra) < _LEAST or not any(
+        np.any(power > 0.0) for power, _ in spectra
+    ):
+        return NoiseSize(float(stated), PRIOR_SPREAD) if known and stated is not None else None
+    shown = np.sqrt(
+        min(np.sum(power) / np.sum(shape) for power, shape in spectra if np.any(power > 0.0))
+    )
+    size = np.log(shown) + _SIZES
+    likelihood = np.zeros(len(size))
+    for power, shape in spectra:
+        likelihood += logsumexp(-_cost(power, shape, np.exp(2.0 * size), float(shown**2)), axis=1)
+    if known and stated is not None:
+        likelihood -= 0.5 * ((size - np.log(stated)) / PRIOR_SPREAD) ** 2
+    weight = np.exp(likelihood - likelihood.max()) * np.gradient(size)
+    weight /= weight.sum()
+    mean = float(weight @ np.exp(2.0 * size))
+    spread = float(np.sqrt(max(weight @ np.exp(4.0 * size) - mean**2, 0.0))) / (2.0 * mean)
+    return NoiseSize(float(np.sqrt(mean)), spread)
+
+
+def _cost(power: FloatArray, shape: FloatArray, square: FloatArray, shown: float) -> FloatArray:
+    """Minus the Whittle likelihood of one piece by the noise's variance, square (s,), and by the signal's (_SIGNALS of the piece's
+    mean power): (s, 41). ``shown`` is a variance that is not zero.
+
+    Logarithms are taken of products of a few frequencies' variances, in units of the piece's own power: no product leaves what a
+    number can hold, and a logarithm costs ten times what a product does.
+    """
+    mean = float(np.mean(power))
+    unit = mean or shown
+    noise, signal = square[:, None] / unit, _SIGNALS * (mean / unit)
+    out = np.full((len(square), len(signal)), len(power) * np.log(unit))
+    product, variance = np.ones_like(out), np.empty_like(out)
+    for k, (seen, part) in enumerate(zip((power / unit).tolist(), shape.tolist(), strict=True), 1):
+        np.add(signal, noise * part, out=variance)
+        product *= variance
+        out += np.divide(seen, variance, out=variance)
+        if k % _MULTIPLIED == 0 or k == len(power):
+            out += np.log(product)
+            product.fill(1.0)
+    return out
+
+
+def _periodogram(
+    x: FloatArray, dt_s: float, from_hz: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Power of a piece's differences above ``from_hz``, and 2 (1 - cos w) there; None where the piece is too short."""
+    steps = np.diff(np.asarray(x, dtype=float))
+    n = len(steps)
+    if n < 2 * _LEAST:
+        return None
+    # A taper keeps the signal's low frequencies from leaking into the noise's.
+    taper = np.hanning(n)
+    power = np.abs(np.fft.rfft(steps * taper)) ** 2 / np.sum(taper**2)
+    w = 2.0 * np.pi * np.arange(len(power)) / n
+    # Neighbours of a tapered periodogram say the same: every second one.
+    keep = np.flatnonzero(w / (2.0 * np.pi * dt_s) >= from_hz)[::2]
+    return (power[keep], 2.0 * (1.0 - np.cos(w[keep]))) if len(keep) else None

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from sysid.arrays import FloatArray, as_names
 from sysid.distributions import f_upper_quantile
-from sysid.estimation.regression import checked_regressors, equation_error, segment_edges
-from sysid.estimation.result import Regression, Selection, SelectionStep
+from sysid.estimation.equation_error import checked_regressors, equation_error, segment_edges
+from sysid.estimation.results import Regression, Selection, SelectionStep
 
 ALPHA_ENTER = 0.01  # shared out over the candidates
 ALPHA_REMOVE = 0.05

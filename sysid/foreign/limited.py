@@ -16,17 +16,66 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from sysid.errors import LogError, finding_from_dict
-from sysid.foreign.data_file import DataFileError, load
-from sysid.foreign.limits import LIMITS, Limit
 from sysid.foreign.raw import MessageTable, Progress, RawLog, TimeColumn, Wanted
 from sysid.foreign.regular_files import in_words, open_regular, require_regular
+from sysid.foreign.typed_files import DataFileError, load
 from sysid.parallel import ONE_THREAD
+
+# What reading a foreign file may cost: time and memory that grow with the file, so that a long
+# log is read and a bomb is not.
+
+MOST_COLUMNS = 5_000
+"""Columns of a table. JSBSim's fullest output has about a thousand; a header of a million is no flight."""
+MOST_LINE = 1_000_000
+"""Bytes of a table's header and first rows, each."""
+MOST_COMMENT = 50_000_000
+"""Bytes of a comment before the header, where a flight record keeps what is known of it."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """base_s, bytes_per_s: time allowed; base_bytes, per_byte: memory above what the reader itself takes."""
+
+    base_s: float
+    bytes_per_s: float
+    base_bytes: int
+    per_byte: float
+
+    def seconds(self, size: int) -> float:
+        """Wall-clock time for a file of `size` bytes."""
+        return self.base_s + size / self.bytes_per_s
+
+    def bytes(self, size: int) -> int:
+        """Memory for a file of `size` bytes; the values that are handed over may take as much."""
+        return int(self.base_bytes + self.per_byte * size)
+
+
+LIMITS = {
+    # pyulog reads 10 to 40 MB/s and holds each topic twice while it decodes; a damaged length held it for minutes.
+    "ulog": Limit(10.0, 1e6, 400_000_000, 8.0),
+    # pymavlink decodes 2 to 4 MB/s; a packet of 25 bytes becomes up to ten numbers of 8.
+    "tlog": Limit(10.0, 0.25e6, 300_000_000, 8.0),
+    # pandas reads 20 to 100 MB/s; a cell of two characters becomes a number of 8 bytes, and is held twice on the way.
+    "csv": Limit(10.0, 2e6, 400_000_000, 16.0),
+    # Parquet packs: ten times is usual for a flight, thousands of times is a bomb.
+    "parquet": Limit(10.0, 1e6, 600_000_000, 40.0),
+}
+
+
+def too_much(what: str, needed: float, allowed: float) -> str:
+    """The sentence for a file that asks for more memory than one of its size should."""
+    return (
+        f"{what} would take {in_words(needed)} of memory; a file of its size may take {in_words(allowed)}: "
+        "it is damaged or made to fill the memory; keep fewer rows and columns, or export it again"
+    )
+
 
 _START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
 _HOME = Path(__file__).parents[2]
@@ -291,3 +340,46 @@ def _end_children() -> None:
 
 
 atexit.register(_end_children)
+
+
+# A limit on the memory that this process may take, for a child that works on a stranger's file.
+
+
+class MemoryLimit:
+    """Lets this process take so many bytes of address space more than it has, where the system can hold it to that."""
+
+    def __init__(self, more: int) -> None:
+        self._more = more
+
+    def __enter__(self) -> None:
+        self._before = _address_limit()
+        if self._before is not None:
+            hard = self._before[1]
+            most = _address_space() + self._more
+            _set_address_limit((most if hard < 0 else min(most, hard), hard))
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            _set_address_limit(self._before)
+
+
+def _address_space() -> int:
+    with open("/proc/self/statm", encoding="ascii") as handle:
+        return int(handle.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _address_limit() -> tuple[int, int] | None:
+    """Soft and hard limit; None where there is none, or where what is used already is not known."""
+    try:
+        import resource
+
+        _address_space()
+        return resource.getrlimit(resource.RLIMIT_AS)
+    except (ImportError, OSError, AttributeError):
+        return None
+
+
+def _set_address_limit(limit: tuple[int, int]) -> None:
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, limit)

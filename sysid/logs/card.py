@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.errors import LogError
-from sysid.foreign.parsed_text import ParseError, parse_toml
-from sysid.foreign.regular_files import read_regular_text
+from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 from sysid.logs.signal_map import read_table
 
 Table = tuple[tuple[float, float], ...]

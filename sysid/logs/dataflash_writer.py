@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
-from sysid.flight_modes import MANOEUVRE_TEXT, MODE_NUMBERS
 from sysid.logs.card import AirframeCard, Mix, Servo
-from sysid.logs.importers.dataflash_format import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
+from sysid.logs.importers.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
 from sysid.record import FlightRecord
+from sysid.vocabulary import MANOEUVRE_TEXT, MODE_NUMBERS
 
 _USUAL_CHANNEL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 _FUNCTION = {"aileron": 4, "elevator": 19, "throttle": 70, "rudder": 21}

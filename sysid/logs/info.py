@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import Finding
-from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres
+from sysid.logs.manoeuvres import Manoeuvre, found_manoeuvres
 from sysid.record import Boot, FlightRecord, Loiter
 from sysid.vocabulary import SURFACES
 

@@ -2,27 +2,71 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from sysid.digests import file_sha256
+from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import Progress, RawLog
+from sysid.foreign.regular_files import read_regular_text
 from sysid.logs.assemble import assemble, with_checks
-from sysid.logs.boots import split
-from sysid.logs.cache import cached_file, keep
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
 from sysid.logs.checking.checks import check_again, estimated_channels
+from sysid.logs.importers import dataflash
 from sysid.logs.importers import dataflash as dataflash_binary
-from sysid.logs.importers import dataflash_text
 from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
+from sysid.logs.time_base import split
 from sysid.record import Boot, FlightRecord
 from sysid.vocabulary import SIGNALS
+
+# Where imported logs are kept: the user's cache folder, by the content of log, map and card.
+#
+# Never beside the log, which may be on a medium that is read-only or somebody else's.
+
+_FORMAT = "5"  # raise it when importing the same log gives another record
+
+
+def default_cache() -> Path:
+    """The user's cache folder for records: UQ_CACHE, XDG_CACHE_HOME or ~/.cache (Library/Caches on macOS)."""
+    if named := os.environ.get("UQ_CACHE"):
+        return Path(named)
+    if xdg := os.environ.get("XDG_CACHE_HOME"):
+        return Path(xdg) / "uqharness"
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "uqharness"
+
+
+def cached_file(
+    cache: Path,
+    digest: str,
+    map_path: Path | None,
+    card: AirframeCard | None,
+    flight_number: int | None = None,
+) -> Path:
+    """The file in ``cache`` for the record of a log with SHA-256 ``digest``, read with that map and card. Raises OSError."""
+    parts = [_FORMAT, digest, "" if map_path is None else read_regular_text(map_path), repr(card)]
+    parts += [] if flight_number is None else [str(flight_number)]
+    name = sha256_hex("\0".join(parts).encode())[:32]
+    return cache / f"{name}.parquet"
+
+
+def keep(record: FlightRecord, file: Path) -> None:
+    """Write under a temporary name so that a reader never meets half a file; a full disk only costs the cache."""
+    temporary = file.with_name(f"{file.stem}.{os.getpid()}.parquet")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        record.write(temporary)
+        temporary.replace(file)
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def import_log(
@@ -212,7 +256,7 @@ def read_raw(
         case "dataflash":
             return dataflash_binary.read(path, wanted, progress)
         case "dataflash-text":
-            return dataflash_text.read(path, wanted, progress)
+            return dataflash.read_text(path, wanted, progress)
     time = None if signal_map is None else signal_map.time
     return limited.read_raw(path, dialect, wanted, progress, time)
 

@@ -1,21 +1,217 @@
 """Servo PWM to surface deflection: by the card's tables, with v-tails and elevons taken apart. Pure numerics.
 
-Channel, neutral and sense come from the autopilot's parameters (`sysid.logs.servo_parameters`) where the log has them, else
+Channel, neutral and sense come from the autopilot's parameters (`sysid.logs.servo`) where the log has them, else
 from the card, else channels from the usual order (1 aileron, 2 elevator, 3 throttle, 4 rudder). Degrees come from the card.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding
 from sysid.logs.card import AirframeCard, Mix, Servo, Table
-from sysid.logs.servo_parameters import USUAL, Output, functions, outputs
+
+# What an autopilot's parameters say of its servo outputs: channel, PWM at the ends and at
+# neutral, and the sense. Pure numerics.
+#
+# ArduPilot: SERVOn_FUNCTION, _MIN, _MAX, _TRIM, _REVERSED; before version 3.8 RCn_MIN, _MAX,
+# _TRIM, _REV in the usual order. A positive demand, which raises the PWM unless reversed, rolls
+# right, pitches up and yaws right. PX4: PWM_MAIN_FUNCn, _MINn, _MAXn, _REV and CA_SV_CSi_TYPE,
+# _TRQ_R, _TRQ_P, _TRQ_Y, _TRIM; torques are positive right wing down, nose up and nose right.
+
+USUAL = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
+FUNCTIONS = {4: "aileron", 19: "elevator", 21: "rudder", 70: "throttle"}
+"""SERVOn_FUNCTION numbers as ArduPilot documents them."""
+_SENSE = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0, "throttle": 1.0}
+"""Of a flight record's sign over the autopilot's: + elevator is nose down there, + rudder nose left."""
+_PX4_SURFACES = {
+    1: ("aileron", "R", -1.0),
+    2: ("aileron", "R", 1.0),
+    15: ("aileron", "R", 1.0),
+    3: ("elevator", "P", 1.0),
+    4: ("rudder", "Y", 1.0),
+}
+_PX4_MOTOR, _PX4_SERVO = 101, 201
+
+
+@dataclass(frozen=True)
+class Output:
+    """A servo output.
+
+    channel  counted from 1          low, neutral, high  PWM, us; NaN where the parameters do not say
+    sense    +1 where more PWM is + in a flight record, -1 where it is -, 0 where the parameters do not say
+    source   the parameters' names, for messages
+    """
+
+    channel: int
+    low: float
+    neutral: float
+    high: float
+    sense: float
+    source: str
+
+    @property
+    def spans(self) -> bool:
+        """Whether both ends and the neutral are known and in order."""
+        return self.low < self.neutral < self.high
+
+
+def functions(parameters: Mapping[str, float]) -> dict[int, int]:
+    """SERVOn_FUNCTION of a log: channel -> function number, the disabled ones left out."""
+    found = {n: parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 33)}
+    return {n: int(v) for n, v in found.items() if v and math.isfinite(v)}
+
+
+def outputs(parameters: Mapping[str, float]) -> dict[str, tuple[Output, ...]]:
+    """aileron, elevator, rudder, throttle -> the outputs that move it, in equal parts; without a name where none is described."""
+    found: dict[str, list[Output]] = {}
+    # A damaged log may hold any number, also none.
+    parameters = {key: value for key, value in parameters.items() if math.isfinite(value)}
+    for name, output in (
+        _ardupilot(parameters)
+        if functions(parameters)
+        else (*_old_ardupilot(parameters), *_px4(parameters))
+    ):
+        found.setdefault(name, []).append(output)
+    return {name: tuple(members) for name, members in found.items()}
+
+
+def _ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    seen = set()
+    for n, function in functions(parameters).items():
+        name = FUNCTIONS.get(function)
+        if name is None or name in seen:
+            continue
+        seen.add(name)
+        low, high, neutral, turned = (
+            parameters.get(f"SERVO{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REVERSED")
+        )
+        sense = 0.0 if math.isnan(turned) else _SENSE[name] * (-1.0 if turned else 1.0)
+        yield (
+            name,
+            Output(
+                n, low, neutral, high, sense, f"SERVO{n}_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
+            ),
+        )
+
+
+def _old_ardupilot(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    if any(key == "SYS_AUTOSTART" or key.startswith("RC_MAP_") for key in parameters):
+        return  # PX4: its RCn_MIN and the like calibrate the receiver's inputs and say nothing of servos
+    for name, usual in USUAL.items():
+        n = int(
+            parameters.get(
+                {"aileron": "RCMAP_ROLL", "elevator": "RCMAP_PITCH", "rudder": "RCMAP_YAW"}.get(
+                    name, ""
+                ),
+                usual,
+            )
+        )
+        if f"RC{n}_REV" in parameters:
+            low, high, neutral, turned = (
+                parameters.get(f"RC{n}_{k}", math.nan) for k in ("MIN", "MAX", "TRIM", "REV")
+            )
+            yield (
+                name,
+                Output(
+                    n,
+                    low,
+                    neutral,
+                    high,
+                    _SENSE[name] * math.copysign(1.0, turned),
+                    f"RC{n}_MIN, _TRIM, _MAX, _REV",
+                ),
+            )
+
+
+def _px4(parameters: Mapping[str, float]) -> Iterator[tuple[str, Output]]:
+    for n in range(1, 17):
+        function = int(parameters.get(f"PWM_MAIN_FUNC{n}", 0.0))
+        low, high = (
+            parameters.get(f"PWM_MAIN_MIN{n}", 1000.0),
+            parameters.get(f"PWM_MAIN_MAX{n}", 2000.0),
+        )
+        turned = -1.0 if int(parameters.get("PWM_MAIN_REV", 0.0)) >> (n - 1) & 1 else 1.0
+        if function == _PX4_MOTOR:
+            yield (
+                "throttle",
+                Output(
+                    n,
+                    low,
+                    0.5 * (low + high),
+                    high,
+                    turned,
+                    f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV",
+                ),
+            )
+        k = function - _PX4_SERVO
+        kind = (
+            _PX4_SURFACES.get(int(parameters.get(f"CA_SV_CS{k}_TYPE", 0.0))) if 0 <= k < 8 else None
+        )
+        if kind is None:
+            continue
+        name, axis, usual = kind
+        torque = parameters.get(f"CA_SV_CS{k}_TRQ_{axis}", 0.0) or usual
+        neutral = 0.5 * (low + high) + 0.5 * (high - low) * parameters.get(f"CA_SV_CS{k}_TRIM", 0.0)
+        sense = _SENSE[name] * turned * math.copysign(1.0, torque)
+        yield (
+            name,
+            Output(
+                n,
+                low,
+                neutral,
+                high,
+                sense,
+                f"PWM_MAIN_FUNC{n}, _MIN{n}, _MAX{n}, _REV and CA_SV_CS{k}_*",
+            ),
+        )
+
+
+def _number(word: str) -> float:
+    """Read a number as ArduPilot does: Python's underscores and digits of other scripts are none."""
+    if "_" in word or not word.isascii():
+        raise ValueError(word)
+    return float(word)
+
+
+def parse_parameters(text: str) -> dict[str, float]:
+    """Parameters of a `.parm` or `.param` file: a name and a value a line, with blanks, a comma or tabs between; # comments.
+
+    QGroundControl's lines have vehicle and component in front of the name and a type behind the value. Raises ValueError with the
+    line's number and text for a line that is neither.
+    """
+    found: dict[str, float] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        if len(words) == 5 and words[0].isdigit() and words[1].isdigit():
+            words = words[2:4]
+        try:
+            name, value = words[0], _number(words[1])
+        except (IndexError, ValueError):
+            raise ValueError(
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+            ) from None
+        plain = name.isascii() and name.replace("_", "").isalnum()
+        if not plain or not math.isfinite(value):
+            raise ValueError(
+                f"line {number}: '{line.strip()[:60]}' is no parameter; a line is a name and a number"
+            )
+        found[name] = value
+    if not found:
+        raise ValueError(
+            "holds no parameter; a line is a name and a number, such as SERVO2_TRIM 1500"
+        )
+    return found
+
 
 _LEFT_RIGHT = {"elevon": (77, 78), "vtail": (79, 80)}
 COLUMNS = {
@@ -243,3 +439,118 @@ def elevator_channel(parameters: Mapping[str, float]) -> int:
         if function in (19, 77, 79):
             return n
     return USUAL["elevator"]
+
+
+# Steps of commands that were logged more slowly than they were carried out, placed by what the
+# gyro saw. Pure.
+#
+# A servo output logged at 25 Hz is known to 40 ms: a step stands at the first logged sample
+# that has it, and happened some time since the one before. A step of a control surface is a
+# kink in its axis' rate, and the gyro says between which samples. Gyros filter, so all kinks
+# come late by one time; it is found from all steps together, or it would put half of them on
+# the wrong side.
+
+LEAST_STEP = 1.0
+"""deg: smaller steps leave no kink worth looking for."""
+LATEST_S = 0.05
+"""By how much the gyro's kinks may come after the steps: its filter, and a servo that lags."""
+_AROUND_S = 0.08  # on either side that the kink is fitted to
+_FEWEST = 4  # rows on either side
+_CLEAR = 4.0  # noise variances within which two times by which the gyro may be late are as good as each other
+_FINE_S = 0.001
+_SHAPE = 4  # numbers that a rate with a kink is fitted by
+_SURE = 0.9  # share of likelihood at which a step counts as placed
+
+
+@dataclass(frozen=True)
+class Placed:
+    """command (n,) deg; steps that are placed for sure; late_s: by which the rate turns after them, NaN without a step."""
+
+    command: FloatArray
+    steps: int
+    late_s: float
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step first logged at ``row``. misfit (places, offsets): sum of squares left by a kink an offset after a place."""
+
+    row: int
+    places: Sequence[int]
+    misfit: FloatArray
+
+
+def place_steps(
+    command: FloatArray, logged: NDArray[np.bool_], rate: FloatArray, noise: float, dt_s: float
+) -> Placed:
+    """The command between its logged rows, what is known of its steps.
+
+    logged (n,): rows whose command was logged; between them it stands held. noise: standard deviation of the rate, rad/s.
+    A step alone happened at one of the rows since the logged sample before it, each as likely as a kink of the rate (n,) rad/s
+    fits there, late by the one time that suits all steps best; rows between have what is expected of them. All else goes straight
+    from one logged sample to the next: a command that moves all the time does so in the mean, and held it would come late.
+    """
+    rows = np.flatnonzero(logged)
+    out = (
+        np.interp(np.arange(len(command)), rows, command[rows])
+        if rows.size
+        else np.array(command, dtype=float)
+    )
+    offsets = np.arange(0.0, LATEST_S + 0.5 * _FINE_S, _FINE_S) / dt_s
+    around = max(_FEWEST, round(_AROUND_S / dt_s))
+    steps = list(_steps(command, rows.tolist(), rate, offsets, around))
+    if not steps:
+        return Placed(out, 0, float("nan"))
+    together = np.sum([s.misfit.min(axis=0) for s in steps], axis=0)
+    late = int(np.flatnonzero(together <= together.min() + _CLEAR * noise**2)[0])
+    placed = 0
+    for s in steps:
+        misfit = s.misfit[:, late]
+        spread = max(noise**2, float(misfit.min()) / (2 * around - _SHAPE))
+        likely = np.exp(-0.5 * (misfit - misfit.min()) / spread)
+        likely /= likely.sum()
+        before = command[s.places[0] - 1]
+        out[s.places[0] : s.row + 1] = before + np.cumsum(likely) * (command[s.row] - before)
+        placed += int(likely.max() > _SURE)
+    return Placed(out, placed, late * _FINE_S)
+
+
+def logged_rows(command: FloatArray, stride: int) -> NDArray[np.bool_]:
+    """(n,) rows at which a command, held and logged about every ``stride`` rows, was logged: those at which it changes, and those
+    ``stride`` before, at which it had not. Where it stands still nothing hangs on it, and no clock has to be regular."""
+    changes = np.flatnonzero(np.diff(command) != 0.0) + 1
+    last = np.concatenate([[0], changes[:-1]])
+    out = np.zeros(len(command), dtype=bool)
+    out[changes] = out[np.maximum(changes - stride, last)] = True
+    return out
+
+
+def _steps(
+    command: FloatArray, rows: list[int], rate: FloatArray, offsets: FloatArray, around: int
+) -> Iterator[_Step]:
+    """The steps with nothing else near them."""
+    for before, row in pairwise(rows):
+        size = command[row] - command[before]
+        first, last = before - around + 1, row + around + 1
+        if row - before < 2 or not abs(size) > LEAST_STEP or first < 0 or last > len(rate):
+            continue
+        at, seen = np.arange(first, last), rate[first:last]
+        others = np.abs(
+            np.diff(np.concatenate([command[first : before + 1], command[row + 1 : last]]))
+        )
+        others[before - first] = abs(command[min(row + 1, len(command) - 1)] - command[row])
+        if not np.isfinite(seen).all() or others.max(initial=0.0) > LEAST_STEP:
+            continue
+        places = range(before + 1, row + 1)
+        yield _Step(
+            row,
+            places,
+            np.array([[_misfit(at.astype(float), seen, p + o) for o in offsets] for p in places]),
+        )
+
+
+def _misfit(at: FloatArray, seen: FloatArray, kink: float) -> float:
+    """Sum of squares left by a straight line and, from ``kink`` on, a parabola: a rate that has begun to turn is soon damped."""
+    after = np.maximum(at - kink, 0.0)
+    design = np.column_stack([np.ones_like(at), at - kink, after, after**2])
+    return float(np.sum((seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]) ** 2))

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid.errors import LogError
-from sysid.foreign.parsed_text import ParseError, parse_toml
 from sysid.foreign.raw import TimeColumn
-from sysid.foreign.regular_files import read_regular_text
+from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 from sysid.logs.time_base import TIME_UNITS
 from sysid.vocabulary import SIGNALS
 
@@ -437,3 +436,26 @@ def _integer(value: Any, name: str, where: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise LogError(f"instance must be a whole number; received {value!r}", name, where)
     return value
+
+
+# The vocabulary joined with the shipped signal maps as a Markdown table: that of docs/log-
+# reference.md.
+
+
+def markdown_table() -> str:
+    """One row per signal: name, unit, meaning, and its sources in every dialect."""
+    maps = {dialect: shipped_map(dialect) for dialect in shipped_dialects()}
+    lines = [
+        "| signal | unit | meaning | " + " | ".join(maps) + " |",
+        "|---" * (3 + len(maps)) + "|",
+    ]
+    for signal in SIGNALS.values():
+        labels = [
+            dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ()))
+            for m in maps.values()
+        ]
+        cells = [" or ".join(found) or "-" for found in labels]
+        lines.append(
+            f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |"
+        )
+    return "\n".join(lines)

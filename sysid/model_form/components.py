@@ -17,19 +17,261 @@ S the prior of beta and u_f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri
+from scipy.special import expit, gammaln, logit, ndtr, ndtri
 
+from sysid.aerodynamics import (
+    COEFFICIENTS,
+    ResidualPiece,
+    Residuals,
+    cosine_variance,
+    half_width,
+    noise_cosines,
+    smooth,
+)
 from sysid.arrays import FloatArray
-from sysid.distributions import normal_quantile, normal_tail
-from sysid.model_form.blocks import Blocks
-from sysid.model_form.posterior import Weighted, sample
+from sysid.distributions import chi2_quantile, normal_quantile, normal_tail
+from sysid.model_form.model_form import CoefficientBounds, Outside
+
+# Residuals and regressors cut into blocks and taken apart by frequency, so that what is
+# coloured becomes nearly independent.
+#
+# The cosine transform (DCT-II) of a block nearly diagonalises the covariance of first-order
+# processes and of filtered noise (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974)
+# 90). What is constant through a block is in its first coefficient alone, by the root of the
+# block's samples. Frequencies beyond a third of the filter's cut-off are left out: an aircraft
+# moves below them, by the choice of that cut-off, while in turbulence the air's own rotation
+# goes on, follows the gusts that the vanes feel, and would pass for a function of the states.
+
+IntArray = NDArray[np.intp]
+BLOCK_S = 10.0
+"""About how long a stretch counts as one manoeuvre where a flight has no shorter pieces [s]."""
+_KEPT = 1024  # spectra of first-order processes: one a length of block and correlation time
+MOTION = 1.0 / 3.0
+"""Share of the filter's cut-off below which an aircraft moves."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """n waves of all blocks of one coefficient.
+
+    y, noise (n,)   residual, and variance of the sensors' noise      X (n, m)   regressors
+    block (n,)      number of the block       wave (n,)   number of the frequency, 0 the mean
+    lengths         samples of each block     flight      number of each block's flight       dt_s  between samples
+    noise_spread    relative standard deviation of the noise's variance
+    """
+
+    y: FloatArray
+    X: FloatArray
+    noise: FloatArray
+    block: IntArray
+    wave: IntArray
+    lengths: tuple[int, ...]
+    flight: tuple[int, ...]
+    dt_s: float
+    noise_spread: float
+
+    @property
+    def constant(self) -> FloatArray:
+        """(n,) variance that a unit variance from block to block adds."""
+        return np.where(self.wave == 0, np.array(self.lengths, dtype=float)[self.block], 0.0)
+
+    @property
+    def flights(self) -> FloatArray:
+        """(n, f) waves of what is constant through a flight, at unit size, one column each; f = 0 with a single flight."""
+        numbers = sorted(set(self.flight))
+        if len(numbers) < 2:
+            return np.zeros((len(self.y), 0))
+        own = np.array(self.flight)[self.block][:, None] == np.array(numbers)[None, :]
+        return np.where(own, np.sqrt(self.constant)[:, None], 0.0)
+
+    def coloured(self, time_s: float) -> FloatArray:
+        """(n,) variance that a first-order process of unit variance and correlation time ``time_s`` adds."""
+        out = np.empty(len(self.y))
+        for number, n in enumerate(self.lengths):
+            of_block = self.block == number
+            out[of_block] = _first_order(n, self.dt_s / time_s)[self.wave[of_block]]
+        return out
+
+
+@lru_cache(_KEPT)
+def _first_order(n: int, step: float) -> FloatArray:
+    """(n,) variances of a block's waves in a first-order process of unit variance, samples ``step`` correlation times apart."""
+    lags = np.arange(n) * step
+    return cosine_variance(n, tuple(np.exp(-lags[lags < 12.0]).tolist()))
+
+
+def stretches(residuals: Residuals) -> Residuals:
+    """The same with pieces much longer than BLOCK_S cut into equal stretches of about that length."""
+    return replace(
+        residuals, pieces=tuple(part for p in residuals.pieces for part in _cut(p, residuals.dt_s))
+    )
+
+
+def _cut(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
+    parts = max(1, round(len(piece) * dt_s / BLOCK_S))
+    edges = np.linspace(0, len(piece), parts + 1).round().astype(int)
+    for low, high in itertools.pairwise(edges):
+        rows = slice(int(low), int(high))
+        yield replace(
+            piece,
+            time_s=piece.time_s[rows],
+            delta=piece.delta[rows],
+            states={s: v[rows] for s, v in piece.states.items()},
+            noise=None if piece.noise is None else piece.noise.rows(rows),
+        )
+
+
+def blocks_of(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
+    """Blocks of one coefficient: one a piece, with regressors [(n, m)] piece by piece. Every piece needs its noise."""
+    column = COEFFICIENTS.index(coefficient)
+    y, X, noise, block, wave, spreads, weights = [], [], [], [], [], [], []
+    for number, (piece, x) in enumerate(zip(residuals.pieces, regressors, strict=True)):
+        assert piece.noise is not None
+        n = len(piece)
+        most = min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
+        size, spread = noise_cosines(piece.noise)
+        y.append(fft.dct(piece.delta[:, column], norm="ortho")[:most])
+        X.append(fft.dct(x, axis=0, norm="ortho")[:most])
+        noise.append(size[:most, column])
+        spreads.append(spread[column])
+        weights.append(float(noise[-1].sum()))
+        block.append(np.full(most, number))
+        wave.append(np.arange(most))
+    total = sum(weights)
+    mean_spread = float(np.dot(spreads, weights) / total) if total > 0.0 else 0.0
+    return Blocks(
+        np.concatenate(y),
+        np.vstack(X),
+        np.concatenate(noise),
+        np.concatenate(block),
+        np.concatenate(wave),
+        tuple(len(p) for p in residuals.pieces),
+        tuple(p.flight for p in residuals.pieces),
+        residuals.dt_s,
+        mean_spread,
+    )
+
+
+# Expectations over a posterior on the unit cube, by adaptive importance sampling.
+#
+# Points are drawn from the prior (uniform), then from Student distributions, in logits, about
+# what the points so far have found; all points count by the mixture of all that was drawn from
+# (Cornuet et al., Scand. J. Stat. 39 (2012) 798; Owen and Zhou, J. Am. Stat. Assoc. 95 (2000)
+# 135). Points are a scrambled Sobol sequence of a fixed seed: the same data give the same
+# answer.
+
+FIRST = 256
+LATER = 128
+ENOUGH = 150.0
+"""Independent draws that the points must be worth; posterior means are then known to a tenth of the posterior's own spread."""
+LEAST_ROUNDS, MOST_ROUNDS = 2, 30
+_DOF = 5
+_LEAST_POINTS = 25.0  # that a distribution is fitted to; with fewer effective ones the likelihood is flattened first
+_EDGE = 1e-7
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Points (n, d) of the unit cube, weights (n,) that sum to 1, and the logarithm of the likelihood's mean over the prior."""
+
+    points: FloatArray
+    weights: FloatArray
+    log_evidence: float
+
+    @property
+    def effective(self) -> float:
+        """Independent draws from the posterior that the points are worth."""
+        return float(1.0 / np.sum(self.weights**2))
+
+
+def sample(log_likelihood: Callable[[FloatArray], FloatArray], dimensions: int) -> Weighted:
+    """Points that stand for the posterior under a uniform prior; ``log_likelihood`` takes points (n, d) and gives (n,)."""
+    rows, found, log_weights = np.zeros((0, dimensions)), np.zeros(0), np.zeros(0)
+    sources: list[_Source] = []
+    densities = np.zeros((0, 0))  # of every point, from every source
+    for number in range(MOST_ROUNDS):
+        z = _deviates(dimensions, number)
+        source = _Source(len(z))
+        if number > 0:
+            mean, covariance = _moments(rows, log_weights)
+            source = _Source(len(z), mean, np.asarray(np.linalg.cholesky(covariance), dtype=float))
+            z = mean + z @ source.root.T
+        z = np.clip(z, logit(_EDGE), -logit(_EDGE))
+        sources.append(source)
+        of_new = np.column_stack([each.log_density(z) for each in sources])
+        densities = np.vstack([np.column_stack([densities, source.log_density(rows)]), of_new])
+        rows, found = np.vstack([rows, z]), np.concatenate([found, log_likelihood(expit(z))])
+        prior = densities[:, 0] - np.log(FIRST)
+        log_weights = found + prior - (np.logaddexp.reduce(densities, axis=1) - np.log(len(rows)))
+        total = np.logaddexp.reduce(log_weights)
+        answer = Weighted(
+            expit(rows), np.exp(log_weights - total), float(total - np.log(len(rows)))
+        )
+        if number >= LEAST_ROUNDS and answer.effective >= ENOUGH:
+            break
+    return answer
+
+
+@lru_cache(2 * MOST_ROUNDS)
+def _deviates(dimensions: int, number: int) -> FloatArray:
+    """What a round's points are made of, the same whatever the data: logits of uniform points (FIRST, d) in the first, then
+    Student deviates (LATER, d)."""
+    from scipy.stats import qmc
+
+    u = qmc.Sobol(dimensions + 1, seed=number).random(FIRST if number == 0 else LATER)
+    u = np.clip(u, _EDGE, 1.0 - _EDGE)
+    if number == 0:
+        out = logit(u[:, :dimensions])
+    else:
+        chi = chi2_quantile(u[:, dimensions], _DOF) / _DOF
+        out = normal_quantile(u[:, :dimensions]) / np.sqrt(chi)[:, None]
+    out.flags.writeable = False
+    return np.asarray(out)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What ``count`` points were drawn from, in logits: a Student distribution of _DOF degrees of freedom about ``mean`` (d,)
+    whose shape has the Cholesky factor ``root`` (d, d); without them the prior, uniform points."""
+
+    count: int
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    root: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """(n,) at points (n, d), times the points drawn."""
+        if not self.mean.size:
+            return np.log(self.count) + np.sum(-z - 2.0 * np.log1p(np.exp(-z)), axis=1)
+        d = len(self.mean)
+        away = solve_triangular(self.root, (z - self.mean).T, lower=True)
+        size = gammaln(0.5 * (_DOF + d)) - gammaln(0.5 * _DOF) - 0.5 * d * np.log(_DOF * np.pi)
+        size += np.log(self.count) - np.sum(np.log(np.diag(self.root)))
+        return np.asarray(size - 0.5 * (_DOF + d) * np.log1p(np.sum(away**2, axis=0) / _DOF))
+
+
+def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (d,) and inflated covariance (d, d) of weighted points; a likelihood too sharp for the points so far is flattened."""
+    power = 1.0
+    while True:
+        weights = np.exp(power * (log_weights - log_weights.max()))
+        weights /= weights.sum()
+        if 1.0 / np.sum(weights**2) >= _LEAST_POINTS or power < 1e-3:
+            break
+        power *= 0.7
+    mean = weights @ z
+    spread = (z - mean).T @ ((z - mean) * weights[:, None])
+    return mean, 1.3 * spread + 1e-9 * np.eye(z.shape[1])
+
 
 TIMES_S = np.geomspace(0.08, 4.0, 12)
 """Correlation times of the transient part: above them it is constant through a block, below them the filter takes it away."""
@@ -416,3 +658,89 @@ def _tail(problem: _Problem, p: _Points) -> float:
         return 1.0
     limit = float(brentq(lambda limit: outside(limit) - 0.05, 0.0, 20.0 * root, xtol=1e-12 * root))
     return max(1.0, limit / (root * float(normal_quantile(0.975))))
+
+
+# How fast the model's error wanders within its interval (dissertation eqs 3.37, 3.38, Fig 3.3).
+#
+# Low-pass dC(t), difference it, divide by the interval's width, fit a normal. Carried as a rate
+# in 1/sqrt(s): a random walk with sigma = rate sqrt(dt) a step has the same variance per second
+# at any step.
+#
+# A low-passed signal is smooth: over short steps its changes grow like the step, not like its
+# root, so a rate depends on the step it was taken over. The step here is always 0.02 s (the
+# published record's presumed 50 Hz), whatever rate was recorded; `lagged` shows what other
+# steps would have given.
+
+STEP_S = 0.02
+WALK_CUTOFF_HZ = 0.5
+LAGS_S = (0.02, 0.1, 0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Variation:
+    """increments (n,) of level over STEP_S; mean, sigma of the normal fitted to them; rate = sigma/sqrt(STEP_S) [1/sqrt(s)].
+
+    NaN throughout when no piece is longer than the low-pass. lagged: lag [s] -> rms change/sqrt(lag).
+    """
+
+    increments: FloatArray
+    mean: float
+    sigma: float
+    rate: float
+    lagged: dict[float, float]
+
+
+def variation(
+    residuals: Residuals,
+    coefficient: str,
+    bounds: CoefficientBounds,
+    cutoff_hz: float = WALK_CUTOFF_HZ,
+    outside: Outside = "grow",
+) -> Variation:
+    """Of one coefficient over all pieces of its flights."""
+    levels = _levels(residuals, coefficient, bounds, cutoff_hz, outside)
+    steps = _changes(levels, STEP_S)
+    if len(steps) < 2:
+        nan = float("nan")
+        return Variation(np.zeros(0), nan, nan, nan, dict.fromkeys(LAGS_S, nan))
+    mean, sigma = float(steps.mean()), float(steps.std())  # the maximum-likelihood normal
+    lagged = {}
+    for lag in LAGS_S:
+        changes = _changes(levels, lag)
+        lagged[lag] = (
+            float(np.sqrt(np.mean(changes**2) / lag)) if len(changes) > 1 else float("nan")
+        )
+    return Variation(steps, mean, sigma, sigma / np.sqrt(STEP_S), lagged)
+
+
+def _levels(
+    residuals: Residuals,
+    coefficient: str,
+    bounds: CoefficientBounds,
+    cutoff_hz: float,
+    outside: Outside,
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Per piece: time, low-passed dC, width of the interval."""
+    out = []
+    for piece, y in zip(residuals.pieces, residuals.columns(coefficient), strict=True):
+        dt_s = float(piece.time_s[-1] - piece.time_s[0]) / (len(piece) - 1)
+        m = half_width(dt_s, cutoff_hz)
+        if len(y) < 2 * m + 3:
+            continue
+        inner = slice(m, len(y) - m)
+        lower, upper = bounds.bounds(piece.states, outside=outside)
+        out.append((piece.time_s[inner], smooth(y, dt_s, cutoff_hz)[inner], (upper - lower)[inner]))
+    return out
+
+
+def _changes(
+    levels: Sequence[tuple[FloatArray, FloatArray, FloatArray]], step_s: float
+) -> FloatArray:
+    """(n,) changes of level over ``step_s``, starting step_s apart at most, by straight lines between samples."""
+    found = [np.zeros(0)]
+    for time, y, width in levels:
+        start = np.arange(time[0], time[-1] - step_s + 1e-9, min(step_s, STEP_S))
+        if len(start) and np.all(width > 0.0):
+            change = np.interp(start + step_s, time, y) - np.interp(start, time, y)  # (3.37)
+            found.append(change / np.interp(start + 0.5 * step_s, time, width))
+    return np.concatenate(found)

@@ -16,25 +16,110 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
 
 from sysid.aerodynamics import (
     COEFFICIENTS,
+    ResidualPiece,
     Residuals,
     Term,
+    autocorrelation,
+    cosine_variance,
     full_polynomial,
     noise_variance,
     regressors,
     stack,
     term_name,
 )
+from sysid.aerodynamics.terms import STATES
 from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.estimation import effective_samples
 from sysid.estimation.stepwise import stepwise
-from sysid.model_form.blocks import blocks_of, stretches
-from sysid.model_form.components import STRONG, Components, Separation, separate
+from sysid.model_form.components import (
+    STRONG,
+    Components,
+    Separation,
+    blocks_of,
+    separate,
+    stretches,
+)
 from sysid.model_form.model_form import CoefficientBounds, Hull, Parts
-from sysid.model_form.regressor_states import quiet
+
+# States that a residual is regressed on, freed of sensor noise as far as their spectra tell.
+#
+# Noise of a channel is in a state and in the residual alike: left in the regressors, a
+# regression would take one for a function of the other. In bands of frequency whose power does
+# not rise above what the known noise alone gives, nothing is kept; in the others the share that
+# is signal (Wiener, "Extrapolation, Interpolation and Smoothing of Stationary Time Series"
+# (1949); regression calibration: Carroll et al., "Measurement Error in Nonlinear Models"
+# (2006), ch. 4). A piece's mean is kept as it is.
+
+_BANDS_HZ = np.geomspace(0.1, 25.0, 20)
+_SURE = 2.0
+"""Standard deviations of a band's noise power by which its power must exceed it to be signal."""
+
+
+def quiet(residuals: Residuals) -> Residuals:
+    """The residuals with states freed of noise; as they are where a piece does not know its noise."""
+    if any(p.noise is None for p in residuals.pieces):
+        return residuals
+    clean = quiet_states(residuals.pieces, residuals.dt_s)
+    pieces = tuple(
+        replace(p, states=states) for p, states in zip(residuals.pieces, clean, strict=True)
+    )
+    return replace(residuals, pieces=pieces)
+
+
+def quiet_states(pieces: Sequence[ResidualPiece], dt_s: float) -> list[dict[str, FloatArray]]:
+    """Per piece state -> (n,) without the noise that `ResidualPiece.noise` tells of; other states as they are."""
+    out = [dict(p.states) for p in pieces]
+    for name in out[0]:
+        if any(p.noise is None or name not in p.noise.states for p in pieces):
+            continue
+        for states, clean in zip(out, _quiet(pieces, name, dt_s), strict=True):
+            states[name] = clean
+    return out
+
+
+def _quiet(pieces: Sequence[ResidualPiece], name: str, dt_s: float) -> list[FloatArray]:
+    waves, noise, bands = [], [], []
+    for piece in pieces:
+        assert piece.noise is not None
+        std, weights = piece.noise.states[name]
+        n = len(piece)
+        waves.append(fft.dct(piece.states[name], norm="ortho"))
+        noise.append(std**2 * cosine_variance(n, autocorrelation(weights)))
+        bands.append(np.digitize(np.arange(n) / (2.0 * n * dt_s), _BANDS_HZ))
+    share = _signal(
+        np.concatenate([w[1:] ** 2 for w in waves]),
+        np.concatenate([v[1:] for v in noise]),
+        np.concatenate([b[1:] for b in bands]),
+    )
+    return [
+        fft.idct(np.concatenate([w[:1], w[1:] * share[b[1:]]]), norm="ortho")
+        for w, b in zip(waves, bands, strict=True)
+    ]
+
+
+def _signal(power: FloatArray, noise: FloatArray, band: NDArray[np.intp]) -> FloatArray:
+    """Share of signal in each band: none where noise alone explains the power.
+
+    Each band for itself: a band of few waves may show nothing below others that hold the whole motion.
+    """
+    share = np.zeros(len(_BANDS_HZ) + 1)
+    for k in range(len(share)):
+        of_band = band == k
+        count = int(of_band.sum())
+        if not count:
+            share[k] = share[k - 1] if k else 1.0
+            continue
+        ratio = float(np.mean(power[of_band]) / np.mean(noise[of_band]))
+        if ratio >= 1.0 + _SURE * np.sqrt(2.0 / count):
+            share[k] = 1.0 - 1.0 / ratio
+    return share
+
 
 LONGITUDINAL = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 LATERAL = ("V_mps", "beta_rad", "p_radps", "r_radps")
@@ -383,3 +468,145 @@ def with_walk_rates(
         c: f.bounds if f.bounds.parts else replace(f.bounds, walk_rate=rates[c])
         for c, f in fitted.items()
     }
+
+
+# Noise added once more, to see by experiment what a figure owes to it.
+
+NOISY = (
+    "V_mps",
+    "alpha_rad",
+    "beta_rad",
+    "phi_rad",
+    "theta_rad",
+    "p_radps",
+    "q_radps",
+    "r_radps",
+    "ax_mps2",
+    "ay_mps2",
+    "az_mps2",
+)
+
+
+def with_noise(
+    channels: Mapping[str, FloatArray], noise_std: Mapping[str, float], rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """The channels (n,) with white noise of ``noise_std`` (channel -> std) added; those without a finite figure as they are."""
+    return {
+        c: v + noise_std[c] * rng.standard_normal(len(v))
+        if np.isfinite(noise_std.get(c, np.nan))
+        else v
+        for c, v in channels.items()
+    }
+
+
+def floor_of(changes: Sequence[FloatArray]) -> FloatArray:
+    """(k,) rms of what added noise changed in k quantities: the mean over experiments of (n, k) each."""
+    return np.asarray(np.sqrt(sum(np.mean(change**2, axis=0) for change in changes) / len(changes)))
+
+
+# Terms that an interval's polynomial lacks: what scatters about it and is not noise, by name.
+#
+# More data of the same kind leave such scatter where it is. Candidates are all products up to
+# second order of the states that the flights have, surfaces and throttle among them, that are
+# not in the polynomial already; a stepwise choice that allows for coloured residuals
+# (selection.py) says which belong there.
+
+_MISSING_TERMS_STILL = 1e-3  # part of the largest state's deviation over its mean size below which a state did not move
+MOST = 4
+LEAST_SHARE = 0.05
+"""Of the scatter's variance; a chosen term that takes less is not worth a word."""
+
+
+@dataclass(frozen=True)
+class MissingTerm:
+    """``name`` as polynomial.py writes it; ``share`` of the scatter's variance that it takes away, after those before it."""
+
+    name: str
+    states: tuple[str, ...]
+    share: float
+
+
+def missing_terms(
+    residuals: Residuals, coefficient: str, bounds: CoefficientBounds, most: int = MOST
+) -> list[MissingTerm]:
+    """Terms that flights show to be missing, the most telling first; empty when what is left is noise.
+
+    residuals: of the flights behind the bounds. Raises ValueError if they lack a state of the bounds.
+    """
+    there = residuals.states
+    lacking = [s for s in bounds.states if s not in there]
+    if lacking:
+        raise ValueError(
+            f"these flights have no {', '.join(lacking)} throughout; they have {', '.join(there)}"
+        )
+    moving = tuple(s for s in STATES if s in there and (s in bounds.states or _moves(there[s])))
+    X = regressors((stack(there, bounds.states) - bounds.centre) / bounds.scale, bounds.terms)
+    y = np.concatenate(residuals.columns(coefficient))
+    inside = {term_name(t, bounds.states) for t in bounds.terms}
+    values = stack(there, moving)
+    z = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-300)
+    terms = [
+        t
+        for t in full_polynomial(len(moving), 2)
+        if any(t) and not _among(t, moving, bounds, inside)
+    ]
+    candidates = regressors(z, terms)
+    basis = np.linalg.qr(X)[0]
+    apart = [k for k in range(len(terms)) if _apart(candidates[:, k], basis)]
+    both = np.column_stack([X, candidates[:, apart]])
+    kept = list(range(X.shape[1]))
+    chosen = stepwise(both, y, keep=kept, segments=residuals.lengths, max_terms=len(kept) + most)
+    new = [k for k in chosen.selected if k >= X.shape[1]]
+    found = _ordered(both, y, kept, new, [terms[k] for k in apart], moving)
+    return [term for term in found if term.share >= LEAST_SHARE]
+
+
+def _among(
+    term: Sequence[int], moving: Sequence[str], bounds: CoefficientBounds, inside: set[str]
+) -> bool:
+    powers = {s: n for s, n in zip(moving, term, strict=True) if n}
+    if not set(powers) <= set(bounds.states):
+        return False
+    return term_name(tuple(powers.get(s, 0) for s in bounds.states), bounds.states) in inside
+
+
+def _moves(values: FloatArray) -> bool:
+    return float(values.std()) > _MISSING_TERMS_STILL * max(float(np.abs(values).max()), 1e-9)
+
+
+def _apart(column: FloatArray, basis: FloatArray) -> bool:
+    rest = column - basis @ (basis.T @ column)
+    return bool(np.linalg.norm(rest) > 1e-3 * np.linalg.norm(column))
+
+
+def _ordered(
+    both: FloatArray,
+    y: FloatArray,
+    kept: Sequence[int],
+    new: Sequence[int],
+    terms: Sequence[tuple[int, ...]],
+    moving: tuple[str, ...],
+) -> list[MissingTerm]:
+    """The chosen terms, each time the one that takes most of what scatters."""
+    out: list[MissingTerm] = []
+    inside, left = list(kept), list(new)
+    total = now = _rest(both[:, inside], y)
+    while left:
+        best = min(left, key=lambda k: _rest(both[:, [*inside, k]], y))
+        then = _rest(both[:, [*inside, best]], y)
+        term = terms[best - len(kept)]
+        states = tuple(s for s, n in zip(moving, term, strict=True) if n)
+        out.append(
+            MissingTerm(
+                term_name(term, moving), states, (now - then) / total if total > 0.0 else 0.0
+            )
+        )
+        inside.append(best)
+        left.remove(best)
+        now = then
+    return out
+
+
+def _rest(X: FloatArray, y: FloatArray) -> float:
+    e = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+    return float(e @ e)

@@ -19,7 +19,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
     "distributed": ("uqharness/campaign/execution/",),
-    "tomllib": ("sysid/foreign/parsed_text.py",),
+    "tomllib": ("sysid/foreign/regular_files.py",),
     "multiprocessing": (
         "uqharness/parallel.py",
         "uqharness/isolation.py",  # the one process that an aircraft may end
@@ -37,10 +37,10 @@ DOORS: Mapping[str, tuple[str, ...]] = {
     ),
     "hashlib": (
         "sysid/digests.py",
-        "sysid/foreign/data_file.py",  # raw bytes inside a file format
-        "uqharness/simulator/aircraft_files.py",  # an identity of many files in order
+        "sysid/foreign/typed_files.py",  # raw bytes inside a file format
+        "uqharness/simulator/staging.py",  # an identity of many files in order
         "uqharness/flight/seeds.py",  # a number from a name
-        "uqharness/campaign/folder/digests.py",  # a chain of rows
+        "uqharness/campaign/folder/manifest.py",  # a chain of rows
     ),
 }
 NEVER = ("pickle", "shelve", "marshal", "dill", "cloudpickle", "joblib")
@@ -53,10 +53,10 @@ XML_TEXT = (
     "uqharness/plugin/",
     "uqharness/report/",
     # Run scripts, which are XML from their first line to their last.
-    "uqharness/next_flight/script.py",
-    "uqharness/simulator/manoeuvre_script.py",
+    "uqharness/next_flight/points.py",
     "uqharness/simulator/own_mission.py",
-    "uqharness/simulator/steady_start.py",
+    "uqharness/simulator/own_mission.py",
+    "uqharness/simulator/own_mission.py",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/writing/",
     # Messages say what is not understood.
@@ -64,7 +64,7 @@ XML_TEXT = (
     # HTML, whose tables have the name of JSBSim's.
     "sysid/notebook_view.py",
     # A message shows what to write.
-    "uqharness/campaign/aircraft.py",
+    "uqharness/campaign/engines.py",
     "uqharness/flight/fly.py",
     "uqharness/simulator/engine.py",
     "uqharness/simulator/mission.py",

@@ -10,8 +10,8 @@ import pytest
 from campaigns.excursions.full_size import plan as stand_ins
 from campaigns.full_size.folder import cell_table, lines
 from campaigns.full_size.plan import COPY, Plan
-from uqharness.campaign.aircraft import bounds_notes, named_aircraft
-from uqharness.campaign.inputs import read_bounds
+from uqharness.campaign.engines import bounds_notes, named_aircraft
+from uqharness.campaign.spec.campaign import read_bounds
 from uqharness.simulator import content_hash, find_aircraft
 
 full_size = importlib.import_module("campaigns.excursions-from-flights.full_size")

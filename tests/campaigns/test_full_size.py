@@ -16,10 +16,10 @@ from campaigns.full_size.plan import Plan
 from campaigns.full_size.sketch import FINE, METRICS, RESOLUTION, coded, decoded
 from campaigns.full_size.tables import cost_table
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.flying import JUDGE
 from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.execution.worker import JUDGE
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.flight.spec import FlightResult
 

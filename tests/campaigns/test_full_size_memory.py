@@ -12,8 +12,8 @@ from campaigns.excursions.full_size import HOME as EXCURSIONS
 from campaigns.excursions.full_size import plan as excursions
 from campaigns.full_size import memory
 from campaigns.full_size.folder import cell_table, lines
+from uqharness.files import PROJECT_ROOT
 from uqharness.parquet_files import parse_table
-from uqharness.project_files import PROJECT_ROOT
 
 
 def table_of(path):

@@ -109,7 +109,7 @@ def results() -> None:
     import tests.helpers.report_folders as folders
 
     folders.TIME = np.arange(0.0, 1.0, 0.02)
-    from sysid.foreign.data_file import dump
+    from sysid.foreign.typed_files import dump
     from tests.helpers.model_forms import made_up_form
     from uqharness.sensitivity.study import run_study, write_study
 
@@ -168,7 +168,7 @@ def _campaign(folder: Path) -> None:
     import tests.helpers.campaign_fakes as fakes
     from uqharness.campaign.execution.processes import SerialExecutor
     from uqharness.campaign.run import run_campaign
-    from uqharness.campaign.spec.read import read_campaign
+    from uqharness.campaign.spec.samples import read_campaign
 
     beside = folder.parent / "input"
     beside.mkdir()
@@ -240,7 +240,7 @@ def _wire(root: Path) -> None:
     """An order and an answer as they go over Dask's wire."""
     from tests.helpers.campaign_fakes import small_spec
     from uqharness.campaign.cases import build_cases
-    from uqharness.campaign.execution.dask_orders import (
+    from uqharness.campaign.execution.dask_task import (
         OWN_FLIGHT,
         Answer,
         Order,

@@ -24,8 +24,7 @@ from tests.helpers import batch_oracle as oracle
 from tests.helpers import batch_systems as systems
 from uqharness.batch.translate.channels import System
 from uqharness.batch.translate.frame import BEYOND
-from uqharness.batch.translate.functions import RULES
-from uqharness.batch.translate.rotations import ROTATIONS
+from uqharness.batch.translate.functions import ROTATIONS, RULES
 from uqharness.errors import BadInputError
 
 AGREED, ROUNDING, REFUSED, DEAD, DIFFERS = "agreed", "rounding", "refused", "dead", "differs"

@@ -39,8 +39,8 @@ def _read(place: Path, seed: int) -> None:
             find_aircraft,
             refuse_unknown_operations,
         )
-        from uqharness.simulator.aircraft_files import opened
         from uqharness.simulator.mission import read_script
+        from uqharness.simulator.staging import opened
 
         aircraft = find_aircraft(place / "dart")
         content_hash(aircraft)

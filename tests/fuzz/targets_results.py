@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.foreign.data_file import MAGIC
+from sysid.foreign.typed_files import MAGIC
 from tests.fuzz import damage_bytes
 from tests.fuzz.damage_tables import npz_damage, parquet_damage, sqlite_damage
 from tests.fuzz.damage_text import damaged_table
@@ -48,8 +48,7 @@ def _journal(place: Path, seed: int) -> None:
         return
 
     def outcomes() -> None:
-        from uqharness.campaign.folder.journal_recovery import JournalScan
-        from uqharness.campaign.folder.store import Store
+        from uqharness.campaign.folder.store import JournalScan, Store
 
         if seed % 4:
             list(JournalScan(place, place / "recovered").rows(["4c4000eebc386034"]))
@@ -84,7 +83,7 @@ def _npz(place: Path, seed: int) -> None:
 
 
 def _stage(place: Path, seed: int) -> None:
-    from sysid.foreign.data_file import DataFileError, load
+    from sysid.foreign.typed_files import DataFileError, load
 
     try:
         load((place / "stage.data").read_bytes())
@@ -95,7 +94,7 @@ def _stage(place: Path, seed: int) -> None:
 
 def _order(place: Path, seed: int) -> None:
     """What comes over Dask's wire: orders to a worker and its answers. Nothing is flown."""
-    from uqharness.campaign.execution.dask_orders import answer_from, order_from
+    from uqharness.campaign.execution.dask_task import answer_from, order_from
 
     text = (place / "order.json").read_text(encoding="utf-8", errors="replace")
     try:
@@ -111,7 +110,7 @@ _CAMPAIGNS = (folder("results/campaign"), folder("../../format_1/results"))
 def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
     """Every other time the manifest's digests are made to fit, so that what lies behind them is reached."""
     from sysid.digests import sha256_hex
-    from uqharness.campaign.folder.digests import digest_of_text
+    from uqharness.campaign.folder.manifest import digest_of_text
 
     try:
         manifest = json.loads(files["manifest.json"])

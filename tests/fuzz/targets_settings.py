@@ -31,7 +31,7 @@ def _card(place: Path, seed: int) -> None:
 
 
 def _effects(place: Path, seed: int) -> None:
-    from sysid.effects.file import read_effects
+    from sysid.effects.catalogue import read_effects
 
     call(read_effects, place / "effects.toml")
 
@@ -42,8 +42,7 @@ def _campaign(place: Path, seed: int) -> None:
     def plan() -> None:
         from uqharness.campaign.cost import epistemic_count, size_of
         from uqharness.campaign.rounds import rule_of
-        from uqharness.campaign.spec.read import read_campaign
-        from uqharness.campaign.spec.samples import epistemic_samples
+        from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
 
         spec = read_campaign(place / "campaign.toml")
         rule_of(spec.as_dict(), 4)

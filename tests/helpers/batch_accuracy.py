@@ -9,9 +9,8 @@ from functools import cache
 import mpmath as mp
 import numpy as np
 
-from uqharness.batch.form.ir import Builder, Function, evaluate
+from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.semantics import TRANSCENDENTAL
 
 Points = tuple[np.ndarray, ...]
 

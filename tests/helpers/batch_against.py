@@ -14,8 +14,8 @@ import numpy as np
 from tests.helpers import batch_oracle as oracle
 from uqharness.batch.form.ir import Builder, Function, evaluate
 from uqharness.batch.form.maths import lower
+from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import function_value
-from uqharness.batch.translate.scope import Scope
 from uqharness.xml.document import parse_document
 
 A, B, C, F = "<p>i/a</p>", "<p>i/b</p>", "<p>i/c</p>", "<p>i/f</p>"

@@ -6,9 +6,8 @@ import hashlib
 
 import numpy as np
 
-from uqharness.batch.form.ir import Builder, Function
+from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.semantics import TRANSCENDENTAL
 
 
 def function() -> Function:

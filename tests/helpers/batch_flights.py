@@ -13,11 +13,10 @@ import pytest
 
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
-from uqharness.batch.form.flying import Feed, begun, slot
-from uqharness.batch.form.program import Program, Stream
+from uqharness.batch.form.program import Feed, Program, Stream, begun, slot
 from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.lanes.streams import Turbulence
-from uqharness.batch.models.start import CONDITIONS, start_state
+from uqharness.batch.models.motion import CONDITIONS, start_state
 from uqharness.batch.models.winds import NORMALS
 from uqharness.batch.translate.frame import Values
 from uqharness.batch.translate.sources import Sources, read_sources

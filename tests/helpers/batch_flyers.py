@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from uqharness.batch.form.flying import Flyer
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.program import Program
+from uqharness.batch.form.program import Flyer, Program
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.target import chosen_target
+from uqharness.batch.machine.llvm import chosen_target
 
 MANY = 100
 """From so many frames on it takes less time to compile a whole aircraft than to fly it by numpy."""

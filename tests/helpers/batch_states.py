@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.helpers.batch_flights import START, aircraft, apart, craft, flown, translated
-from uqharness.batch.form.flying import Feed
+from uqharness.batch.form.program import Feed
 from uqharness.batch.models.motion import WEIGHTS_PARTS, slots
 from uqharness.simulator import engine
 

@@ -15,13 +15,10 @@ import numpy as np
 
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Pair, flown_once, values_of
-from uqharness.batch.form.flying import Feed, begun
 from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import Stream
+from uqharness.batch.form.program import Feed, Stream, begun
 from uqharness.batch.translate.channels import System, Systems
-from uqharness.batch.translate.controls import CHANNEL_STEP
-from uqharness.batch.translate.frame import Frame
-from uqharness.batch.translate.scope import canonical
+from uqharness.batch.translate.frame import CHANNEL_STEP, Frame, canonical
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, Staging, engine, staged
 from uqharness.simulator.staging import copied

@@ -13,9 +13,8 @@ import pytest
 
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_flyers import flyer_of
-from uqharness.batch.form.flying import Feed, begun, slot
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.program import Program, Stream
+from uqharness.batch.form.program import Feed, Program, Stream, begun, slot
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import STEP, Frame, Values
 from uqharness.errors import BadInputError

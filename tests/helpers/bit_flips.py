@@ -277,7 +277,7 @@ def copied(folder: Folder, place: Path) -> Path:
 @contextlib.contextmanager
 def harmless() -> Iterator[None]:
     """Flights and check flights that cost nothing, and tables that are made once from the same flights."""
-    import uqharness.campaign.folder.seal as seal
+    import uqharness.campaign.folder.shards as seal
     import uqharness.campaign.run as campaign
     import uqharness.flight.fly as flight
 

@@ -73,7 +73,7 @@ def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
 
 def small_spec(folder: Path, flights: int = 3, **changes: object) -> CampaignSpec:
     """CAMPAIGN with other numbers."""
-    from uqharness.campaign.spec.read import read_campaign
+    from uqharness.campaign.spec.samples import read_campaign
 
     spec = read_campaign(campaign_file(folder))
     return replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": flights, **changes}))
@@ -216,7 +216,7 @@ def dask_cluster(workers: int = 2) -> Iterator[Any]:
     import pytest
     from distributed import LocalCluster
 
-    from uqharness.campaign.execution.dask_orders import MODULES_VARIABLE
+    from uqharness.campaign.execution.dask_task import MODULES_VARIABLE
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes")

@@ -42,11 +42,15 @@ from markdown_it import MarkdownIt
 from pydantic import ValidationError
 
 from tests.helpers.places import ROOT
-from uqharness.campaign.spec.campaign import AleatorySection, CampaignSection, MetricsSection
-from uqharness.campaign.spec.epistemic import EpistemicSection
-from uqharness.campaign.spec.stop import StopSection
+from uqharness.campaign.spec.campaign import (
+    AleatorySection,
+    CampaignSection,
+    EpistemicSection,
+    MetricsSection,
+    StopSection,
+)
 from uqharness.cli import main as cli
-from uqharness.simulator.start import StartSection
+from uqharness.simulator.own_mission import StartSection
 
 PROGRAMS = {"uqharness", "make", "python", "jsbsim", "pip", "dask", "cd", "mkdir", "cp"}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")

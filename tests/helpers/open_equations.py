@@ -1,6 +1,6 @@
 """A rigid aeroplane's equations in the open, linear in its coefficient terms, to check linearised flights against.
 
-States V alpha beta p q r phi theta and the gusts' five (`sysid.aerodynamics.gust_states`); inputs de da dr [deg], other
+States V alpha beta p q r phi theta and the gusts' five (`sysid.aerodynamics.air_motion`); inputs de da dr [deg], other
 forces [N] and moments
 [N m] (thrust), air density, and what the model's coefficients hold besides the terms. Written with elementwise
 operations, so that many parameter sets run side by side.
@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.aerodynamics.flight_equations import flow_rates, sines
-from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
 STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "phi_rad", "theta_rad")
-"""Measured states; the five of `sysid.aerodynamics.gust_states` follow them in x."""
+"""Measured states; the five of `sysid.aerodynamics.air_motion` follow them in x."""
 OUTPUTS = (
     "V_mps",
     "alpha_rad",

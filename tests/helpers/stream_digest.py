@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from uqharness.batch.lanes.jsbsim_random import JsbsimNormals
+from uqharness.batch.lanes.streams import JsbsimNormals
 from uqharness.flight.dryden import DrydenGusts, dryden_parameters
-from uqharness.flight.levels import Levels
 from uqharness.flight.normals import Normals
 from uqharness.flight.scoring import Recorded, score_from_start
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver
+from uqharness.flight.stepping import Levels
 
 
 def digest() -> str:

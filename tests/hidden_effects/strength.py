@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.estimation.coloured import coloured_information
+from sysid.estimation.coloured_residuals import coloured_information
 from tests.helpers.sixdof import TABLE_2_6
 from tests.hidden_effects.effects import PLACES, Effect
 from tests.hidden_effects.flights import NOISE, Flight, Flown, sensed, substeps

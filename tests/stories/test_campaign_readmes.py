@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 import tomlkit
 
-from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.tables import CASES
 from uqharness.cli.main import build_parser, main
 from uqharness.simulator.aircraft import PROJECT_ROOT
 

@@ -19,11 +19,10 @@ from tests.helpers.engine_fakes import batch_alike
 from tests.helpers.places import ROOT
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.case_table import CASES
-from uqharness.campaign.folder.engine_file import WHOLE, read_check
 from uqharness.campaign.folder.store import Store
+from uqharness.campaign.folder.tables import CASES, WHOLE, read_check
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.errors import BadInputError
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")

@@ -12,7 +12,7 @@ import pytest
 
 from tests.fuzz.formats import CORPUS
 from tests.helpers import bit_flips
-from uqharness.campaign.folder.files import record_table
+from uqharness.campaign.folder.tables import record_table
 from uqharness.campaign.folder.verify import verify
 from uqharness.checksums import SUMS, enter, faults, read_sums, take_away, write_sums
 from uqharness.errors import BadInputError

@@ -22,26 +22,24 @@ from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
 from tests.helpers import batch_systems
-from uqharness.campaign.area import read_flights
-from uqharness.campaign.execution.dask_orders import order_from
-from uqharness.campaign.folder.journal_recovery import JournalScan
-from uqharness.campaign.folder.status import read_status
-from uqharness.campaign.folder.store import Store
+from uqharness.campaign.convergence import read_flights
+from uqharness.campaign.execution.dask_task import order_from
+from uqharness.campaign.folder.shards import read_status
+from uqharness.campaign.folder.store import JournalScan, Store
 from uqharness.campaign.folder.verify import look_at_journal
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table, table_bytes
-from uqharness.plugin.folder import undo
-from uqharness.plugin.record import FILE_NAME
+from uqharness.plugin.apply import undo
+from uqharness.plugin.instrument import FILE_NAME
 from uqharness.report.svg import Scale
-from uqharness.settings import is_number
 from uqharness.simulator.aircraft import find_aircraft, parse_xml
-from uqharness.simulator.aircraft_files import opened
 from uqharness.simulator.mission import read_script
+from uqharness.simulator.staging import opened
 from uqharness.study.spec import read_chain
 from uqharness.text_tables import csv_text
-from uqharness.toml import dotted
+from uqharness.toml import dotted, is_number
 
 DIGITS = "9" * 5000
 DEEP = "[" * 5000 + "]" * 5000

@@ -16,10 +16,9 @@ from uqharness.child_process import child_environment
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import content_hash, find_aircraft, open_aircraft
-from uqharness.simulator.aircraft_files import copy_beside, copy_folder
 from uqharness.simulator.gate import DEEPEST, passed
 from uqharness.simulator.mission import StagedMission
-from uqharness.simulator.staging import staged
+from uqharness.simulator.staging import copy_beside, copy_folder, staged
 
 SCRIPT = """<?xml version="1.0"?>
 <runscript name="s">

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pymavlink.mavutil import mode_mapping_apm
 
-from sysid.flight_modes import MODE_NUMBERS, PLANE_MODES
+from sysid.vocabulary import MODE_NUMBERS, PLANE_MODES
 
 
 def test_numbers_are_those_of_pymavlink():

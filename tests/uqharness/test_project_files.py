@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.project_files import PROJECT_ROOT, find_campaign
+from uqharness.files import PROJECT_ROOT, find_campaign
 
 
 def test_campaigns_are_found_by_name_and_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

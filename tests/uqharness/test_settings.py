@@ -8,7 +8,7 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from uqharness.settings import Number, Section, is_number, listed, tupled
+from uqharness.toml import Number, Section, is_number, listed, tupled
 
 
 class Wing(Section):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.foreign.parsed_text import parse_toml
+from sysid.foreign.regular_files import parse_toml
 from uqharness.errors import BadInputError
 from uqharness.toml import as_toml, dotted, line_of, read_toml
 

@@ -33,9 +33,9 @@ from uqharness.identification import (
     parse_designs,
     validate,
 )
+from uqharness.identification import bounds as bounding
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
-from uqharness.identification import model_form as bounding
 from uqharness.isolation import isolated
 from uqharness.replay import flights as replayed
 from uqharness.replay import recut

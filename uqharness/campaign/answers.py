@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.units import counted, percent
-from uqharness.campaign.folder.files import is_sealed, read_checked, read_decisions
+from uqharness.campaign.folder.tables import is_sealed, read_checked, read_decisions
 from uqharness.campaign.rounds import ALL_CORNERS
 from uqharness.campaign.statements import STATEMENTS
 from uqharness.text_tables import csv_rows

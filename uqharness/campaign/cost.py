@@ -10,9 +10,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
-from uqharness.campaign.execution.flying import BATCH, JSBSIM
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.epistemic import SAMPLED
+from uqharness.campaign.execution.worker import BATCH, JSBSIM
+from uqharness.campaign.spec.campaign import SAMPLED, CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec
 

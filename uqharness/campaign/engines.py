@@ -4,23 +4,231 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+import itertools
+import math
+import os
+import shutil
+import tempfile
+import time
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.aircraft import make_copy, needs_copy
-from uqharness.campaign.cases import Mission
-from uqharness.campaign.cost import one_case_each
-from uqharness.campaign.execution.flying import BATCH, JSBSIM, Batch, OwnBatch, fly_group
-from uqharness.campaign.execution.worker import FlightFunction, GroupFunction, OneByOne
+import numpy as np
+
+from sysid.digests import sha256_hex
+from uqharness.campaign.cases import Case, Mission
+from uqharness.campaign.conditions import Condition
+from uqharness.campaign.cost import Pace, one_case_each, trial_conditions
+from uqharness.campaign.execution.processes import ProcessExecutor
+from uqharness.campaign.execution.worker import (
+    BATCH,
+    JSBSIM,
+    JUDGE,
+    NEAREST,
+    ONE_ULP_OFF,
+    Batch,
+    CaseOutcome,
+    FlightFunction,
+    Group,
+    GroupFunction,
+    OneByOne,
+    OwnBatch,
+    fly_group,
+)
 from uqharness.campaign.folder.manifest import MANIFEST, read_manifest
 from uqharness.campaign.folder.shards import SHARDS, shard_folders
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.errors import BadInputError
+from uqharness.campaign.folder.tables import (
+    ENGINE_CHECK,
+    START,
+    STATUS,
+    WHOLE,
+    CheckRow,
+    as_number,
+    as_text,
+    read_check,
+    write_check,
+)
+from uqharness.campaign.spec.campaign import CampaignSpec, read_bounds
+from uqharness.errors import BadInputError, EnginesDifferError
+from uqharness.files import inner_folder
 from uqharness.flight import FlightSpec
+from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import SCRIPT
+from uqharness.simulator import (
+    SCRIPT,
+    Aircraft,
+    content_hash,
+    copy_beside,
+    copy_folder,
+    engine,
+    find_aircraft,
+    parse_xml,
+    read_xml,
+    walk,
+    write_steady_start,
+)
+
+# The aircraft of a campaign where it is not the author's own files: with bounds from a model
+# form, with a trimmed start, or both.
+#
+# Such an aircraft is a copy in the campaign's folder, so that what was flown stays with what
+# came out.
+
+SYSTEM = "model-form"
+_COPIED = "aircraft"
+_UNFINISHED = ".aircraft-"
+_SENSOR = b"sensor/V-mps"
+"""Property by which a sensors system is recognised."""
+_ACTIVE = b"uq/active"  # the switch of the plugin's deltas
+
+
+def needs_copy(spec: CampaignSpec) -> bool:
+    """Whether the campaign flies a copy of the aircraft."""
+    return spec.inputs.model_form is not None or spec.start is not None
+
+
+def named_aircraft(spec: CampaignSpec) -> Aircraft:
+    """The aircraft that the campaign names: beside its own file, else as ``uqharness fly`` finds it. Raises BadInputError."""
+    named = spec.path.resolve().parent / spec.campaign.aircraft
+    return find_aircraft(named if named.is_dir() else spec.campaign.aircraft)
+
+
+def has_sensors(aircraft: Aircraft) -> bool:
+    """Whether the aircraft's files have a sensors system, whose output the noise of the sensors is added to."""
+    paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
+    return any(_SENSOR in path.read_bytes() for path in paths)
+
+
+def require_plugin(spec: CampaignSpec, aircraft: Aircraft) -> None:
+    """Raise BadInputError where the campaign moves coefficients and nothing in the aircraft's files adds their deltas."""
+    if spec.epistemic.method == "none" or not spec.epistemic.coefficients:
+        return
+    paths = (path for _, path in walk(aircraft.folder) if path.suffix.lower() == ".xml")
+    if not any(_ACTIVE in path.read_bytes() for path in paths):
+        system_file(aircraft)
+
+
+def with_own_noise(spec: CampaignSpec, aircraft: Aircraft) -> CampaignSpec:
+    """The campaign with ``sensor_noise`` settled: where the file does not say, on if the aircraft has a sensors system."""
+    if spec.aleatory.sensor_noise is not None:
+        return spec
+    return spec.with_sensor_noise(has_sensors(aircraft))
+
+
+def with_default_noise(spec: CampaignSpec, mission: Mission) -> CampaignSpec:
+    """Return the campaign with ``sensor_noise`` settled by the aircraft that the mission flies."""
+    # A copy of the aircraft may not have been made yet; its sensors are those of its source.
+    source = mission.source if mission.source != Path() else mission.aircraft
+    return with_own_noise(spec, find_aircraft(source))
+
+
+def noise_notes(spec: CampaignSpec) -> list[str]:
+    """That a campaign which says nothing of sensor noise flies without. Raises BadInputError."""
+    aircraft = named_aircraft(spec)
+    if spec.aleatory.sensor_noise is not None or has_sensors(aircraft):
+        return []
+    return [
+        f"aircraft '{aircraft.name}' has no sensors system: it is flown without sensor noise ([aleatory] sensor_noise = false)"
+    ]
+
+
+def bounds_notes(spec: CampaignSpec) -> list[str]:
+    """What to know before flying: bounds that were made for other files than the aircraft's. Raises BadInputError."""
+    if spec.inputs.model_form is None:
+        return []
+    made_for, aircraft = read_bounds(spec.inputs.model_form).aircraft, named_aircraft(spec)
+    if made_for.sha256 == content_hash(aircraft):
+        return []
+    whose = f"'{made_for.name}' as it was then"
+    if made_for.name != aircraft.name:
+        whose = f"'{made_for.name}', not '{aircraft.name}'"
+    meant = "they mean something only if its aerodynamics are the same"
+    path = spec.inputs.model_form
+    return [
+        f"{path}: the bounds were made for aircraft {whose} (SHA-256 {made_for.sha256[:12]}...); {meant}"
+    ]
+
+
+def find_copied_mission(
+    spec: CampaignSpec, aircraft: Aircraft, script: Path | None, folder: Path
+) -> Mission:
+    """The mission that a copy in ``folder`` is going to fly, with the hashes of what it will hold; nothing is left behind.
+
+    ``script`` None: the steady flight of [start]. Raises BadInputError as :func:`make_copy` does.
+    """
+    with scratch_folder("copy") as scratch:
+        made = _copy(spec, aircraft, scratch.path)
+        aircraft_hash = content_hash(find_aircraft(made))
+        script_hash = sha256_hex(read_xml(script or scratch.path / SCRIPT))
+    place = folder.resolve()
+    return Mission(
+        place / _COPIED / made.name,
+        aircraft_hash,
+        (script or place / SCRIPT).resolve(),
+        script_hash,
+        aircraft.folder,
+    )
+
+
+def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
+    """Make the copy that ``mission`` flies in ``folder``, unless it is there already.
+
+    Raises BadInputError if the aircraft does not carry the plugin, cannot have these bounds, or has no trim.
+    """
+    for left in folder.glob(f"{_UNFINISHED}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    target = mission.aircraft
+    if target.exists() and content_hash(find_aircraft(target)) == mission.aircraft_hash:
+        return
+    with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=folder) as name:
+        made = _copy(spec, find_aircraft(mission.source), Path(name))
+        # A folder with flights of another aircraft is refused before; what is left to find here is half a copy.
+        shutil.rmtree(target, ignore_errors=True)
+        for sub in ("engine", "systems", SCRIPT):
+            if (Path(name) / sub).exists():
+                shutil.rmtree(folder / sub, ignore_errors=True)
+                os.replace(Path(name) / sub, folder / sub)
+        os.replace(made, inner_folder(folder, _COPIED) / target.name)
+
+
+def _copy(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
+    made = root / _COPIED / aircraft.folder.name
+    copy_folder(aircraft.folder, made)
+    copy_beside(aircraft, root, engine.default_root())
+    if spec.inputs.model_form is not None:
+        put_bounds(made, aircraft, spec.inputs.model_form)
+    if spec.start is not None:
+        write_steady_start(find_aircraft(made), spec.start, root / SCRIPT, str(spec.path))
+    return made
+
+
+def put_bounds(made: Path, aircraft: Aircraft, model_form: Path) -> None:
+    """Give the copy ``made`` of an aircraft the bounds of a model-form.json. Raises BadInputError as :func:`make_copy` does."""
+    text = model_form_xml(read_bounds(model_form), aircraft)
+    destination = made / system_file(aircraft).relative_to(aircraft.folder)
+    destination.unlink()
+    destination.write_bytes(text)
+
+
+def system_file(aircraft: Aircraft) -> Path:
+    """The file of the aircraft's model-form system."""
+    for system in parse_xml(aircraft.xml).getroot().iter("system"):
+        named = system.get("file", "").removesuffix(".xml")
+        if named == SYSTEM:
+            for path in (
+                aircraft.folder / "Systems" / f"{SYSTEM}.xml",
+                aircraft.folder / f"{SYSTEM}.xml",
+            ):
+                if path.is_file():
+                    return path
+    raise BadInputError(
+        f'{aircraft.xml}: carries no <system file="{SYSTEM}"/>, so no bounds can act on it; '
+        f"add the plugin first: uqharness instrument {aircraft.name} --out DIR"
+    )
+
 
 _ASKED = "it was asked for"
 _SHOWN = 8
@@ -194,3 +402,439 @@ def laid_out(spec: CampaignSpec, mission: Mission) -> Iterator[Mission]:
         there = dataclasses.replace(mission, aircraft=aircraft, script=script)
         make_copy(spec, there, scratch.path)
         yield there
+
+
+# JSBSim as the judge of the batch engine in every campaign: some flights in both, and no
+# campaign where they differ.
+#
+# A metric may differ by a millionth of its spread over the condition's flights. Beyond lost
+# control, and in how a flight ends, what JSBSim itself makes of a start that is moved by one
+# unit in the last place tells how much rounding alone may do.
+
+TOLERANCE = 1e-6
+"""Largest difference of a metric over its spread."""
+LEAST_SHARE, LEAST_SPREAD = 1e-3, 1e-2
+"""A spread is the interquartile range of the condition's flights, at least that share of the median, and that in the metric's unit:
+positions are rounded to some 1e-9 m, so a condition without any chance would otherwise be judged by rounding."""
+NEAR_M = 1e-6
+"""A count may differ where the flight came so near to a radius."""
+ONE_IN = 1000
+"""Share of the cases that are flown in JSBSim as well, beside the first of each condition."""
+
+_JUDGED = "jsbsim:"
+_ENOUGH = 64
+# Other sums in another order are worth some 1e-10 of a signal, where one unit in the last place is 1e-16, and damped flight hides
+# most of either: from there on both grow alike.
+_TIMES_ROUNDING = 1e5
+_LOST = "loss_of_control"
+_TIMEOUT, _NOT_COMPARED = (
+    "timeout",
+    "a flight had no result within its time limit: nothing is compared",
+)
+_ALIKE, _EXCUSED, _DIFFERS = "alike", "excused", "differs"
+
+Spreads = Mapping[str, float]
+Refly = Callable[[Case], CaseOutcome]
+
+
+class Judge:
+    """Compares a campaign's flights in the batch engine with JSBSim's as they come in, and keeps engine-check.csv.
+
+    ``refly`` flies a case in JSBSim from a start that is one unit in the last place off; ``finished`` are flights of earlier runs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        cases: Sequence[Case],
+        refly: Refly,
+        finished: Iterable[CaseOutcome] = (),
+    ) -> None:
+        self._folder, self._refly = folder, refly
+        self._condition = {case.case_id: condition_of(case) for case in cases}
+        self._in_condition = dict.fromkeys(self._condition.values(), 0)
+        for condition in self._condition.values():
+            self._in_condition[condition] += 1
+        self._cases = {case.case_id: case for case in _judged(cases)}
+        self._values: dict[Condition, dict[str, array[float]]] = {
+            condition: {} for condition in self._in_condition
+        }
+        self._flown = dict.fromkeys(self._in_condition, 0)
+        self._batch: dict[str, CaseOutcome] = {}
+        self._jsbsim: dict[str, CaseOutcome] = {}
+        self._rows: dict[tuple[str, str], list[CheckRow]] = {}
+        self._remember(read_check(folder))
+        for outcome in finished:
+            self._learn(outcome)
+
+    def groups(self, cases: Iterable[Case]) -> list[Group]:
+        """JSBSim's flights that are still wanted of these cases."""
+        wanted = [
+            case
+            for case in cases
+            if case.case_id in self._cases and case.case_id not in self._jsbsim
+        ]
+        return [Group(JUDGE, ((_JUDGED + case.case_id, case.flight),)) for case in wanted]
+
+    def take(self, outcomes: Iterable[CaseOutcome]) -> list[CaseOutcome]:
+        """Learn what was flown; the flights that are the campaign's own. Raises EnginesDifferError once that is certain."""
+        own: list[CaseOutcome] = []
+        for outcome in outcomes:
+            if outcome.case_id.startswith(_JUDGED):
+                case_id = outcome.case_id.removeprefix(_JUDGED)
+                self._jsbsim[case_id] = dataclasses.replace(outcome, case_id=case_id)
+            else:
+                self._learn(outcome)
+                own.append(outcome)
+        return own
+
+    def look(self, final: bool) -> None:
+        """Compare what is new, or (``final``) everything by the spreads of all flights. Raises EnginesDifferError."""
+        spreads: dict[Condition, Spreads] = {}
+        looked = False
+        for case_id, case in self._cases.items():
+            if case_id not in self._batch or case_id not in self._jsbsim:
+                continue
+            condition = self._condition[case_id]
+            known = self._flown[condition] >= min(_ENOUGH, self._in_condition[condition])
+            if not (final or (known and (WHOLE, case_id) not in self._rows)):
+                continue
+            if condition not in spreads:
+                spreads[condition] = {
+                    name: spread(values) for name, values in self._values[condition].items()
+                }
+            pair = (self._batch[case_id], self._jsbsim[case_id])
+            self._rows[WHOLE, case_id] = compared(
+                WHOLE, case, pair, spreads[condition], self._refly
+            )
+            looked = True
+        if looked:
+            self._write()
+
+    def begin(self, rows: Sequence[CheckRow]) -> None:
+        """Keep the comparison of the flights' first seconds. Raises EnginesDifferError."""
+        self._rows = {key: kept for key, kept in self._rows.items() if key[0] != START}
+        for row in rows:
+            self._rows.setdefault((START, row.case_id), []).append(row)
+        self._write()
+
+    def _write(self) -> None:
+        rows = [row for kept in self._rows.values() for row in kept]
+        write_check(self._folder, rows)
+        refuse_difference(self._folder, rows)
+
+    def _learn(self, outcome: CaseOutcome) -> None:
+        condition = self._condition.get(outcome.case_id)
+        if condition is None:
+            return
+        self._flown[condition] += 1
+        if outcome.case_id in self._cases:
+            self._batch[outcome.case_id] = outcome
+        if outcome.status == "ok":
+            for name, value in outcome.metrics.items():
+                self._values[condition].setdefault(name, array("d")).append(value)
+
+    def _remember(self, rows: Sequence[CheckRow]) -> None:
+        """JSBSim's flights of an earlier run; those that differed, or had no result in time, are flown again."""
+        by_flight: dict[tuple[str, str], list[CheckRow]] = {}
+        for row in rows:
+            by_flight.setdefault((row.part, row.case_id), []).append(row)
+        for (part, case_id), kept in by_flight.items():
+            status = [row.jsbsim for row in kept if row.metric == STATUS]
+            known = (
+                len(status) == 1
+                and status[0] != _TIMEOUT
+                and all(row.verdict != _DIFFERS for row in kept)
+            )
+            if part == WHOLE and case_id in self._cases and known:
+                metrics = {
+                    row.metric: as_number(row.jsbsim) for row in kept if row.metric != STATUS
+                }
+                self._jsbsim[case_id] = CaseOutcome(case_id, status[0], "", 0.0, metrics)
+                self._rows[part, case_id] = kept
+
+
+def _judged(cases: Sequence[Case]) -> Iterator[Case]:
+    """The first case of each condition, and those whose hash says so."""
+    met: set[Condition] = set()
+    for case in cases:
+        condition = condition_of(case)
+        if condition not in met or int(case.case_id, 16) % ONE_IN == 0:
+            met.add(condition)
+            yield case
+
+
+def condition_of(case: Case) -> Condition:
+    """Wind and turbulence of a case."""
+    return Condition(case.wind_mps, case.turbulence)
+
+
+def spread(values: Sequence[float]) -> float:
+    """What a difference is measured by: the interquartile range, bounded from below."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if known.size == 0:
+        return LEAST_SPREAD
+    low, middle, high = np.percentile(known, (25.0, 50.0, 75.0))
+    return float(max(high - low, LEAST_SHARE * abs(middle), LEAST_SPREAD))
+
+
+def compared(
+    part: str, case: Case, pair: tuple[CaseOutcome, CaseOutcome], spreads: Spreads, refly: Refly
+) -> list[CheckRow]:
+    """Rows of one case flown in the batch engine and in JSBSim, which are the ``pair``."""
+    batch, jsbsim = pair
+    # A limit on time says how busy the machine is, and nothing of either engine.
+    late = _TIMEOUT in (batch.status, jsbsim.status)
+    found: list[CaseOutcome] = []
+
+    def moved() -> CaseOutcome:
+        if not found:
+            found.append(refly(case))
+        return found[0]
+
+    def row(
+        metric: str, ours: str, theirs: str, share: tuple[str, str], judged: tuple[str, str]
+    ) -> CheckRow:
+        return CheckRow(
+            part, condition_of(case).label, case.case_id, metric, ours, theirs, *share, *judged
+        )
+
+    alike = batch.status == jsbsim.status
+    excused = not alike and (late or moved().status != jsbsim.status)
+    why = _NOT_COMPARED if late else "JSBSim's own differs after one ulp"
+    rows = [row(STATUS, batch.status, jsbsim.status, ("", ""), _verdict(alike, excused, why))]
+    for name in sorted(batch.metrics.keys() | jsbsim.metrics.keys()):
+        ours, theirs = batch.metrics.get(name, math.nan), jsbsim.metrics.get(name, math.nan)
+        if name.startswith(NEAREST):
+            rows.append(row(name, "", as_text(theirs), ("", ""), (_ALIKE, "")))
+            continue
+        scale = 1.0 if is_count(name) else spreads.get(name, LEAST_SPREAD)
+        share = (
+            0.0
+            if ours == theirs or (math.isnan(ours) and math.isnan(theirs))
+            else abs(ours - theirs) / scale
+        )
+        alike = share <= TOLERANCE
+        why = "" if alike else _NOT_COMPARED if late else _excuse(name, pair, moved)
+        if batch.status != jsbsim.status and not why:
+            # What is left of a flight that ended otherwise is judged by how it ended.
+            why = "the flight ended otherwise" if rows[0].verdict == _EXCUSED else ""
+        rows.append(
+            row(
+                name,
+                as_text(ours),
+                as_text(theirs),
+                (as_text(scale), as_text(share)),
+                _verdict(alike, bool(why), why),
+            )
+        )
+    return rows
+
+
+def _verdict(alike: bool, excused: bool, why: str) -> tuple[str, str]:
+    return (_ALIKE, "") if alike else (_EXCUSED, why) if excused else (_DIFFERS, "")
+
+
+def _excuse(
+    name: str, pair: tuple[CaseOutcome, CaseOutcome], moved: Callable[[], CaseOutcome]
+) -> str:
+    """Why a difference is no fault of the engine; empty where it is."""
+    batch, jsbsim = pair
+    if is_count(name) and jsbsim.metrics.get(NEAREST + name, math.inf) <= NEAR_M:
+        return f"the flight came within {NEAR_M:g} m of the radius"
+    lost = any(outcome.metrics.get(_LOST, 0.0) != 0.0 for outcome in pair)
+    if not lost:
+        return ""
+    ours, theirs, other = (
+        outcome.metrics.get(name, math.nan) for outcome in (batch, jsbsim, moved())
+    )
+    if abs(ours - theirs) <= _TIMES_ROUNDING * abs(other - theirs):
+        return "control was lost, and JSBSim's own differs after one ulp"
+    return ""
+
+
+def is_count(name: str) -> bool:
+    """Whether a metric is a whole number that is alike or not."""
+    return name.startswith("excursions_") or name == _LOST
+
+
+def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
+    """EnginesDifferError that names the worst of what differs."""
+    wrong = [row for row in rows if row.verdict == _DIFFERS]
+    if not wrong:
+        return
+    worst = max(
+        wrong, key=lambda row: math.inf if row.difference in ("", "nan") else float(row.difference)
+    )
+    when = " in its first seconds" if worst.part == START else ""
+    apart = (
+        f", {float(worst.difference):.2g} of its spread apart (at most {TOLERANCE:g})"
+        if worst.difference
+        else ""
+    )
+    raise EnginesDifferError(
+        f"{folder}: the batch engine differs from JSBSim: case {worst.case_id} ({worst.condition}){when} has {worst.metric} "
+        f"{worst.batch or 'undefined'} in the batch engine and {worst.jsbsim or 'undefined'} in JSBSim{apart}; "
+        f"{len(wrong)} such rows in {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign with "
+        "--engine jsbsim into another --out, and report the aircraft"
+    )
+
+
+# Before a campaign in the batch engine: the first seconds of each condition in both engines,
+# and how fast this machine flies.
+
+START_S = 10.0
+"""Flight time of the comparison before any case."""
+CASES_EACH = 8
+"""Cases of each condition that are flown for it: their spread is what differences are measured by."""
+STORING_S = 2e-3
+"""Scoring and storing a flight, measured."""
+
+_LIMIT_S = 120.0
+_FIRST_SECONDS_ALIKE = 1e-6
+_PACE_LANES, _PACE_S = 64, 60.0
+
+
+def throwaway_process() -> ProcessExecutor:
+    """A process of its own, so that a flight that ends the interpreter ends only that; kept for several calls."""
+    return ProcessExecutor(1, timeout_s=lambda flight: _LIMIT_S, retries=0, keep=True)
+
+
+def compare_start(
+    engines: Engines, cases: Sequence[Case], process: ProcessExecutor
+) -> list[CheckRow]:
+    """Fly the first seconds of some cases of some conditions in both engines; what came of it, a row a metric.
+
+    The conditions are those of `trial_conditions`: all of a grid that is not large.
+
+    Raises BadInputError where they cannot be flown at all.
+    """
+    rows: list[CheckRow] = []
+    by_condition: dict[Condition, list[Case]] = {}
+    for case in cases:
+        by_condition.setdefault(condition_of(case), []).append(case)
+    winds, turbulences = (
+        list(dict.fromkeys(values))
+        for values in zip(*((air.wind_mps, air.turbulence) for air in by_condition), strict=True)
+    )
+    # A shard need not hold a case of each condition.
+    tried = {
+        Condition(*pair) for pair in trial_conditions(winds, turbulences)
+    } & by_condition.keys()
+    for members in (by_condition[air] for air in by_condition if air in tried):
+        picked = [
+            _brief(case) for case in members[:: max(1, len(members) // CASES_EACH)][:CASES_EACH]
+        ]
+        batch = _flown(
+            engines, process, [Group(BATCH, tuple((case.case_id, case.flight) for case in picked))]
+        )
+        jsbsim = _flown(
+            engines, process, [Group(JUDGE, ((case.case_id, case.flight),)) for case in picked]
+        )
+        values: dict[str, array[float]] = {}
+        for outcome in batch.values():
+            for name, value in outcome.metrics.items():
+                values.setdefault(name, array("d")).append(value)
+        spreads = {name: spread(found) for name, found in values.items()}
+        for case in picked:
+            pair = (batch[case.case_id], jsbsim[case.case_id])
+            rows += compared(
+                START, case, pair, spreads, lambda case: one_ulp_off(engines, case, process)
+            )
+    return rows
+
+
+def settled_by_flight(
+    spec: CampaignSpec, mission: Mission, engines: Engines, earlier: Earlier | None
+) -> Settled:
+    """``settle``; where the batch engine would be taken by itself, both fly a few seconds, and JSBSim is taken if they differ.
+
+    Raises BadInputError as ``settle`` does.
+    """
+    settled = settle(spec, mission, engines, earlier)
+    if settled.asked != "auto" or settled.engine != BATCH or earlier is not None:
+        return settled
+    with laid_out(spec, mission) as there, contextlib.closing(throwaway_process()) as process:
+        case = _brief(one_case_each(settled.spec, there)[-1])
+        ours, theirs = (
+            next(iter(_outcomes(engines, process, [Group(engine, ((case.case_id, case.flight),))])))
+            for engine in (BATCH, JUDGE)
+        )
+    why = _apart(ours, theirs)
+    return settled if why is None else Settled(spec.with_engine(JSBSIM), settled.asked, (why,))
+
+
+def _apart(ours: CaseOutcome, theirs: CaseOutcome) -> str | None:
+    """A sentence if two short flights differ; what cannot be flown by either is told by whoever flies first."""
+    if theirs.bad_input or theirs.status != "ok":
+        return None
+    said = f"in the first {START_S:g} s the batch engine differs from JSBSim"
+    if ours.status != "ok":
+        return f"{said}: {ours.status}, {ours.reason}"
+    for name, value in theirs.metrics.items():
+        found = ours.metrics.get(name, value)
+        if math.isfinite(value) and not abs(found - value) <= _FIRST_SECONDS_ALIKE * max(
+            abs(value), 1.0
+        ):
+            return f"{said}: {name} {found:.6g}, in JSBSim {value:.6g}"
+    return None
+
+
+def one_ulp_off(engines: Engines, case: Case, process: ProcessExecutor) -> CaseOutcome:
+    """JSBSim's flight of the case from a start that is one unit in the last place off."""
+    return _flown(engines, process, [Group(ONE_ULP_OFF, ((case.case_id, case.flight),))])[
+        case.case_id
+    ]
+
+
+def one_ulp_off_alone(engines: Engines, case: Case) -> CaseOutcome:
+    """The same in a process that it has for itself."""
+    with contextlib.closing(throwaway_process()) as process:
+        return one_ulp_off(engines, case, process)
+
+
+def batch_pace(engines: Engines, cases: Sequence[Case], process: ProcessExecutor) -> Pace | None:
+    """How fast one process flies in the batch engine; None where the flights that tell do not end well."""
+    whole = cases[0].flight
+    length = min(_PACE_S, whole.duration_s + whole.burn_in_s)
+    lanes = tuple(
+        (f"{number}", dataclasses.replace(case.flight, duration_s=length, burn_in_s=0.0))
+        for number, case in zip(range(_PACE_LANES), itertools.cycle(cases), strict=False)
+    )
+    least = float("inf")
+    for _ in range(2):
+        started = time.monotonic()
+        if any(
+            outcome.status != "ok" for outcome in _outcomes(engines, process, [Group(BATCH, lanes)])
+        ):
+            return None
+        # Other work on the machine only ever adds.
+        least = min(least, time.monotonic() - started)
+    return Pace(STORING_S, least / (len(lanes) * length))
+
+
+def _brief(case: Case) -> Case:
+    flight = case.flight
+    return dataclasses.replace(
+        case,
+        flight=dataclasses.replace(
+            flight, duration_s=min(START_S, flight.duration_s), burn_in_s=0.0
+        ),
+    )
+
+
+def _flown(
+    engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
+) -> dict[str, CaseOutcome]:
+    found = {outcome.case_id: outcome for outcome in _outcomes(engines, process, groups)}
+    for outcome in found.values():
+        if outcome.bad_input:
+            raise BadInputError(outcome.reason)
+    return found
+
+
+def _outcomes(
+    engines: Engines, process: ProcessExecutor, groups: Iterable[Group]
+) -> list[CaseOutcome]:
+    return [outcome for batch in process.run_groups(engines.fly_group, groups) for outcome in batch]

@@ -13,38 +13,47 @@ from typing import Any
 
 from sysid.digests import sha256_hex
 from uqharness import checksums
-from uqharness.campaign.cases import Case, Mission, build_cases
+from uqharness.campaign.cases import Case, Mission, build_cases, groups_of
 from uqharness.campaign.cost import Cost, Pace, measured_pace, one_case, one_case_each, size_of
-from uqharness.campaign.engine_check import Judge
-from uqharness.campaign.engines import Engines, Settled, earlier_engine, laid_out
-from uqharness.campaign.execution.flying import BATCH, JSBSIM
-from uqharness.campaign.execution.processes import Executor, ProcessExecutor
-from uqharness.campaign.execution.worker import CaseOutcome, FlightFunction
-from uqharness.campaign.first_seconds import (
+from uqharness.campaign.engines import (
+    Engines,
+    Judge,
+    Settled,
     batch_pace,
     compare_start,
+    earlier_engine,
+    laid_out,
     one_ulp_off_alone,
     settled_by_flight,
     throwaway_process,
 )
-from uqharness.campaign.folder.digests import DamageError
+from uqharness.campaign.execution.processes import Executor, ProcessExecutor
+from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
 from uqharness.campaign.folder.manifest import (
+    COMPLETE,
+    INTERRUPTED,
     MANIFEST,
+    SPOILT,
+    DamageError,
     describe,
     read_manifest,
     refuse_if_different,
     refuse_without_digests,
     write_manifest,
 )
-from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
-from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, seal_files, sealed
-from uqharness.campaign.folder.shards import SHARDS, Shard
+from uqharness.campaign.folder.shards import (
+    SHARDS,
+    Shard,
+    mend_tables,
+    refuse_if_not_whole,
+    seal_files,
+    sealed,
+)
 from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
-from uqharness.campaign.grouping import groups_of
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import naming_keys
+from uqharness.campaign.spec.samples import naming_keys
 from uqharness.errors import BadInputError
 from uqharness.files import PART
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec
@@ -108,7 +117,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
 
     Bounds from a model form and a trimmed start fly in a copy of the aircraft within the campaign's ``folder``, not made here.
     """
-    from uqharness.campaign.aircraft import (
+    from uqharness.campaign.engines import (
         find_copied_mission,
         named_aircraft,
         needs_copy,
@@ -162,7 +171,7 @@ def run_campaign(
         )
     executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
     mission = mission or find_mission(spec, folder)
-    from uqharness.campaign.aircraft import with_default_noise
+    from uqharness.campaign.engines import with_default_noise
 
     spec = with_default_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, earlier_engine(folder))
@@ -199,7 +208,7 @@ def run_campaign(
         )
         old, finished = _earlier(folder, manifest)
         if not given:
-            from uqharness.campaign.aircraft import make_copy, needs_copy
+            from uqharness.campaign.engines import make_copy, needs_copy
 
             if needs_copy(spec):
                 make_copy(spec, mission, folder)
@@ -252,7 +261,7 @@ def check_campaign(
     Raises BadInputError for what cannot be flown, EnginesDifferError where the batch engine differs from JSBSim.
     """
     engines = Engines.of(None)
-    from uqharness.campaign.aircraft import with_default_noise
+    from uqharness.campaign.engines import with_default_noise
 
     spec = with_default_noise(spec, mission)
     settled = settled_by_flight(spec, mission, engines, None)

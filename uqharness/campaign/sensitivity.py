@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,17 +15,25 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.campaign.columns import ERROR_METRICS, UNCOMMANDED_METRICS, excursion_columns
-from uqharness.campaign.conditions import Condition, conditions, in_condition
-from uqharness.campaign.folder.case_table import CASES
-from uqharness.campaign.folder.files import read_cases
+from uqharness.campaign.conditions import (
+    ERROR_METRICS,
+    UNCOMMANDED_METRICS,
+    Condition,
+    conditions,
+    excursion_columns,
+    in_condition,
+)
 from uqharness.campaign.folder.manifest import read_complete
+from uqharness.campaign.folder.tables import CASES, read_cases, read_checked
 from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
+from uqharness.campaign.statements import number
 from uqharness.errors import BadInputError
-from uqharness.sensitivity import Evaluations, MethodResult, Study
+from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
 from uqharness.sensitivity.corner_pairs import corner_pairs
 from uqharness.sensitivity.problem import corners as box_corners
-from uqharness.sensitivity.words import Ranking, rank, words
+from uqharness.sensitivity.words import Ranking, rank, unit_of, words
+from uqharness.text_tables import csv_rows
 
 MOST_LOST = 0.1
 """Largest share of aleatory samples that may be left out because a flight of theirs failed in some corner."""
@@ -263,4 +274,199 @@ def _grouped(flown: Flown, condition: Condition, interior: bool) -> _Grouped:
         tuple(keys),
         np.array(places, dtype=np.intp).reshape(shape),
         np.array(complete, dtype=bool).reshape(shape),
+    )
+
+
+# sensitivity.csv and the JSON of a campaign's sensitivity.
+
+SENSITIVITY = "sensitivity.csv"
+COLUMNS = (
+    "condition",
+    "wind_mps",
+    "turbulence",
+    "metric",
+    "unit",
+    "coefficient",
+    "share_min",
+    "share_max",
+    "share_low",
+    "share_high",
+    "shrink_min",
+    "shrink_max",
+    "shrink_low",
+    "shrink_high",
+    "width",
+    "width_low",
+    "width_high",
+    "flights",
+    "left_out",
+    "interior_outside",
+    "reason",
+)
+
+
+def _rows(found: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
+    """Rows under COLUMNS. ``share_low`` and ``share_high`` bound ``share_min`` and ``share_max`` with 95 %
+    confidence for all coefficients at once; an undefined number is empty and ``reason`` says why."""
+    for item in found:
+        details = item.result.details
+        for i, (name, index) in enumerate(item.result.indices.items()):
+            assert isinstance(index, PairRange)
+            shares = [
+                index.minimum.value,
+                index.maximum.value,
+                index.minimum.low,
+                index.maximum.high,
+            ]
+            shrink = [
+                details[key][i] if key in details else math.nan
+                for key in ("shrink_min", "shrink_max", "shrink_low", "shrink_high")
+            ]
+            width = [details.get(key, math.nan) for key in ("area", "area_low", "area_high")]
+            yield [
+                item.condition.label,
+                f"{item.condition.wind_mps:g}",
+                item.condition.turbulence,
+                item.metric,
+                unit_of(item.metric),
+                name,
+                *map(number, [*shares, *shrink, *width]),
+                str(item.flights),
+                str(item.left_out),
+                number(details.get("interior_outside", math.nan)),
+                index.reason,
+            ]
+
+
+def as_csv(found: Sequence[MetricSensitivity]) -> bytes:
+    """The table, one row per condition, metric and coefficient."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(_rows(found))
+    return buffer.getvalue().encode()
+
+
+def as_json(found: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
+    """By condition, then metric: indices, what to reduce first, whether that is certain, and the words."""
+    by_condition: dict[str, dict[str, Any]] = {}
+    for item in found:
+        by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
+            "flights": item.flights,
+            "left_out": item.left_out,
+            "first": item.ranking.first or None,
+            "certain": item.ranking.certain,
+            "rivals_by_ranges": list(item.ranking.by_ranges),
+            "rivals_by_sampling": list(item.ranking.by_sampling),
+            "words": item.words,
+        }
+    return by_condition
+
+
+_NUMBERS = (
+    "share_min",
+    "share_max",
+    "share_low",
+    "share_high",
+    "shrink_min",
+    "shrink_max",
+    "shrink_low",
+    "shrink_high",
+)
+
+
+def read_sensitivity(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]] | None:
+    """Rows of a campaign's sensitivity.csv, None where there is none. Raises BadInputError."""
+    if SENSITIVITY not in manifest.get("tables", {}) and not (folder / SENSITIVITY).exists():
+        return None
+    content = read_checked(folder, manifest, SENSITIVITY)
+    texts = ("condition", "turbulence", "metric", "coefficient", "reason")
+    rows = csv_rows(content, folder / SENSITIVITY, ("wind_mps",), texts, _NUMBERS)
+    if any(
+        row["turbulence"] not in TURBULENCE_W20_KT
+        or bool(row["share_min"]) != bool(row["share_max"])
+        for row in rows
+    ):
+        raise BadInputError(
+            f"{folder / SENSITIVITY}: holds what `uqharness sensitivity` does not write; run it again"
+        )
+    return rows
+
+
+# Which coefficient's model-form uncertainty drives a metric of a corner campaign, over all its
+# conditions.
+
+DEFAULT_METRIC = "cross_track_median_m"
+
+
+@dataclass(frozen=True)
+class Winner:
+    """``coefficient`` with its share of the metric's p-box [smallest, largest] in the condition whose p-box is the widest.
+
+    ``certain``: first in every condition, whatever the others are and for the sampling error. ``words``: of `sensitivity`.
+    """
+
+    coefficient: str
+    metric: str
+    share: tuple[float, float]
+    condition: str
+    certain: bool
+    words: tuple[str, ...]
+
+
+def find_winner(
+    folder: Path,
+    metric: str | None = None,
+    coefficient: str | None = None,
+    seed: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Winner:
+    """The coefficient with the largest part of the p-boxes' widths, summed over conditions; or ``coefficient``, with its part.
+
+    Raises BadInputError: no corner campaign, an unknown metric, nothing that could be compared, or no coefficient that wins.
+    """
+    flown = read_corner_campaign(folder)
+    there = metrics_of(flown)
+    chosen = metric or (DEFAULT_METRIC if DEFAULT_METRIC in there else (there or ("",))[0])
+    if chosen not in there:
+        raise BadInputError(
+            f"--metric {chosen}: {folder} has {', '.join(there) or 'no metric that any flight got'}"
+        )
+    found = [
+        f
+        for f in analyse_campaign(flown, metrics=[chosen], seed=seed, on_progress=on_progress)
+        if f.ranking.first
+    ]
+    if not found:
+        raise BadInputError(
+            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly more of the campaign, choose "
+            "another --metric, or name a --coefficient"
+        )
+    parts: dict[str, float] = {}
+    for item in found:
+        for name, index in item.result.indices.items():
+            assert isinstance(index, PairRange)
+            middle = 0.5 * (index.minimum.value + index.maximum.value)
+            parts[name] = parts.get(name, 0.0) + middle * float(item.result.details["area"])
+    first = max(parts, key=lambda name: parts[name])
+    name = coefficient or first
+    if name not in parts:
+        raise BadInputError(
+            f"--coefficient {name}: not uncertain in {folder}; there are {', '.join(parts)}"
+        )
+    if name not in COEFFICIENTS:
+        raise BadInputError(
+            f"{folder}: {name} drives {chosen}; it is a quantity of its own and no model form: measure it. For the aerodynamic "
+            "coefficient that matters most name it: --coefficient C"
+        )
+    best = max(found, key=lambda f: float(f.result.details["area"]))
+    index = best.result.indices[name]
+    assert isinstance(index, PairRange)
+    return Winner(
+        name,
+        chosen,
+        (index.minimum.value, index.maximum.value),
+        best.condition.label,
+        all(f.ranking.first == name and f.ranking.certain for f in found),
+        tuple(f"{f.condition.words}: {f.words}" for f in found),
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,23 +20,32 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import percent
-from uqharness.campaign.aborted import DIVERGED, GROUND_CONTACT, LOSS_OF_CONTROL, Aborted, aborted
-from uqharness.campaign.carried import BEYOND, TOLD, Carried, carried
-from uqharness.campaign.columns import counted_radii, excursion_column
 from uqharness.campaign.conditions import (
     CONFIDENCE,
     Condition,
     ExcursionCell,
+    counted_radii,
     excursion_cells,
+    excursion_column,
     in_condition,
 )
-from uqharness.campaign.joint import points_flown
-from uqharness.campaign.rounds import ALL_CORNERS, Rule, rule_of
+from uqharness.campaign.rounds import (
+    ALL_CORNERS,
+    DIVERGED,
+    GROUND_CONTACT,
+    LOSS_OF_CONTROL,
+    Aborted,
+    Rule,
+    aborted,
+    rule_of,
+)
+from uqharness.campaign.spec import samples
 from uqharness.statistics import (
     NO,
     OPEN,
     YES,
     bet_logs,
+    dispersion_limits,
     dispersion_that_allows,
     evidence_of_either,
     log_e_above,
@@ -45,6 +55,164 @@ from uqharness.statistics import (
     share_upper,
     upper_limits,
 )
+
+# Which clusters of excursions limits carry: measured in the same air at a smaller radius where
+# that shows enough, else assumed.
+#
+# A corner whose flights at some smaller radius had ``ENOUGH_EXCURSIONS`` or more, at less than
+# one per hour, has shown how excursions cluster when they are rare; the largest such radius is
+# taken. Nearer the path they are more frequent and say nothing of rare ones.
+
+ENOUGH_EXCURSIONS = 30
+"""Excursions of a corner at a smaller radius that measure how they cluster."""
+TOLD = 10
+"""Excursions of a corner from which on its ratio of variance to mean is told, and may contradict the carried one."""
+RARE_PER_H = 1.0
+BEYOND = "clusters beyond the carried limit"
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Per corner (c,): the largest variance over mean that limits carry, and the radius [m] it was measured at, NaN where assumed.
+
+    ``beyond``: whether some corner's flights contradict it.
+    """
+
+    dispersion: FloatArray
+    radius_m: FloatArray
+    beyond: bool
+
+    @property
+    def measured(self) -> int:
+        """Number of corners at which it was measured."""
+        return int(np.isfinite(self.radius_m).sum())
+
+    @property
+    def nearest_m(self) -> float:
+        """The smallest radius [m] it was measured at, NaN where no corner measures it."""
+        return float(np.nanmin(self.radius_m)) if self.measured else float("nan")
+
+
+def carried(
+    counts: Mapping[float, FloatArray],
+    radius_m: float,
+    flown_h: FloatArray,
+    assumed: float,
+    error: float,
+) -> Carried:
+    """``counts`` (c, n) of each flight beyond each radius [m], NaN marking none; ``flown_h`` (c,) hours; asked beyond ``radius_m``.
+
+    A measured limit fails with about ``error`` at each corner; what contradicts the carried one does so at all corners together.
+    """
+    corners = flown_h.size
+    found, where, shown = (
+        np.full(corners, float(assumed)),
+        np.full(corners, np.nan),
+        np.zeros(corners),
+    )
+    for radius in sorted(radius for radius in counts if radius <= radius_m):
+        events = np.nansum(counts[radius], axis=1)
+        rare = events < RARE_PER_H * flown_h
+        low = dispersion_limits(counts[radius], error / corners)[0]
+        # A count above the limit by chance must not silence a radius: what counts there is that it is shown to be frequent.
+        frequent = (
+            lower_limits(counts[radius], error) * np.isfinite(counts[radius]).sum(axis=1)
+            >= RARE_PER_H * flown_h
+        )
+        told = (events >= TOLD) & (~frequent | (radius == radius_m))
+        shown = np.where(told, np.maximum(shown, low), shown)
+        if radius < radius_m:
+            enough = (events >= ENOUGH_EXCURSIONS) & rare
+            found = np.where(enough, dispersion_limits(counts[radius], error)[1], found)
+            where = np.where(enough, radius, where)
+    anywhere = np.where(np.isnan(where), shown.max(), shown)
+    return Carried(found, where, bool(np.any(anywhere > found)))
+
+
+# What the intervals flown say together: the joint level of a campaign's epistemic set, and the
+# transient part.
+
+
+def joint_level(manifest: Mapping[str, Any]) -> float | None:
+    """Probability that all intervals flown hold at once, if the coefficients are independent; None where no interval's is known.
+
+    ``manifest``: that of a campaign; ``bounds`` in it is the confidence of its model form.
+    """
+    epistemic, bounds = manifest["campaign"]["epistemic"], manifest.get("bounds")
+    if bounds is None or epistemic["method"] == "none":
+        return None
+    confidence = float(bounds["confidence"])
+    return (
+        confidence
+        if epistemic["set"] == "ellipsoid"
+        else float(confidence ** len(epistemic["coefficients"]))
+    )
+
+
+def joint_words(manifest: Mapping[str, Any]) -> list[str]:
+    """Sentences without their stops: the set and its joint level, and whether transient model error flies; none without a form."""
+    level, bounds = joint_level(manifest), manifest.get("bounds")
+    if level is None or bounds is None:
+        return []
+    epistemic, each = manifest["campaign"]["epistemic"], float(bounds["confidence"])
+    names = epistemic["coefficients"]
+    one = samples.marginal_radius(each)
+    if epistemic["set"] == "ellipsoid":
+        radius = samples.reach(len(names), each) * one
+        said = f"joint {_percent(each)} ellipsoid of {len(names)} intervals, {radius:.2f} standard deviations from their middles"
+    else:
+        said = (
+            f"box of {len(names)} intervals of {_percent(each)} each: together they hold at {_percent(level)} if independent; "
+            f"its corners lie at {math.sqrt(len(names)) * one:.2f} standard deviations"
+        )
+    return [said, *_transient(epistemic, bounds["transient"])]
+
+
+def points_flown(epistemic: Mapping[str, Any]) -> str:
+    """Return the points of the box of bounds at which the results hold, ``corners and nominal model``; empty for drawn samples.
+
+    ``epistemic``: that section of a campaign's settings.
+    """
+    method, interior = epistemic.get("method"), epistemic.get("interior", 0)
+    if method == "levels":
+        return "combinations of levels"
+    if method != "corners":
+        return ""
+    points = ["corners"]
+    points += [f"{interior} interior points"] if interior else []
+    points += ["nominal model"] if epistemic.get("nominal") else []
+    return ", ".join(points[:-1]) + f" and {points[-1]}" if points[1:] else points[0]
+
+
+def corners_only_words(epistemic: Mapping[str, Any]) -> list[str]:
+    """Return the sentence, without its stop, that no point between the corners was flown; none where interior points were."""
+    points = points_flown(epistemic)
+    if epistemic["method"] != "corners" or epistemic.get("interior"):
+        return []
+    nominal = epistemic.get("nominal")
+    keys = "interior = 0" if nominal else "interior = 0, nominal = false"
+    # The nominal model is one point: it leaves the others between the corners unknown.
+    missing = (
+        "no interior point" if nominal else "neither the nominal model nor a point between them"
+    )
+    text = (
+        f"bounds hold at the {points} only: {missing} was flown ([epistemic] {keys}), "
+        "and a response that is not monotonic may go beyond them there"
+    )
+    return [text]
+
+
+def _transient(epistemic: Mapping[str, Any], moved: list[str]) -> list[str]:
+    if moved:
+        return [f"transient model error of {', '.join(moved)} walks in every flight"]
+    if "transient" in epistemic:
+        return ["no transient model error is flown"]
+    return []
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %"
+
 
 STATEMENTS = "statements.csv"
 

@@ -13,7 +13,7 @@ import shtab
 
 from uqharness.cli.commands import commands_of
 from uqharness.cli.options import describe
-from uqharness.project_files import PROJECT_ROOT
+from uqharness.files import PROJECT_ROOT
 
 SHELLS = ("bash", "zsh")
 _EXAMPLE = """

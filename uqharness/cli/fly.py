@@ -9,15 +9,18 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from uqharness.cli.autopilot import add_autopilot, as_data, gains_of, tell_gains
 from uqharness.cli.options import (
     add_aircraft,
+    add_autopilot,
     add_page,
     add_seed,
     aircraft_with_card,
+    as_data,
     command_as_given,
     describe,
+    gains_of,
     number,
+    tell_gains,
 )
 from uqharness.errors import BadInputError
 from uqharness.files import check_out, check_page

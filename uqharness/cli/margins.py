@@ -7,8 +7,16 @@ import json
 import math
 from typing import Any
 
-from uqharness.cli.autopilot import add_autopilot, as_data, gains_of, tell_gains
-from uqharness.cli.options import add_aircraft, add_page, command_as_given, describe
+from uqharness.cli.options import (
+    add_aircraft,
+    add_autopilot,
+    add_page,
+    as_data,
+    command_as_given,
+    describe,
+    gains_of,
+    tell_gains,
+)
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError
 from uqharness.files import check_page

@@ -11,11 +11,12 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:
+    from uqharness.flight import AutopilotGains
     from uqharness.simulator import Aircraft
 
 Handler = Callable[[argparse.Namespace], int]
@@ -291,3 +292,43 @@ def command_words(args: argparse.Namespace) -> list[str]:
 def command_as_given(args: argparse.Namespace) -> str:
     """The same as one line of a shell."""
     return shlex.join(command_words(args))
+
+
+# ``--autopilot FILE``: an autopilot's gains from ArduPilot's parameter file, and what was taken
+# of it.
+
+
+def add_autopilot(parser: argparse.ArgumentParser) -> None:
+    """``--autopilot``."""
+    parser.add_argument(
+        "--autopilot",
+        type=Path,
+        metavar="FILE",
+        help="ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the aircraft's own)",
+    )
+
+
+def gains_of(path: Path | None, aircraft: Aircraft, script: Path) -> AutopilotGains | None:
+    """Gains in the file for this aircraft; None without a file. Raises BadInputError with file and line."""
+    if path is None:
+        return None
+    from uqharness.flight import read_gains
+    from uqharness.simulator import StagedMission, engine
+
+    with StagedMission(aircraft, script) as mission:
+        return read_gains(path, set(engine.catalog(mission.open())))
+
+
+def tell_gains(path: Path | None, gains: AutopilotGains | None) -> None:
+    """Print which gains were taken, which not, and why."""
+    if gains is not None:
+        print("\n  ".join([f"{path}:", *gains.lines()]))
+
+
+def as_data(gains: AutopilotGains | None) -> dict[str, Any] | None:
+    """The same for --json."""
+    return (
+        None
+        if gains is None
+        else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.others}
+    )

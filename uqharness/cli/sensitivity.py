@@ -17,7 +17,7 @@ from uqharness.campaign import (
     read_interior_campaign,
 )
 from uqharness.campaign.folder import record_table
-from uqharness.campaign.sensitivity_tables import as_json
+from uqharness.campaign.sensitivity import as_json
 from uqharness.cli.options import add_seed, describe, whole
 from uqharness.cli.progress import counting
 from uqharness.errors import BadInputError

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from uqharness.cli.options import add_out, add_workers, describe
 from uqharness.cli.progress import say_line
-from uqharness.project_files import find_campaign
+from uqharness.files import find_campaign
 from uqharness.report import write_report
 from uqharness.study import read_chain, run_chain
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from sysid.arrays import FloatArray
-from uqharness.differences.channels import Channel, channels_of
-from uqharness.differences.elsewhere import RefusedError, fly_elsewhere
-from uqharness.differences.flown import How, flown
-from uqharness.differences.variation import spread, varied
+from uqharness.differences.elsewhere import (
+    Channel,
+    How,
+    RefusedError,
+    channels_of,
+    flown,
+    fly_elsewhere,
+)
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
+from uqharness.flight import COEFFICIENTS
 from uqharness.isolation import ProcessEndedError
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
@@ -27,6 +34,65 @@ from uqharness.simulator import (
     read_script,
     write_own_mission,
 )
+
+# How far one model's flight varies by itself: in other air of the same kind, and within the
+# bounds of its model form.
+
+
+def varied(
+    aircraft: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    how: How,
+    repeats: int,
+    bounds: bool,
+) -> list[dict[str, FloatArray]]:
+    """Flights of a model as `flown` gives them: with ``repeats`` other seeds of the air, and at either end of each bound.
+
+    Raises BadInputError where there is no air to repeat or no bound.
+    """
+    if repeats and how.turbulence == "none":
+        raise BadInputError(
+            "--repeats: still air has no other seed; give --turbulence light, moderate or severe"
+        )
+    others = [replace(how, seed=how.seed + k) for k in range(1, repeats + 1)]
+    others += [replace(how, properties=corner) for corner in (_ends(aircraft) if bounds else ())]
+    return [flown(aircraft, script, channels, other) for other in others]
+
+
+def spread(
+    flight: Mapping[str, FloatArray], others: Iterable[Mapping[str, FloatArray]]
+) -> dict[str, float]:
+    """Largest difference of the others from the flight, by channel, over the time that both flew."""
+    out = dict.fromkeys(flight, 0.0)
+    for other in others:
+        for name, values in flight.items():
+            n = min(len(values), len(other[name]))
+            out[name] = max(
+                out[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
+            )
+    return out
+
+
+def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
+    """Settings for each coefficient at its lower and at its upper bound, the others without one."""
+    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
+    if not bounded:
+        raise BadInputError(
+            f"--bounds: aircraft '{aircraft.name}' has none; add them with uqharness instrument {aircraft.name} --bounds "
+            "model-form.json"
+        )
+    return [
+        {
+            "uq/active": 1.0,
+            **{f"uq/{other}/active": 0.0 for other in bounded if other != c},
+            f"uq/{c}/level": level,
+        }
+        for c in bounded
+        for level in (0.0, 1.0)
+    ]
+
 
 MOST_S = 60.0
 """Longest flight of a script [s]; a mission of one's own ends by itself."""

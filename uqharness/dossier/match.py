@@ -7,11 +7,261 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from sysid.arrays import FloatArray
-from uqharness.dossier.bands import TESTS, Band, Oscillation, Test
-from uqharness.dossier.oscillation import Mode, fit_mode
+from sysid.units import DEG_RAD, FT_M, G0_MPS2, KT_MPS
 from uqharness.replay import History
+
+# Objective tests of 14 CFR Part 60, Appendix A, Attachment 2, Table A2A with their tolerances,
+# as data.
+#
+# Checked line by line against the edition of 1 January 2014 (14 CFR Ch. I, pages 53 to 58).
+# Where a test gives two tolerances for a parameter, the less restrictive one counts (paragraph
+# 2 of that attachment). A tolerance in percent is taken of the measured value at each moment,
+# except where the table says of the peak.
+#
+# Left out: tests of ground handling, take-off, landing, engines, forces on the controls and
+# failures, of which a flight record says nothing.
+
+REGULATION = "14 CFR Part 60, Appendix A, Attachment 2, Table A2A"
+
+
+@dataclass(frozen=True)
+class Band:
+    """A tolerance of a channel throughout a time history.
+
+    channel   of a flight record, in its unit; absolute: half width in that unit; share: of the measured value, 0 for none
+    of_peak   the share is of the greatest measured value, not of that of each moment
+    one_of    bands with the same word are alternatives, of which one has to hold
+    """
+
+    channel: str
+    absolute: float
+    share: float = 0.0
+    of_peak: bool = False
+    one_of: str = ""
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """Tolerances of a mode that the controls, once at rest, leave to itself.
+
+    channel     in which it is measured
+    period_s    absolute tolerance of the period [s], 0 for none; the greater of it and period_share counts
+    half_share  of the time to half or double amplitude; damping: absolute, of the damping ratio; one of the two has to hold
+    cycles      that the test needs; 0: as many as tell the time to half or double amplitude
+    shortest_s, longest_s  periods [s] that are looked for
+    """
+
+    channel: str
+    period_s: float
+    period_share: float
+    half_share: float
+    damping: float
+    cycles: float
+    shortest_s: float
+    longest_s: float
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test of the table.
+
+    entry      number of its line; tolerance: in words, as the table means it
+    control    that makes the manoeuvre; "" for none
+    before_s, after_s  record that it needs before and after the input
+    peak_radps  least and greatest peak of the measured rate with which the input counts as such; None: any
+    """
+
+    entry: str
+    title: str
+    tolerance: str
+    control: str
+    bands: tuple[Band, ...] = ()
+    oscillation: Oscillation | None = None
+    before_s: float = 0.0
+    after_s: float = 0.0
+    peak_radps: tuple[float, float] | None = None
+
+
+_SMALL = (0.5 * DEG_RAD, 2.0 * DEG_RAD)
+
+
+def _small(entry: str, axis: str, control: str, channel: str) -> Test:
+    return Test(
+        entry,
+        f"Small control inputs, {axis}",
+        f"±0.15°/s body {axis} rate or ±20 % of its peak, throughout",
+        control,
+        (Band(channel, 0.15 * DEG_RAD, 0.20, of_peak=True),),
+        before_s=5.0,
+        after_s=5.0,
+        peak_radps=_SMALL,
+    )
+
+
+TESTS = (
+    _small("2.b.4", "pitch", "elevator", "q_radps"),
+    _small("2.b.5", "roll", "aileron", "p_radps"),
+    _small("2.b.6", "yaw", "rudder", "r_radps"),
+    Test(
+        "2.c.1",
+        "Power change dynamics",
+        "±3 kt airspeed, ±100 ft altitude, ±20 % or ±1.5° pitch angle",
+        "throttle",
+        (
+            Band("V_mps", 3.0 * KT_MPS),
+            Band("h_m", 100.0 * FT_M),
+            Band("theta_rad", 1.5 * DEG_RAD, 0.20),
+        ),
+        before_s=5.0,
+        after_s=15.0,
+    ),
+    Test(
+        "2.c.9",
+        "Phugoid dynamics",
+        "±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio",
+        "",
+        oscillation=Oscillation("V_mps", 0.0, 0.10, 0.10, 0.02, 3.0, 5.0, 120.0),
+    ),
+    Test(
+        "2.c.10",
+        "Short period dynamics",
+        "±1.5° pitch angle or ±2°/s pitch rate; ±0.10 g acceleration",
+        "elevator",
+        (
+            Band("theta_rad", 1.5 * DEG_RAD, one_of="pitch"),
+            Band("q_radps", 2.0 * DEG_RAD, one_of="pitch"),
+            Band("az_mps2", 0.10 * G0_MPS2),
+        ),
+    ),
+    Test(
+        "2.d.2",
+        "Roll response (rate)",
+        "±10 % or ±2°/s roll rate",
+        "aileron",
+        (Band("p_radps", 2.0 * DEG_RAD, 0.10),),
+    ),
+    Test(
+        "2.d.4",
+        "Spiral stability",
+        "correct trend and ±2° or ±10 % bank angle in 20 s",
+        "",
+        (Band("phi_rad", 2.0 * DEG_RAD, 0.10),),
+        after_s=20.0,
+    ),
+    Test(
+        "2.d.6",
+        "Rudder response",
+        "±2°/s or ±10 % yaw rate",
+        "rudder",
+        (Band("r_radps", 2.0 * DEG_RAD, 0.10),),
+    ),
+    Test(
+        "2.d.7",
+        "Dutch roll",
+        "±0.5 s or ±10 % period; ±10 % time to half or double amplitude, or ±0.02 damping ratio",
+        "rudder",
+        oscillation=Oscillation("r_radps", 0.5, 0.10, 0.10, 0.02, 6.0, 0.3, 20.0),
+    ),
+)
+"""In the table's order. Of 2.d.7 the time between the peaks of bank and sideslip is not judged."""
+
+
+# Period and damping of a mode from what it does when nothing drives it.
+
+_STARTS = 60
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A damped sinusoid found in a record.
+
+    period_s   of the oscillation as seen, 2 pi over the damped frequency, and its standard error
+    damping    ratio, + where it dies away, and its standard error
+    half_s     time to half amplitude, or to double where it grows; infinite without damping
+    cycles     periods in the record; amplitude: at its beginning, in the record's unit; left: rms of what it does not explain
+    """
+
+    period_s: float
+    period_std_s: float
+    damping: float
+    damping_std: float
+    half_s: float
+    cycles: float
+    amplitude: float
+    left: float
+
+
+def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: float) -> Mode | None:
+    """Damped sinusoid beside a straight line, by least squares; None where no period within the limits fits the record.
+
+    Parameters
+    ----------
+    time_s, y : ndarray
+        Record (n,) without a driven input; NaN are left out.
+    shortest_s, longest_s : float
+        Periods [s] that are looked for; none longer than the record.
+
+    Notes
+    -----
+    Amplitude, phase and line are linear and are solved for at each frequency and decay rate (variable projection, Golub and Pereyra
+    1973). Standard errors are of white residuals.
+    """
+    known = np.isfinite(y)
+    t, z = time_s[known] - time_s[0], y[known]
+    if t.size < 12:
+        return None
+    span = float(t[-1])
+    longest, shortest = min(longest_s, span), max(shortest_s, 4.0 * span / t.size)
+    if not longest > shortest:
+        return None
+
+    def residual(x: FloatArray) -> FloatArray:
+        base = _base(t, x)
+        out: FloatArray = z - base @ np.linalg.lstsq(base, z, rcond=None)[0]
+        return out
+
+    starts = [
+        np.array([2.0 * math.pi / period, decay * 2.0 * math.pi / period])
+        for period in np.geomspace(shortest, longest, _STARTS)
+        for decay in (0.02, 0.3)
+    ]
+    first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
+    low, high = 2.0 * math.pi / longest, 2.0 * math.pi / shortest
+    fit = least_squares(
+        residual, first, bounds=([0.9 * low, -high], [1.1 * high, high]), x_scale=np.abs(first)
+    )
+    omega, decay = (float(v) for v in fit.x)
+    if not low <= omega <= high:
+        return None
+    left = float(np.sqrt(np.sum(fit.fun**2) / max(t.size - 6, 1)))
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * left**2
+    natural = math.hypot(omega, decay)
+    # Damping ratio is decay over the natural frequency: its derivatives by frequency and decay rate.
+    slope = np.array([-decay * omega, omega**2]) / natural**3
+    weights = np.linalg.lstsq(_base(t, fit.x), z, rcond=None)[0]
+    period = 2.0 * math.pi / omega
+    return Mode(
+        period,
+        period * math.sqrt(covariance[0, 0]) / omega,
+        decay / natural,
+        float(np.sqrt(slope @ covariance @ slope)),
+        math.log(2.0) / abs(decay) if decay else math.inf,
+        span / period,
+        float(math.hypot(weights[0], weights[1])),
+        left,
+    )
+
+
+def _base(t: FloatArray, x: FloatArray) -> FloatArray:
+    omega, decay = x
+    envelope = np.exp(np.clip(-decay * t, -50.0, 50.0))
+    return np.column_stack(
+        [envelope * np.cos(omega * t), envelope * np.sin(omega * t), np.ones_like(t), t]
+    )
+
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -22,25 +23,359 @@ import numpy.typing as npt
 from sysid.arrays import FloatArray
 from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
-from uqharness.flight import exact
-from uqharness.flight.branching import Source, Split, spliced
-from uqharness.flight.gust_filters import (
-    PAGE_STEPS,
-    GustFilters,
-    Recur,
-    UnitGusts,
-    first_order,
-    lateral,
-    numpy_recursion,
-)
+from uqharness.flight import normals as exact
 from uqharness.flight.normals import Normals, Pairs, numpy_pairs
+from uqharness.flight.seeds import Source, Split, spliced
 from uqharness.flight.spec import BELOW_CEILING, TURBULENCE_CEILING_M
+
+# Filters that make Dryden gusts of white noise, exact at any step, with the same bytes on every
+# processor.
+#
+# Four noise inputs drive them: u and p are of first order, v with r and w with q of third. A
+# step moves the state x by the transition matrix and adds the noise gathered in it, x' = E x +
+# R' n, where R'R is that noise's covariance; the first sample is drawn from the stationary
+# distribution. All is done by IEEE operations in a fixed order: no call of a matrix library, no
+# contraction.
+
+Matrix = tuple[tuple[float, ...], ...]
+
+PAGE_STEPS = 8192
+_PER_STEP = (1, 3, 3, 1)
+"""Normals of u, v, w and p in a step."""
+"""Steps that are made at once."""
+
+_SEGMENT_STEPS = 64
+_SMALLEST = 1e-290
+"""A segment is so short that the product of its factors stays above this."""
+
+# Gauss and Legendre, 12 nodes in -1..1.
+_NODES = (
+    (0.1252334085114689, 0.24914704581340277),
+    (0.3678314989981802, 0.2334925365383548),
+    (0.5873179542866175, 0.20316742672306592),
+    (0.7699026741943047, 0.16007832854334622),
+    (0.9041172563704749, 0.10693932599531843),
+    (0.9815606342467192, 0.04717533638651183),
+)
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """x' = ``keep`` x + ``spread`` n, of variance 1."""
+
+    keep: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Lateral:
+    """w of variance 1 with the lateral spectrum, and dw/dt smoothed by 1/(1 + T_span s).
+
+    States (z1, z2, y): z1 = 1/(1 + T s) noise, z2 = 1/(1 + T s) z1, y = 1/(1 + T_span s) w, with
+    w = sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 noise = sqrt(T) (sqrt(3) z1 + (1 - sqrt(3)) z2) and slope (w - y)/T_span.
+
+    to_w    the two factors of z1 and z2 in w
+    step    transition matrix, lower triangular
+    factor  R, upper triangular: R'R is the covariance of a step's noise
+    start   lower triangular factor of the stationary covariance
+    """
+
+    to_w: tuple[float, float]
+    step: Matrix
+    factor: Matrix
+    start: Matrix
+    T_span_s: float
+
+
+@lru_cache(maxsize=64)
+def first_order(dt_s: float, T_s: float) -> FirstOrder:
+    """The filter 1/(1 + T s), x' = e^(-dt/T) x + sqrt(1 - e^(-2 dt/T)) n."""
+    x = dt_s / T_s
+    return FirstOrder(exact.exp(-x), math.sqrt(-exact.expm1(-2.0 * x)))
+
+
+@lru_cache(maxsize=64)
+def lateral(dt_s: float, T_s: float, T_span_s: float) -> Lateral:
+    """The lateral filter of time constant ``T_s`` with the span's ``T_span_s``."""
+    root = math.sqrt(T_s)
+    to_w = (root * math.sqrt(3.0), root * (1.0 - math.sqrt(3.0)))
+    a, c = 1.0 / T_s, 1.0 / T_span_s
+    A = ((-a, 0.0, 0.0), (a, -a, 0.0), (to_w[0] * c, to_w[1] * c, -c))
+    B = (a, 0.0, 0.0)
+    step, factor = discretised(A, B, dt_s)
+    return Lateral(to_w, step, factor, exact.cholesky(_stationary(A, B)), T_span_s)
+
+
+def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matrix]:
+    """Transition matrix and a factor R with R'R = covariance of the noise gathered in one step.
+
+    The integral of e^(A s) B B' e^(A' s) is summed by Gauss and Legendre (12 nodes, exact to rounding for steps up to the
+    shortest time constant; longer ones are cut up) and factored without forming it: it is all but singular.
+    """
+    pieces = max(1, math.ceil(dt * max(abs(a) for row in A for a in row)))
+    half = 0.5 * dt / pieces
+    vectors = []
+    for node, weight in _NODES:
+        root = math.sqrt(half * weight)
+        for s in (half * (1.0 - node), half * (1.0 + node)):
+            vectors.append(_moved(A, [root * b for b in B], s))
+    rows = list(vectors)
+    for _ in range(pieces - 1):
+        vectors = [_moved(A, vector, 2.0 * half) for vector in vectors]
+        rows += vectors
+    return _exponential(A, dt), _triangular(rows)
+
+
+@dataclass(frozen=True)
+class GustFilters:
+    """The filters of the four noise inputs; v gives r and w gives q as well."""
+
+    u: FirstOrder
+    v: Lateral
+    w: Lateral
+    p: FirstOrder
+
+
+def numpy_recursion(
+    drive: FloatArray, powers: FloatArray, inverse: FloatArray, last: float
+) -> FloatArray:
+    """x' = keep x + drive from x = ``last``, in segments: ``last`` and the states of the steps, (n + 1,).
+
+    ``powers`` are keep, keep^2 and so on to the end of a segment, ``inverse`` their inverses. Within a segment
+    x[k] = keep^k (x[0] + sum of keep^-j drive[j]), a running sum for numpy; x goes on from one segment to the next.
+    """
+    out = np.empty(drive.size + 1)
+    out[0] = last
+    sums = drive.reshape(-1, powers.size) * inverse
+    np.add.accumulate(sums, axis=1, out=sums)
+    starts, whole = [], float(powers[-1])
+    for end in sums[:, -1].tolist():
+        starts.append(last)
+        last = (end + last) * whole
+    sums += np.array(starts)[:, None]
+    np.multiply(sums, powers, out=out[1:].reshape(sums.shape))
+    return out
+
+
+Recur = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
+"""``numpy_recursion`` or a compiled form of it."""
+
+
+class UnitGusts:
+    """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noise of u, v, w and p."""
+
+    def __init__(
+        self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion
+    ) -> None:
+        self._normals = tuple(normals)
+        self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
+        self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
+        self.keeps_noise = False
+        self._begun: tuple[UnitGusts, list[FloatArray]] | None = None
+
+    def __deepcopy__(self, memo: object) -> UnitGusts:
+        """Gusts that go on from here: what does not change is shared."""
+        other = self._copied()
+        other._normals = tuple(copy.deepcopy(source) for source in self._normals)
+        return other
+
+    def _copied(self) -> UnitGusts:
+        other = copy.copy(self)
+        other._u, other._p, other._v, other._w = (
+            self._u.copy(),
+            self._p.copy(),
+            self._v.copy(),
+            self._w.copy(),
+        )
+        return other
+
+    def exchange(self, other: Callable[[int, Source], Source]) -> None:
+        """Go on with other noise: ``other`` of the place of u, v, w, p (0 to 3) and its present source."""
+        self._normals = tuple(other(place, source) for place, source in enumerate(self._normals))
+
+    def page(self) -> FloatArray:
+        """The next samples (6, PAGE_STEPS): u, v, w, p, slope of w, slope of v."""
+        noise = [
+            source.take(rows * PAGE_STEPS).reshape(rows, PAGE_STEPS)
+            for source, rows in zip(self._normals, _PER_STEP, strict=True)
+        ]
+        return self._filtered(noise)
+
+    def branched(self, step: int, normals: Sequence[Source]) -> tuple[UnitGusts, FloatArray] | None:
+        """Gusts whose noise is ``normals`` from that step of the last page on, and that page (6, PAGE_STEPS); they go on behind it.
+
+        None where ``keeps_noise`` was not set when the page was made.
+        """
+        if self._begun is None:
+            return None
+        before, kept = self._begun
+        other, noise = before._copied(), []
+        other._normals, other.keeps_noise = tuple(normals), True
+        for source, known in zip(normals, kept, strict=True):
+            rows = known.copy()
+            rows[:, step:] = source.take(len(rows) * (PAGE_STEPS - step)).reshape(len(rows), -1)
+            noise.append(rows)
+        return other, other._filtered(noise)
+
+    def _filtered(self, noise: list[FloatArray]) -> FloatArray:
+        self._begun = (self._copied(), noise) if self.keeps_noise else None
+        if self._begun is not None:
+            self._begun[0]._begun = None
+        u, v, w, p = noise
+        out = np.empty((6, PAGE_STEPS))
+        out[0] = self._u.page(u[0])
+        out[1], out[5] = self._v.page(v)
+        out[2], out[4] = self._w.page(w)
+        out[3] = self._p.page(p[0])
+        return out
+
+
+class _Recursion:
+    """x' = keep x + drive, a page at a time, from x = 0."""
+
+    def __init__(self, keep: float, recur: Recur = numpy_recursion) -> None:
+        self._last, self._keep, self._recur = 0.0, keep, recur
+        powers = [keep]
+        while len(powers) < _SEGMENT_STEPS:
+            powers.append(powers[-1] * keep)
+        steps = _SEGMENT_STEPS
+        while steps > 1 and powers[steps - 1] < _SMALLEST:
+            steps //= 2
+        self._powers = np.array(powers[:steps])
+        self._inverse = 1.0 / np.maximum(self._powers, _SMALLEST)
+
+    def page(self, drive: FloatArray) -> FloatArray:
+        """x of the page's steps, behind that of the step before: (PAGE_STEPS + 1,)."""
+        if self._keep < _SMALLEST:
+            out = np.concatenate([[self._last], drive])
+        else:
+            out = self._recur(drive, self._powers, self._inverse, self._last)
+        self._last = float(out[-1])
+        return out
+
+
+class _FirstOrderGusts:
+    def __init__(self, filter_: FirstOrder, recur: Recur) -> None:
+        self._spread, self._begun, self._x = filter_.spread, False, _Recursion(filter_.keep, recur)
+
+    def copy(self) -> _FirstOrderGusts:
+        """Another that goes on from here."""
+        other = copy.copy(self)
+        other._x = copy.copy(self._x)
+        return other
+
+    def page(self, noise: FloatArray) -> FloatArray:
+        """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary distribution."""
+        drive = self._spread * noise
+        if not self._begun:
+            drive[0] = noise[0]
+            self._begun = True
+        return self._x.page(drive)[1:]
+
+
+class _LateralGusts:
+    def __init__(self, filter_: Lateral, recur: Recur) -> None:
+        self._filter, self._begun = filter_, False
+        self._states = [_Recursion(filter_.step[i][i], recur) for i in range(3)]
+
+    def copy(self) -> _LateralGusts:
+        """Another that goes on from here."""
+        other = copy.copy(self)
+        other._states = [copy.copy(state) for state in self._states]
+        return other
+
+    def page(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """w and its slope, both (PAGE_STEPS,), of normals (3, PAGE_STEPS); the first are drawn from the stationary distribution."""
+        one = self._filter
+        drives = [one.factor[0][i] * noise[0] for i in range(3)]
+        drives[1] += one.factor[1][1] * noise[1]
+        drives[2] += one.factor[1][2] * noise[1]
+        drives[2] += one.factor[2][2] * noise[2]
+        if not self._begun:
+            for drive, row in zip(drives, one.start, strict=True):
+                drive[0] = _dot(row, noise[:, 0].tolist())
+            self._begun = True
+        z1 = self._states[0].page(drives[0])
+        drives[1] += one.step[1][0] * z1[:-1]
+        z2 = self._states[1].page(drives[1])
+        drives[2] += one.step[2][0] * z1[:-1]
+        drives[2] += one.step[2][1] * z2[:-1]
+        y = self._states[2].page(drives[2])
+        w = one.to_w[0] * z1[1:] + one.to_w[1] * z2[1:]
+        return w, (w - y[1:]) / one.T_span_s
+
+
+def _moved(A: Matrix, x: list[float], t: float) -> list[float]:
+    """e^(A t) x by Taylor's series; the elements of A t are at most 1."""
+    result = x
+    for k in range(32, 0, -1):
+        result = [a + b * t / k for a, b in zip(x, _times(A, result), strict=True)]
+    return result
+
+
+def _exponential(A: Matrix, t: float) -> Matrix:
+    """e^(A t) by Taylor's series of a part of t, squared."""
+    n = len(A)
+    halvings = max(0, math.frexp(t * max(sum(abs(a) for a in row) for row in A))[1] + 1)
+    part = math.ldexp(t, -halvings)
+    one = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+    result = one
+    for k in range(18, 0, -1):
+        moved = _product(A, result)
+        result = tuple(
+            tuple(one[i][j] + moved[i][j] * part / k for j in range(n)) for i in range(n)
+        )
+    for _ in range(halvings):
+        result = _product(result, result)
+    return result
+
+
+def _stationary(A: Matrix, B: Sequence[float]) -> list[list[float]]:
+    """P with A P + P A' + B B' = 0 for a lower triangular A, element by element."""
+    n = len(A)
+    P = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            known = (
+                B[i] * B[j]
+                + math.fsum(A[i][k] * P[k][j] for k in range(i))
+                + math.fsum(A[j][k] * P[i][k] for k in range(j))
+            )
+            P[i][j] = P[j][i] = -known / (A[i][i] + A[j][j])
+    return P
+
+
+def _triangular(rows: Sequence[Sequence[float]]) -> Matrix:
+    """R of the QR decomposition by Gram and Schmidt, in the modified order, its diagonal positive."""
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    n = len(columns)
+    R = [[0.0] * n for _ in range(n)]
+    for i, column in enumerate(columns):
+        R[i][i] = math.sqrt(_dot(column, column))
+        unit = [x / R[i][i] for x in column]
+        for j in range(i + 1, n):
+            R[i][j] = _dot(unit, columns[j])
+            columns[j] = [x - R[i][j] * q for x, q in zip(columns[j], unit, strict=True)]
+    return tuple(map(tuple, R))
+
+
+def _product(A: Matrix, B: Matrix) -> Matrix:
+    return tuple(tuple(_dot(row, column) for column in zip(*B, strict=True)) for row in A)
+
+
+def _times(A: Matrix, x: Sequence[float]) -> list[float]:
+    return [_dot(row, x) for row in A]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return math.fsum(x * y for x, y in zip(a, b, strict=True))
+
 
 Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
 _STREAMS = {"u": 0, "v": 1, "w": 2, "p": 3}
-_PER_STEP = {"u": 1, "v": 3, "w": 3, "p": 1}
+_DRYDEN_PER_STEP = {"u": 1, "v": 3, "w": 3, "p": 1}
 
 
 @dataclass(frozen=True)
@@ -294,7 +629,7 @@ class DrydenGusts:
 
     def branch(self, *splits: Split) -> None:
         """Other noise behind each of these splits, which lie in pages to come."""
-        pairs, numbers = self._pairs, list(_PER_STEP.items())
+        pairs, numbers = self._pairs, list(_DRYDEN_PER_STEP.items())
 
         def noise(place: int, source: Source) -> Source:
             name, per_step = numbers[place]

@@ -7,11 +7,23 @@ for a small unmanned one they are a yardstick, not a requirement.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
-from uqharness.simulator import MODE_NAMES, LinearModel, Mode
+from uqharness.simulator import (
+    MODE_NAMES,
+    Aircraft,
+    LinearModel,
+    Mode,
+    SteadyCondition,
+    find_trim,
+    linearise,
+    modes,
+)
 
 CATEGORIES = ("A", "B", "C")
 CLASSES = ("I", "II-L", "II-C", "III", "IV")
@@ -218,3 +230,139 @@ def _first(met: Iterable[bool]) -> int:
 
 def _within(value: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= value <= limits[1]
+
+
+# Where the Levels of MIL-F-8785C begin in the complex plane of eigenvalues: the limits of
+# `handling` as lines.
+
+OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
+"""Modes whose Levels are areas of the plane; those of roll and spiral are limits of a real root."""
+
+
+def level_edges(
+    mode: str, category: str, aircraft_class: str, imag: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts ``imag`` (n,) [rad/s] above 0.
+
+    Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge here. ValueError for a mode
+    that is not of `OSCILLATORY`.
+    """
+    if mode == "short_period":
+        (one, _), (two, _), three = SHORT_PERIOD_DAMPING[category]
+        return _damped(one, imag), _damped(two, imag), _damped(three, imag)
+    if mode == "phugoid":
+        first, second = (_damped(zeta, imag) for zeta in PHUGOID_DAMPING)
+        return first, second, np.full(imag.shape, math.log(2.0) / PHUGOID_DOUBLE_S)
+    if mode != "dutch_roll":
+        raise ValueError(f"mode {mode!r}: allowed are {', '.join(OSCILLATORY)}")
+    edges = []
+    for zeta, product, wn in dutch_roll_limits(category, aircraft_class):
+        slow = -np.sqrt(np.maximum(wn**2 - imag**2, 0.0))
+        edges.append(np.minimum(np.minimum(_damped(zeta, imag), slow), -max(product, 0.0)))
+    return edges[0], edges[1], edges[2]
+
+
+def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, float, float]:
+    """Largest real root [1/s] of roll or spiral at Levels 1, 2 and 3. ValueError for another mode."""
+    if mode == "roll":
+        one, two, three = (-1.0 / constant for constant in roll_limits_s(category, aircraft_class))
+    elif mode == "spiral":
+        one, two, three = (math.log(2.0) / double for double in spiral_limits_s(category))
+    else:
+        raise ValueError(f"mode {mode!r}: allowed are roll, spiral")
+    return one, two, three
+
+
+def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Smallest and largest CAP [1/(g s^2)] at Levels 1 and 2; the smallest of Level 2 is that of Level 3 too."""
+    return CAP[category]
+
+
+def _damped(zeta: float, imag: FloatArray) -> FloatArray:
+    """Real part of a pair of that damping, below 1."""
+    return np.asarray(-zeta / math.sqrt(1.0 - zeta**2) * imag)
+
+
+# How the modes move with airspeed: a trim and a linear model at each of several speeds.
+
+SLOWEST, FASTEST, STEPS = 0.7, 1.6, 12
+"""Range of the usual speeds as shares of the speed asked for, and the number of steps in it."""
+_GIVEN_UP = 2
+
+
+@dataclass(frozen=True)
+class LocusPoint:
+    """Modes and Levels at one true airspeed [m/s], and n/alpha [g/rad] there."""
+
+    V_mps: float
+    modes: tuple[Mode, ...]
+    levels: tuple[Assessment, ...]
+    n_alpha: float
+
+
+@dataclass(frozen=True)
+class Locus:
+    """Points by rising speed, and the speeds [m/s] without a trim, each with its reason."""
+
+    points: tuple[LocusPoint, ...]
+    refused: tuple[tuple[float, str], ...]
+
+
+def usual_speeds(
+    V_mps: float, low: float | None = None, high: float | None = None
+) -> tuple[float, ...]:
+    """Speeds [m/s] in even steps from ``low`` to ``high``; without them from 0.7 to 1.6 times ``V_mps``."""
+    first, last = SLOWEST * V_mps if low is None else low, FASTEST * V_mps if high is None else high
+    return tuple(float(v) for v in np.linspace(first, last, STEPS + 1))
+
+
+def point_at(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
+    """Modes and Levels of a linear model."""
+    found = modes(model)
+    levels = assess(model, found, category, aircraft_class)
+    return LocusPoint(
+        model.trim.condition.V_mps, tuple(found), tuple(levels), load_factor_per_alpha(model)
+    )
+
+
+def root_locus(
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    speeds: Sequence[float],
+    category: str,
+    aircraft_class: str,
+    first: LocusPoint | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Locus:
+    """Modes at each of ``speeds`` [m/s], all else as in ``condition``.
+
+    Speeds are tried from the condition's own outwards. A trim that does not exist costs ten times as much as one that does, so
+    behind two speeds in a row without one the others on that side are listed as not tried. first: the point at the condition's
+    own speed, where it is known.
+    """
+    centre = condition.V_mps
+    points = {} if first is None else {first.V_mps: first}
+    refused: dict[float, str] = {}
+    wanted = sorted(set(speeds) | ({centre} if first is None else set()))
+    sides = ([v for v in reversed(wanted) if v <= centre], [v for v in wanted if v > centre])
+    done = 0
+    for side, beyond in zip(sides, ("slower", "faster"), strict=True):
+        failed: list[float] = []
+        for V in side:
+            done += 1
+            if len(failed) >= _GIVEN_UP:
+                refused[V] = (
+                    f"not tried: {beyond} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do not trim"
+                )
+            elif V not in points:
+                trim = find_trim(aircraft, replace(condition, V_mps=V))
+                if trim.converged:
+                    points[V] = point_at(linearise(aircraft, trim), category, aircraft_class)
+                    failed = []
+                else:
+                    refused[V] = trim.reason
+                    failed.append(V)
+            progress(done, len(wanted))
+    return Locus(
+        tuple(points[v] for v in sorted(points)), tuple((v, refused[v]) for v in sorted(refused))
+    )

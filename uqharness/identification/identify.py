@@ -7,9 +7,10 @@ result says so.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,15 +24,19 @@ from sysid.estimation import (
     rms,
 )
 from uqharness.errors import BadInputError
-from uqharness.identification.channels import BIASES, OUTPUTS
-from uqharness.identification.descent import Descent
-from uqharness.identification.excited import excited_alone
-from uqharness.identification.explained import withdrawn
+from uqharness.identification.excitation import excited_alone
+from uqharness.identification.replay_fit import (
+    BIASES,
+    OUTPUTS,
+    Identification,
+    Observed,
+    ReplayFit,
+    by_channel,
+    equation_error_start,
+    fit_replays,
+)
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
-from uqharness.identification.replay_fit import Observed, ReplayFit, fit_replays
-from uqharness.identification.result import Identification, by_channel
-from uqharness.identification.start import equation_error_start
 from uqharness.parallel import process_count, worker_map
 from uqharness.replay import (
     CONTROLS,
@@ -49,7 +54,128 @@ from uqharness.replay import (
     shown_channel,
 )
 from uqharness.replay.flights import segments
-from uqharness.simulator import Aircraft
+from uqharness.simulator import MEMS_NOISE_STD, Aircraft
+
+# Whether a fit explains its flights at all. One that does not gives the nearest values of a
+# wrong model, and identifies none.
+
+UNEXPLAINED_SIGMA = 10.0
+"""Residual in sigma above which a channel may count as unexplained: small missing terms, which `refine` names, leave some 4."""
+UNEXPLAINED_SHARE = 0.1
+"""Share of a channel's variance left over above which it does: a third of the motion's size."""
+
+
+def unexplained(
+    residual: Sequence[FloatArray],
+    measured: Sequence[FloatArray],
+    outputs: Sequence[str],
+    noise: Mapping[str, float],
+) -> dict[str, tuple[float, float]]:
+    """Channels that a fit does not explain: rms of the residual in sigma, and its share of the channel's variance.
+
+    residual, measured  [(n, m)] by segment, NaN where nothing was logged; the variance is about each segment's mean
+    noise               by channel, its own unit; a record cleaner than a small MEMS unit is judged by that unit's noise
+    """
+    out = {}
+    for k, channel in enumerate(outputs):
+        left, moved, samples = 0.0, 0.0, 0
+        for r, z in zip(residual, measured, strict=True):
+            good = np.isfinite(r[:, k]) & np.isfinite(z[:, k])
+            if good.any():
+                left += float(np.sum(r[good, k] ** 2))
+                moved += float(np.sum((z[good, k] - z[good, k].mean()) ** 2))
+                samples += int(good.sum())
+        size = max(noise[channel], MEMS_NOISE_STD.get(channel, 0.0))
+        if not samples or not size > 0.0:
+            continue
+        sigma = float(np.sqrt(left / samples)) / size
+        share = left / moved if moved > 0.0 else np.inf
+        if sigma > UNEXPLAINED_SIGMA and share > UNEXPLAINED_SHARE:
+            out[channel] = (sigma, share)
+    return out
+
+
+def withdrawn(found: Identification) -> Identification:
+    """``found`` itself where it converged and explains its flights; else the same with no parameter identified, each at its start,
+    and why: neither values nor standard errors hold of a fit that has not ended, or of a model that is not the aircraft's."""
+    why = _why_withdrawn(found) if found.identified else ""
+    if not why:
+        return found
+    advice = "check units, signs, mass, inertia and servos with compare, or let refine look for a missing effect"
+    return replace(
+        found,
+        theta=found.initial.copy(),
+        std=np.full(len(found.names), np.nan),
+        std_crb=np.full(len(found.names), np.nan),
+        status=dict.fromkeys(found.names, "not-identified"),
+        reason={
+            n: why if found.status[n] == "identified" else found.reason[n] for n in found.names
+        },
+        cov=np.zeros((0, 0)),
+        warnings=(f"no parameter is identified: {why}; {advice}", *found.warnings),
+    )
+
+
+def _why_withdrawn(found: Identification) -> str:
+    """Empty where the estimates stand."""
+    wrong = unexplained(found.residual, found.measured, found.outputs, found.noise)
+    if wrong:
+        channel = max(wrong, key=lambda c: wrong[c][1])
+        sigma, share = wrong[channel]
+        others = (
+            f" ({', '.join(c for c in wrong if c != channel)} as well)" if len(wrong) > 1 else ""
+        )
+        return (
+            f"the model does not explain the flights: the residual of {channel} is {sigma:.0f} sigma, "
+            f"{100.0 * share:.0f} % of its variance{others}"
+        )
+    return "" if found.converged else "not converged; values unchanged"
+
+
+# What is said of an estimation's course: its iteration, how far it has to go, and about how
+# long that takes.
+
+
+@dataclass
+class Descent:
+    """Told each iteration (`sysid.estimation.gauss_newton.Told`), tells ``on_stage`` a sentence.
+
+    Steps become shorter by about a constant factor from one iteration to the next: the time left is that of the iterations until
+    they are ``tolerance`` standard errors long, at most of all that are allowed (``most``). Descents that follow one another count
+    anew.
+    """
+
+    what: str
+    on_stage: Callable[[str], None]
+    tolerance: float
+    most: int
+    clock: Callable[[], float] = time.monotonic
+    _begun: float = 0.0
+    _lengths: list[float] = field(default_factory=list)
+
+    def __call__(self, iteration: int, length: float) -> None:
+        """An iteration begins from which the next step would be ``length`` standard errors long."""
+        if iteration == 1 or not self._lengths:
+            self._begun, self._lengths = self.clock(), []
+        self._lengths.append(length)
+        text = f"{self.what}: iteration {iteration}"
+        if math.isfinite(length):
+            text += f", {length:.2g} standard errors to go"
+        left = self.seconds_left(iteration)
+        self.on_stage(text if left is None else f"{text}, about {max(1, round(left))} s left")
+
+    def seconds_left(self, iteration: int) -> float | None:
+        """None in the first iterations of a descent."""
+        done = len(self._lengths) - 1
+        if done < 2:
+            return None
+        wanted = max(float(self.most - iteration), 1.0)
+        first, last = self._lengths[0], self._lengths[-1]
+        if 0.0 < last < first and last > self.tolerance:
+            wanted = min(wanted, math.log(last / self.tolerance) * done / math.log(first / last))
+        elif last <= self.tolerance:
+            wanted = 1.0
+        return wanted * (self.clock() - self._begun) / done
 
 
 def identify(

@@ -26,7 +26,7 @@ from uqharness.identification.linearised import (
     refit,
     with_jumps,
 )
-from uqharness.identification.start import equation_error_start
+from uqharness.identification.replay_fit import equation_error_start
 from uqharness.parallel import worker_map
 from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft, engine

@@ -15,12 +15,16 @@ from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised.from_replays import point_of
+from uqharness.identification.linearised.fit import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
-from uqharness.identification.linearised.setup import make_setup, noise_left, setup_in_gusts
-from uqharness.identification.linearised.types import Point, Setup
-from uqharness.identification.replay_fit import ReplayFit
-from uqharness.identification.result import Identification, by_channel
+from uqharness.identification.linearised.types import (
+    Point,
+    Setup,
+    make_setup,
+    noise_left,
+    setup_in_gusts,
+)
+from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
 from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, misplaced
 from uqharness.simulator import Aircraft
 

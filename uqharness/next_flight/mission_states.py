@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.aerodynamics import smooth
-from sysid.aerodynamics.polynomial import STATES
+from sysid.aerodynamics.terms import STATES
 from sysid.arrays import FloatArray
 from uqharness.campaign import Case, Mission, build_cases, find_mission, make_copy, needs_copy
 from uqharness.campaign.folder import (

@@ -5,44 +5,167 @@ Pure but for the flights that it simulates: writes nothing outside a temporary f
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from sysid.aerodynamics import Cutoffs, Residuals
+from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, together
 from sysid.arrays import FloatArray
+from sysid.digests import file_sha256
 from sysid.model_form import (
     CoefficientBounds,
+    Design,
     FitOptions,
+    Information,
+    MissingTerm,
     ModelForm,
     Offer,
+    Width,
     after,
     choose,
+    expected_width,
     fit_bounds,
+    for_ever,
     information,
+    mean_power,
     parameter_variance,
+    speed_power,
     weighted_quartiles,
+    width,
 )
+from sysid.model_form.fit import missing_terms
+from sysid.units import percent
 from uqharness.errors import BadInputError
-from uqharness.next_flight.mission_states import Occupancy
-from uqharness.next_flight.points import QUIET_S, REST_S, Condition, TestPoint, library
-from uqharness.next_flight.prospects import Prospect, designs_of, prospects
-from uqharness.next_flight.script import MOST_BANK_RAD, RECOVERY_S, TRANSITION_S, schedule
+from uqharness.next_flight.mission_states import CampaignMission, Occupancy
+from uqharness.next_flight.points import (
+    MOST_BANK_RAD,
+    QUIET_S,
+    RECOVERY_S,
+    REST_S,
+    TRANSITION_S,
+    Condition,
+    TestPoint,
+    library,
+    schedule,
+)
 from uqharness.next_flight.trials import (
     WIDER,
     Refused,
     TestFlight,
     Trial,
     fly_points,
+    has_autopilot,
+    has_noise,
     residuals_of,
     sorted_points,
     try_points,
     unit_times,
 )
 from uqharness.scratch import scratch_folder
-from uqharness.simulator import Aircraft
+from uqharness.simulator import Aircraft, content_hash, find_aircraft
+from uqharness.text_tables import text_table
+
+# What a flight would do to every coefficient's interval where a mission flies.
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """Mean widths of one coefficient's interval over the mission: now, after the flight, after as many seconds of what was flown
+    before, and after endless flying, the scatter being what it is. narrowing, parameter_narrowing: shares of the width, and of its
+    parameter part, that go.
+
+    redone: what bounds made again will show. Their scatter is that of other speeds: noise grows as the dynamic pressure falls.
+    """
+
+    now: Width
+    then: Width
+    redone: Width
+    naive: Width
+    ever: Width
+
+    @property
+    def narrowing(self) -> float:
+        """Share by which the mean width shrinks at the present scatter."""
+        return 1.0 - self.then.total / self.now.total
+
+    @property
+    def parameter_narrowing(self) -> float:
+        """Share of the parameter part that goes."""
+        return 1.0 - self.then.parameter / self.now.parameter
+
+    @property
+    def at_most(self) -> float:
+        """Narrowing after endless flying."""
+        return 1.0 - self.ever.total / self.now.total
+
+
+def prospects(
+    form: ModelForm, mission: Occupancy, flown: Residuals, weight: float, trials: Sequence[Trial]
+) -> dict[str, Prospect]:
+    """Of every coefficient, from a simulated flight's states. weight: see `sysid.model_form.information_gain.information`."""
+    behind_s = sum(f.seconds for f in form.flights)
+    new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in flown.pieces)
+    scatter = scatter_ratios(form, flown, trials)
+    out = {}
+    for c, bounds in form.coefficients.items():
+        states = mission.of(bounds.states)
+        told = [information(bounds, flown.states, weight)]
+        share = new_s / behind_s if behind_s > 0.0 else math.nan
+        same = Information(
+            np.asarray(share * np.linalg.inv(bounds.XtX_inv)),
+            share * bounds.n,
+            bounds.hull.low,
+            bounds.hull.high,
+        )
+        repeated = after(bounds, [same]) if math.isfinite(share) else bounds
+        then = after(bounds, told), after(bounds, told, scatter[c]), repeated, for_ever(bounds)
+        out[c] = Prospect(
+            width(bounds, states, form.outside),
+            *(expected_width(bounds, b, states, form.outside) for b in then),
+        )
+    return out
+
+
+def scatter_ratios(form: ModelForm, flown: Residuals, trials: Sequence[Trial]) -> dict[str, float]:
+    """Coefficient -> residual variance at a flight's speeds over that behind the bounds, by the trend of the model's trials."""
+    out = {}
+    speeds = np.array([float(np.mean(t.states["V_mps"])) for t in trials])
+    counts = np.array([float(len(t.delta)) for t in trials])
+    hull = next(
+        (
+            (b.hull, b.states.index("V_mps"))
+            for b in form.coefficients.values()
+            if "V_mps" in b.states
+        ),
+        None,
+    )
+    for c in form.coefficients:
+        k = COEFFICIENTS.index(c)
+        power = speed_power(
+            speeds, np.array([float(np.mean(t.delta[:, k] ** 2)) for t in trials]), counts
+        )
+        if hull is None or power == 0.0:
+            out[c] = 1.0
+            continue
+        box, v = hull
+        before = mean_power(box.middle[v], float(box.low[v]), float(box.high[v]), power)
+        out[c] = float(np.mean(flown.states["V_mps"] ** power)) / before
+    return out
+
+
+def designs_of(form: ModelForm) -> dict[str, Design]:
+    """The form's own terms, to fit other flights as it was fitted."""
+    return {c: Design(b.states, b.terms) for c, b in form.coefficients.items()}
+
+
+def widths_over(form: ModelForm, mission: Occupancy) -> dict[str, Width]:
+    """Mean widths of a form's intervals where a mission flies."""
+    return {c: width(b, mission.of(b.states), form.outside) for c, b in form.coefficients.items()}
+
 
 WORTH = 0.05
 """Share by which a flight must narrow the interval in the mission's flight states to be worth flying."""
@@ -345,3 +468,182 @@ def _scatter(flown: Residuals, form: ModelForm, coefficient: str) -> float:
     except ValueError:
         return math.nan
     return math.sqrt(fitted[coefficient].bounds.s2)
+
+
+# What a planned flight starts from: bounds and aircraft of the campaign, the flight as it is
+# simulated, and what to be wary of.
+
+_BURN_IN_S = 120.0
+_ON_AUTOPILOT_S = 4.0
+
+
+def bounds_of(campaign: CampaignMission, folder: Path, coefficient: str) -> Path:
+    """The model form that the campaign in ``folder`` flew. Raises BadInputError for other bounds, saying what to do."""
+    if campaign.spec.inputs.model_form is not None:
+        return campaign.spec.inputs.model_form
+    if not _constant(campaign):
+        raise BadInputError(
+            f"{folder}: flew the bounds that the aircraft carries; give the model-form.json that they were made from with "
+            "--bounds (constant ones tell nothing of where data are lacking)"
+        )
+    raise BadInputError(
+        f"{folder}: flew constant bounds of {coefficient}, which depend on no flight state: nothing says where data are "
+        "lacking. Make bounds from flights (uqharness bounds AIRCRAFT --flight FILE --out DIR) and give them with "
+        "--bounds DIR/model-form.json"
+    )
+
+
+def _constant(campaign: CampaignMission) -> bool:
+    """Whether the campaign file gave its bounds as numbers."""
+    return isinstance(campaign.spec.epistemic.bounds, dict)
+
+
+def aircraft_of(campaign: CampaignMission) -> Aircraft:
+    """What is flown: the author's aircraft, but for a trimmed start, whose initial conditions lie in the campaign's copy."""
+    own = campaign.spec.start is not None or campaign.mission.source == Path()
+    return find_aircraft(campaign.mission.aircraft if own else campaign.mission.source)
+
+
+def flight_of(
+    campaign: CampaignMission, aircraft: Aircraft, form: ModelForm, turbulence: str
+) -> TestFlight:
+    """The test flight as it is simulated: the mission's script and air of that intensity, recorded at the bounds' rate."""
+    held = campaign.spec.start is None and has_autopilot(aircraft)
+    begin_s = _ON_AUTOPILOT_S if held else min(float(campaign.spec.aleatory.burn_in_s), _BURN_IN_S)
+    steps = max(1, round(1.0 / (min(form.filtering.rate_hz, 60.0) * aircraft.dt_s)))
+    return TestFlight(
+        aircraft,
+        campaign.mission.script,
+        held,
+        begin_s,
+        turbulence,
+        has_noise(aircraft),
+        1.0 / (steps * aircraft.dt_s),
+        campaign.spec.aleatory.turbulence_source,
+    )
+
+
+def missing_in(
+    form: ModelForm, aircraft: Aircraft, coefficient: str, flights: Sequence[Path]
+) -> list[MissingTerm]:
+    """Terms that the flights show to be missing in a coefficient's polynomial. Raises BadInputError."""
+    cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    residuals = together(residuals_of(aircraft, flights, cutoffs))
+    try:
+        return missing_terms(residuals, coefficient, form.coefficients[coefficient])
+    except ValueError as error:
+        raise BadInputError(f"--flight: {error}") from None
+
+
+def warnings_of(
+    form: ModelForm,
+    campaign: CampaignMission,
+    flight: TestFlight,
+    bounds: Path | None,
+    flights: Sequence[Path],
+    flown: bool,
+) -> list[str]:
+    """What makes the plan less certain than it looks, a sentence each.
+
+    Parameters
+    ----------
+    bounds
+        The file of ``form``, None where it is the campaign's own.
+    flights
+        Files that are said to be those behind the bounds.
+    flown
+        Whether the mission's flight states come from the campaign's own flights.
+    """
+    aircraft, out = flight.aircraft, []
+    if form.aircraft.sha256 != content_hash(aircraft) and campaign.spec.start is None:
+        out.append(
+            f"aircraft '{aircraft.name}' has changed since the bounds were made: they belong to the model as it was"
+        )
+    if not campaign.same_aircraft:
+        out.append(
+            "the campaign was made by uqharness 0.1: whether its aircraft is as it was cannot be told, nor whether its table is"
+        )
+    if campaign.spec.inputs.model_form is None:
+        kind = (
+            "constant ones" if _constant(campaign) else "perhaps: those that the aircraft carries"
+        )
+        out.append(
+            f"the campaign flew other bounds than these ({kind}): which coefficient wins may differ with these"
+        )
+    elif bounds is not None and bounds.read_bytes() != campaign.spec.inputs.model_form.read_bytes():
+        out.append(
+            "the campaign flew other bounds than these: which coefficient wins may differ with these"
+        )
+    known = {f.sha256 for f in form.flights}
+    others = [p.name for p in flights if file_sha256(p) not in known]
+    if others:
+        out.append(
+            f"--flight {', '.join(others)}: not among the flights behind the bounds; its scatter may differ"
+        )
+    if campaign.failed and flown:
+        out.append(
+            f"{campaign.failed} flights of the campaign failed and do not count for the mission's states"
+        )
+    if not flight.noise:
+        out.append(
+            f"aircraft '{aircraft.name}' has no sensors system: the flight was simulated without sensor noise"
+        )
+    if not flight.has_autopilot:
+        out.append(
+            f"aircraft '{aircraft.name}' has none of this project's autopilot: test points are steps added to the commands while "
+            "the mission is flown, at its speed and bank alone"
+        )
+    return out
+
+
+# What a flight has brought: bounds before and after it, over the same mission, beside what was
+# predicted.
+
+Row = Mapping[str, float | None]
+
+
+def achieved(
+    before: ModelForm, after: ModelForm, mission: Occupancy, planned: Path
+) -> dict[str, Row]:
+    """Coefficient -> widths, narrowings and, where ``planned`` is a next-flight.json, those predicted there."""
+    predicted = _planned(planned)
+    then, now = widths_over(after, mission), widths_over(before, mission)
+    return {
+        c: {
+            "width": now[c].total,
+            "width_after": then[c].total,
+            "narrowing": 1.0 - then[c].total / now[c].total,
+            "predicted": predicted.get(c, {}).get("narrowing_redone"),
+            "parameter_narrowing": 1.0 - then[c].parameter / now[c].parameter,
+            "predicted_parameter": predicted.get(c, {}).get("parameter_narrowing"),
+        }
+        for c in now
+        if c in then
+    }
+
+
+def as_text(rows: Mapping[str, Row]) -> str:
+    """A table for a terminal."""
+    return "\n".join(
+        text_table(
+            [
+                {"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}}
+                for c, row in rows.items()
+            ]
+        )
+    )
+
+
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.3g}" if "width" in key else percent(value)
+
+
+def _planned(path: Path) -> dict[str, dict[str, float]]:
+    """Prospects of a flight planned in the same folder; empty without one."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["prospects"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return found if isinstance(found, dict) else {}

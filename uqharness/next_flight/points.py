@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from uqharness.simulator import Aircraft, InputCard
+from lxml import etree
+
+from sysid.units import G0_MPS2
+from uqharness.simulator import MANOEUVRE_PROPERTY, SECOND_ORDER, Aircraft, InputCard, parse_xml
 
 DOUBLET = ((1, 1.0), (1, -1.0))
 THREE_TWO_ONE_ONE = ((3, 1.0), (2, -1.0), (1, 1.0), (1, -1.0))
@@ -132,3 +137,240 @@ def _kinds(aircraft: Aircraft, unit_s: Mapping[str, float]) -> Iterator[TestPoin
 def _rounded(size: float) -> float:
     """Two figures: what a pilot or an operator can be told."""
     return float(f"{size:.2g}")
+
+
+# The run script of a flight of test points: the mission's own script with manoeuvres added to
+# it.
+#
+# With this project's autopilot (property ap/engaged) a test point is flown open loop: the
+# surfaces' and the motor's positions become the commands, the autopilot lets go, the steps are
+# added, the autopilot recovers, and between conditions it changes speed and bank. Any other
+# aircraft goes on flying its mission, under whatever holds it there, and the steps are added to
+# its commands.
+
+AUTOPILOT = (
+    "ap/engaged",
+    "ap/airspeed-cmd-mps",
+    "ap/WP_LOITER_RAD",
+    "ap/loiter-center-north-m",
+    "ap/loiter-center-east-m",
+    "ap/loiter-direction",
+    "nav/north-m",
+    "nav/east-m",
+    "nav/altitude-error-m",
+)
+"""Properties by which this project's autopilot is known."""
+RECOVERY_S = 8.0
+"""On the autopilot after a point: from an unsettled state, controls that stand still lead into a dive."""
+TRANSITION_S = 14.0
+"""To another speed or bank, on the autopilot."""
+MOST_BANK_RAD, MOST_PITCH_RAD, MOST_LOSS_M = math.radians(60.0), math.radians(30.0), 35.0
+"""Where the safety pilot takes over: bank, pitch, height below the commanded one."""
+_WIDE_M = 3000.0  # radius of a circle that counts as straight: 1 deg of bank at 22 m/s
+_GENTLE_S, _FIRM_S = 30.0, 17.0  # navigation period on straights and in turns
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A test point and when it begins and ends, s of the flight."""
+
+    point: TestPoint
+    start_s: float
+    end_s: float
+
+
+def schedule(points: Sequence[TestPoint], begin_s: float) -> tuple[list[Timed], float]:
+    """When each point is flown, and the end of the flight. Points of one condition should stand together.
+
+    begin_s: when the mission has settled and the first transition may begin.
+    """
+    time, last, out = begin_s, None, list[Timed]()
+    for point in points:
+        if point.condition != last:
+            time += TRANSITION_S if point.condition.speed_mps is not None else 0.0
+            last = point.condition
+        out.append(Timed(point, round(time, 3), round(time + point.seconds, 3)))
+        time += point.seconds + RECOVERY_S
+    return out, round(time, 3)
+
+
+def script_text(
+    mission: Path,
+    aircraft: Aircraft,
+    points: Sequence[TestPoint],
+    begin_s: float,
+    has_autopilot: bool,
+    name: str,
+    purpose: str,
+) -> bytes:
+    """The script as XML: the file ``mission`` with the points of `schedule` added. Raises BadInputError as parse_xml does."""
+    tree = parse_xml(mission)
+    root = tree.getroot()
+    run = root.find("run")
+    assert run is not None
+    timed, end_s = schedule(points, begin_s)
+    root.set("name", name)
+    description = root.find("description")
+    if description is None:
+        description = etree.Element("description")
+        description.tail = "\n  "
+        root.insert(0, description)
+    description.text = f"{purpose}: {len(points)} test points"
+    use = root.find("use")
+    assert use is not None
+    use.set("aircraft", aircraft.name)
+    for output in root.findall("output"):
+        root.remove(output)
+    run.set("end", f"{end_s:g}")
+    run.set("dt", f"{aircraft.dt_s:g}")
+    present = {(item.text or "").strip(): item for item in run.findall("property")}
+    # The mission's own air is not that of a test flight: a host sets what it wants.
+    calm: dict[str, float] = {
+        name: 0.0 for name in ("air/wind-mps", "air/turbulence-w20-kt") if name in present
+    }
+    log = {"sensor/log": 1.0} if "sensor/log" in present else {}
+    wanted: dict[str, float] = {**SECOND_ORDER, MANOEUVRE_PROPERTY: 0.0, **calm, **log}
+    for prop, value in wanted.items():
+        if prop in present:
+            present[prop].set("value", f"{value:g}")
+        else:
+            item = etree.Element("property", value=f"{value:g}")
+            item.text, item.tail = prop, "\n    "
+            run.insert(0, item)
+    events = [*_events(timed, aircraft, has_autopilot)]
+    if len(run):
+        run[-1].tail = "\n    "
+    for item in events:
+        etree.indent(item, "  ", level=2)
+        item.tail = "\n    "
+        run.append(item)
+    events[-1].tail = "\n  "
+    # Comments above the mission's root are left out: they tell of the mission.
+    said = (
+        f"\n  {purpose}, made by uqharness next-flight from {mission.name}, in still air unless the host says otherwise.\n"
+        f"  {MANOEUVRE_PROPERTY} counts the test points, 0 in between; the event that sets a number bears the point's name.\n"
+    )
+    body = etree.tostring(root, encoding="unicode", with_tail=False)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!--{said}-->\n{body}\n'.encode()
+
+
+def _events(
+    timed: Sequence[Timed], aircraft: Aircraft, has_autopilot: bool
+) -> Iterator[etree._Element]:
+    early = 0.5 * aircraft.dt_s  # so that rounding of the clock cannot shift an event by a frame
+    last: Condition | None = None
+    if has_autopilot:
+        yield _safety_pilot()
+    for number, item in enumerate(timed, start=1):
+        condition = item.point.condition
+        if has_autopilot and condition.speed_mps is not None and condition != last:
+            at = item.start_s - TRANSITION_S
+            yield _event(f"{at:.2f} s, to {condition.text}", at - early, [*_heading_for(condition)])
+        last = condition
+        taking = [*_take_over(aircraft)] if has_autopilot else []
+        yield _event(
+            item.point.name, item.start_s - early, [*taking, _set(MANOEUVRE_PROPERTY, number)]
+        )
+        changes: dict[float, list[tuple[str, float]]] = {}
+        for steps in item.point.steps:
+            time, before = item.start_s + QUIET_S + steps.start_s, 0.0
+            for units, sign in (*steps.pattern, (0, 0.0)):
+                changes.setdefault(round(time, 4), []).append(
+                    (steps.control, steps.size * (sign - before))
+                )
+                before, time = sign, time + units * steps.unit_s
+        for at, moves in sorted(changes.items()):
+            said = ", ".join(f"{control} {delta:+g}" for control, delta in moves)
+            sets = [
+                _delta(aircraft.card.inputs[control].property, delta) for control, delta in moves
+            ]
+            yield _event(f"{at:.2f} s, {said}", at - early, sets)
+        giving = [_set("ap/engaged", 1), *_heading_for(condition)] if has_autopilot else []
+        yield _event(
+            f"{item.end_s:.2f} s, end of {number}",
+            item.end_s - early,
+            [*giving, _set(MANOEUVRE_PROPERTY, 0)],
+        )
+
+
+def _safety_pilot() -> etree._Element:
+    """Ends a point whose attitude or height gets out of hand: the autopilot takes over, and the point's record ends there."""
+    event = etree.Element("event", name="safety pilot", persistent="true")
+    condition = etree.SubElement(event, "condition", logic="OR")
+    condition.text = (
+        "".join(
+            f"\n        {name} {sign} {value:g}"
+            for name, sign, value in (
+                ("attitude/phi-rad", "gt", MOST_BANK_RAD),
+                ("attitude/phi-rad", "lt", -MOST_BANK_RAD),
+                ("attitude/theta-rad", "gt", MOST_PITCH_RAD),
+                ("attitude/theta-rad", "lt", -MOST_PITCH_RAD),
+                ("nav/altitude-error-m", "lt", -MOST_LOSS_M),
+            )
+        )
+        + "\n      "
+    )
+    event.extend([_set("ap/engaged", 1), _set(MANOEUVRE_PROPERTY, 0)])
+    return event
+
+
+def _event(name: str, time_s: float, sets: Sequence[etree._Element]) -> etree._Element:
+    event = etree.Element("event", name=name)
+    condition = etree.SubElement(event, "condition")
+    condition.text = f"simulation/sim-time-sec ge {time_s:.4f}"
+    event.extend(sets)
+    return event
+
+
+def _set(name: str, value: float) -> etree._Element:
+    return etree.Element("set", name=name, value=f"{value:.6g}")
+
+
+def _delta(name: str, value: float) -> etree._Element:
+    return etree.Element("set", name=name, type="FG_DELTA", value=f"{value:.6g}")
+
+
+def _computed(name: str, function: str) -> etree._Element:
+    item = etree.Element("set", name=name)
+    item.append(etree.fromstring(f"<function>{function}</function>"))
+    return item
+
+
+def _take_over(aircraft: Aircraft) -> Iterator[etree._Element]:
+    """Commands to where the controls stand, then the autopilot lets go."""
+    for card in aircraft.card.inputs.values():
+        source = _stands_at(card)
+        if source is not None:
+            yield _computed(
+                card.property, f"<sum><property>{source}</property><value>0</value></sum>"
+            )
+    yield _set("ap/engaged", 0)
+
+
+def _stands_at(card: InputCard) -> str | None:
+    """Property that says, in the command's own unit, where a control stands."""
+    return (
+        card.position
+        if card.position is not None and card.unit in ("deg", "pct", "rad")
+        else card.selected
+    )
+
+
+def _heading_for(condition: Condition) -> Iterator[etree._Element]:
+    """Speed, and a circle that begins here and now: its centre abeam, so that no transition to it is flown."""
+    if condition.speed_mps is None:
+        return
+    bank = math.radians(abs(condition.bank_deg))
+    radius = condition.speed_mps**2 / (G0_MPS2 * math.tan(bank)) if bank > 1e-3 else _WIDE_M
+    radius = min(radius, _WIDE_M)
+    side = -1.0 if condition.bank_deg < 0.0 else 1.0
+    yield _set("ap/airspeed-cmd-mps", condition.speed_mps)
+    yield _set("ap/WP_LOITER_RAD", round(radius, 1))
+    yield _set("ap/loiter-direction", side)
+    yield _set("ap/NAVL1_PERIOD", _FIRM_S if radius < _WIDE_M else _GENTLE_S)
+    for axis, trig, sign in (("north", "sin", -side), ("east", "cos", side)):
+        yield _computed(
+            f"ap/loiter-center-{axis}-m",
+            f"<sum><property>nav/{axis}-m</property><product><value>{sign * radius:.1f}</value>"
+            f"<{trig}><property>attitude/psi-rad</property></{trig}></product></sum>",
+        )

@@ -20,8 +20,14 @@ from uqharness.flight import (
     two_seeds,
     write_record,
 )
-from uqharness.next_flight.points import TestPoint
-from uqharness.next_flight.script import AUTOPILOT, MOST_LOSS_M, RECOVERY_S, schedule, script_text
+from uqharness.next_flight.points import (
+    AUTOPILOT,
+    MOST_LOSS_M,
+    RECOVERY_S,
+    TestPoint,
+    schedule,
+    script_text,
+)
 from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.scratch import scratch_folder
 from uqharness.simulator import (

@@ -2,26 +2,294 @@
 
 from __future__ import annotations
 
+import logging
+import math
+import os
+import re
+import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
+from sysid.units import IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
 from uqharness.errors import BadInputError
 from uqharness.plugin.check import Verdict, check_in_child
-from uqharness.plugin.folder import write
-from uqharness.plugin.instrument import Bounds, Plan, metrics_of, plan
-from uqharness.plugin.mass import MassProperties, mass_insertions
-from uqharness.scratch import scratch_folder
+from uqharness.plugin.instrument import (
+    FILE_NAME,
+    Bounds,
+    Change,
+    Plan,
+    changed,
+    metrics_of,
+    plan,
+    read_record,
+    restored,
+    to_json,
+)
+from uqharness.scratch import Scratch, scratch_folder
 from uqharness.simulator import (
+    INSIDE,
     Aircraft,
-    aircraft_facts,
+    check_loadable,
+    content_hash,
     copy_beside,
     copy_folder,
     engine,
     find_aircraft,
+    numbers_for,
+    opened,
+    read_xml,
     undefined_properties,
 )
-from uqharness.xml import Insertion, apply, read_document
+from uqharness.simulator import facts as aircraft_facts
+from uqharness.xml import Document, Insertion, Node, append_child, apply, attribute, read_document
+
+# Engines, propellers and systems that an aircraft takes from beside its folder: a copy that
+# goes elsewhere has to carry them.
+
+
+def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
+    """Files to put into ``out`` (name within it to content): those that JSBSim would not find from there, or find others of.
+
+    Empty for a stock aircraft, whose parts every JSBSim has. Raises BadInputError.
+    """
+    root = out.absolute().parent.parent
+    stock = engine.default_root()
+    files = {}
+    parts = opened(aircraft)
+    for place in parts.beside:
+        kind, _, name = place.partition("/")
+        if any(f"{folder}/{name}".lstrip("/") in parts.own for folder in INSIDE[kind]):
+            continue
+        content = read_xml(
+            (aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name
+        )
+        shared = root / kind
+        found = (shared if shared.is_dir() else stock / kind) / name
+        if not (found.is_file() and read_xml(found) == content):
+            folders = [folder for folder in INSIDE[kind] if folder]
+            own = next(
+                (folder for folder in folders if (aircraft.folder / folder).is_dir()), folders[0]
+            )
+            files[f"{own}/{name}"] = content
+    return files
+
+
+# An instrumented aircraft's folder, whole or not at all: the copy with a plan carried out, and
+# the way back.
+
+
+def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
+    """Copy the aircraft's folder to ``out`` with the plan carried out, and the record beside it; whole or not at all.
+
+    ``out`` may be the aircraft's own folder; any other folder that exists has to be empty or an earlier result. Raises
+    BadInputError.
+    """
+    in_place = out.exists() and out.resolve() == aircraft.folder
+    if (
+        out.exists()
+        and not in_place
+        and not (out / FILE_NAME).is_file()
+        and (not out.is_dir() or any(out.iterdir()))
+    ):
+        raise BadInputError(
+            f"{out}: exists and is no instrumented aircraft; remove it or choose another --out"
+        )
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    changes, files = dict(planned.changes), dict(planned.files)
+    if not in_place:
+        for name, content in carried_files(aircraft, out).items():
+            files[name], changes[name] = content, changed(None, content)
+    if (aircraft.folder / FILE_NAME).is_file():
+        changes = _chained(read_record(aircraft.folder), changes)
+    with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
+        copy = Path(temporary) / "new"
+        copy_folder(aircraft.folder, copy, keep_links=in_place)
+        for name, content in files.items():
+            _put(copy / name, content)
+        (copy / FILE_NAME).write_bytes(to_json(changes))
+        _swap(copy, out, Path(temporary) / "old")
+
+
+def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
+    """Write to ``out`` what ``folder`` was before it was instrumented; (file, what became of it). ``out`` may be ``folder``.
+
+    Raises BadInputError where a file changed since in a way that leaves no clean way back; nothing is written then.
+    """
+    changes = read_record(folder)
+    done = []
+    with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
+        copy = Path(temporary) / "new"
+        copy_folder(folder, copy, keep_links=out.resolve() == folder.resolve())
+        for name, change in changes.items():
+            path = copy / name
+            if not path.is_file():
+                if change.edited:
+                    raise BadInputError(f"{folder / name}: is gone; undo cannot bring it back")
+                continue
+            content = restored(folder / name, change, path.read_bytes())
+            if content is None:
+                path.unlink()
+                if not any(path.parent.iterdir()):
+                    path.parent.rmdir()
+                done.append((name, "removed"))
+            else:
+                _put(path, content)
+                same = changed(None, content).after == change.before
+                done.append(
+                    (
+                        name,
+                        "as it was, byte for byte"
+                        if same
+                        else "without the plugin; other changes since are kept",
+                    )
+                )
+        (copy / FILE_NAME).unlink()
+        if (
+            out.exists()
+            and out.resolve() != folder.resolve()
+            and not (out / FILE_NAME).is_file()
+            and any(out.iterdir())
+        ):
+            raise BadInputError(
+                f"{out}: exists and is no instrumented aircraft; remove it or choose another --out"
+            )
+        _swap(copy, out, Path(temporary) / "old")
+    return done
+
+
+def _put(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written through a link, the file of another aircraft would change.
+    if path.is_symlink():
+        path.unlink()
+    path.write_bytes(content)
+
+
+def _swap(new: Path, out: Path, old: Path) -> None:
+    """Put ``new`` in the place of ``out``; whatever fails, ``out`` is one of the two."""
+    if (out / ".git").exists():
+        # A working copy's own data are not ours to copy: they go over.
+        os.rename(out / ".git", new / ".git")
+    if out.exists():
+        out.rename(old)
+    try:
+        new.rename(out)
+    except OSError:
+        if old.exists():
+            old.rename(out)
+        raise
+
+
+def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
+    """The record of both: what an earlier instrumentation changed goes on being undone to the author's own bytes."""
+    out = dict(earlier)
+    for name, change in now.items():
+        first = earlier.get(name)
+        if first is None:
+            out[name] = change
+        elif first.edited or change.edited:
+            raise BadInputError(f"{name}: was instrumented before; undo that first (--undo)")
+        else:
+            out[name] = Change(first.before, change.after, (), first.content)
+    return out
+
+
+# Mass, inertia and centre of gravity given as numbers, and the aircraft's <mass_balance> edited
+# so that it has them.
+
+_STEP = re.compile(r"(\w+)(?:\[@name='(\w+)'\])?")
+# Factor from the option's unit to the property's; JSBSim's inertia/ixz-slugs_ft2 is minus the product of inertia.
+_PROPERTIES: Mapping[str, tuple[str, float]] = {
+    "mass_kg": ("inertia/mass-slugs", 1.0 / (SLUG_LB * LB_KG)),
+    "ixx_kgm2": ("inertia/ixx-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
+    "iyy_kgm2": ("inertia/iyy-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
+    "izz_kgm2": ("inertia/izz-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
+    "ixz_kgm2": ("inertia/ixz-slugs_ft2", -1.0 / SLUG_FT2_KGM2),
+    "cg_x_m": ("inertia/cg-x-in", 1.0 / IN_M),
+    "cg_y_m": ("inertia/cg-y-in", 1.0 / IN_M),
+    "cg_z_m": ("inertia/cg-z-in", 1.0 / IN_M),
+}
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """What is known of the aircraft as it flew, fuel and loads on board included; None: as the XML has it.
+
+    ``mass_kg``; moments of inertia about the centre of gravity in body axes [kg m2], ``ixz_kgm2`` the product, the integral of x z
+    over the mass; ``cg_x_m`` ... in the XML's own structural frame [m], x aft, y right, z up.
+    """
+
+    mass_kg: float | None = None
+    ixx_kgm2: float | None = None
+    iyy_kgm2: float | None = None
+    izz_kgm2: float | None = None
+    ixz_kgm2: float | None = None
+    cg_x_m: float | None = None
+    cg_y_m: float | None = None
+    cg_z_m: float | None = None
+
+    def given(self) -> dict[str, float]:
+        """Those that are given, by name."""
+        values = ((item.name, getattr(self, item.name)) for item in fields(self))
+        return {name: float(value) for name, value in values if value is not None}
+
+
+def mass_insertions(
+    aircraft: Aircraft, document: Document, mass: MassProperties
+) -> tuple[Insertion, ...]:
+    """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass properties. Empty for none.
+
+    The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body has, and where a number is not in
+    this file.
+    """
+    given = mass.given()
+    if not given:
+        return ()
+    for name, value in given.items():
+        free = name.startswith(("cg", "ixz"))
+        if not math.isfinite(value) or not (free or value > 0.0):
+            raise BadInputError(
+                f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed"
+            )
+    moments = [given.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
+    if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
+        raise BadInputError(
+            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of the other two"
+        )
+    wanted = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in given.items()}
+    texts = numbers_for(aircraft, wanted)
+    return tuple(_edit(document, path, text) for path, text in texts.items())
+
+
+def _edit(document: Document, path: str, text: str) -> Insertion:
+    """The element at ``path`` with that number, made where there is none."""
+    node = document.root
+    steps = path.split("/")
+    for step in steps[:-1]:
+        node = _child(document, node, step)
+    old = node.find(steps[-1])
+    if old is None:
+        return append_child(
+            document, node, [f'<{steps[-1]} unit="SLUG*FT2"> {text} </{steps[-1]}>']
+        )
+    raw = document.raw
+    new = (
+        raw[old.start : old.open_end] + f" {text} ".encode("ascii") + raw[old.close_start : old.end]
+    )
+    return Insertion(old.start, new, raw[old.start : old.end])
+
+
+def _child(document: Document, node: Node, step: str) -> Node:
+    match = _STEP.fullmatch(step)
+    assert match is not None
+    for child in node.all(match[1]):
+        if match[2] is None or attribute(child, "name") == match[2]:
+            return child
+    raise BadInputError(
+        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be changed"
+    )
+
 
 CHECK_S = 1.0
 """Flight time [s] of the comparison with the untouched aircraft."""
@@ -106,3 +374,34 @@ def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Ver
         document = read_document(folder / aircraft.xml.name)
         document.path.write_bytes(apply(document, list(edits)))
         return check_in_child(folder, out, CHECK_S)
+
+
+# An aircraft that comes without airframe.toml, given one: an instrumented copy that lasts as
+# long as the process.
+
+_LOG = logging.getLogger("uqharness")
+_made: dict[str, tuple[Scratch, Aircraft]] = {}
+
+
+def with_card(aircraft: Aircraft) -> Aircraft:
+    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds of zero: it flies the same.
+
+    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly or cannot be instrumented.
+    """
+    if aircraft.has_card:
+        return aircraft
+    key = content_hash(aircraft)
+    if key not in _made:
+        check_loadable(
+            aircraft
+        )  # names the user's file; later checks would name the copy and its lines
+        scratch = scratch_folder("card")
+        folder = scratch.path / "aircraft" / aircraft.folder.name
+        folder.parent.mkdir()
+        done = instrument_aircraft(aircraft, Bounds(), folder, check=False)
+        for control, reason in done.unmeasured.items():
+            _LOG.info(
+                "%s: %s could not be measured and is assumed: %s", aircraft.name, control, reason
+            )
+        _made[key] = scratch, find_aircraft(folder)
+    return _made[key][1]

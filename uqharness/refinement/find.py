@@ -52,11 +52,9 @@ from uqharness.identification.linearised import (
 from uqharness.plugin import Estimate
 from uqharness.refinement.base import Base, as_quiet, base_fit_and_noise, left_alone
 from uqharness.refinement.rates import as_known_here, limits_tried
-from uqharness.refinement.round import Start
+from uqharness.refinement.round import Bent, Stages, Start, candidates_for, column_evidence
 from uqharness.refinement.rounds import eligible, resolved, settled
 from uqharness.refinement.search import Say, Searched, search
-from uqharness.refinement.setup import candidates_for, column_evidence
-from uqharness.refinement.stages import Stages
 from uqharness.refinement.timing import (
     CONTROLS_LATE,
     LEAST_LATE_ROWS,
@@ -65,8 +63,7 @@ from uqharness.refinement.timing import (
     later,
     words,
 )
-from uqharness.refinement.types import Bent
-from uqharness.refinement.writing.slopes import of_lift_slope
+from uqharness.refinement.writing.effects import of_lift_slope
 from uqharness.simulator import Aircraft
 
 NO_AIR = (

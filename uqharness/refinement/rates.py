@@ -15,8 +15,7 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.effects import Choice, Columns, Gusts, Selection, corrected, scores
 from uqharness.identification.linearised import HERE, NEAR, Fit, Setup, in_dead_zone, surface_change
-from uqharness.refinement.round import Round
-from uqharness.refinement.setup import column_evidence
+from uqharness.refinement.round import Round, column_evidence
 from uqharness.replay import CONTROLS, runs_per_row
 from uqharness.simulator import Actuator
 

@@ -41,11 +41,9 @@ from uqharness.identification.linearised import (
 from uqharness.identification.linearised import fly as linearised_fly
 from uqharness.plugin import Estimate
 from uqharness.refinement.rates import felt, least_felt
-from uqharness.refinement.round import Round, Start, joint_point
-from uqharness.refinement.setup import column_evidence
+from uqharness.refinement.round import Round, Start, column_evidence, joint_point
 from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.writing.effects import Written, carrier, write_effects
-from uqharness.refinement.writing.slopes import control_slopes
+from uqharness.refinement.writing.effects import Written, carrier, control_slopes, write_effects
 from uqharness.replay import CONTROLS, spread_over
 from uqharness.simulator import Actuator, Aircraft, find_aircraft
 

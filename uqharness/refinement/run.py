@@ -20,30 +20,26 @@ from uqharness.identification import choose_servos
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
-from uqharness.refinement.beside import named_beside
 from uqharness.refinement.find import Found, estimates_of, find_effects, remark
 from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, written_at
+from uqharness.refinement.round import FOLDER, Side, Stages, file_hash, refuse_shared
 from uqharness.refinement.rounds import write_copy, write_staged
 from uqharness.refinement.search import Say
-from uqharness.refinement.setup import file_hash, refuse_shared
-from uqharness.refinement.showing.document import document_of
-from uqharness.refinement.showing.intervals import FOLDER as INTERVALS
-from uqharness.refinement.showing.intervals import (
+from uqharness.refinement.showing.document import document_of, refinement_view
+from uqharness.refinement.showing.mission import FOLDER as PBOX
+from uqharness.refinement.showing.mission import INTERVALS_FOLDER as INTERVALS
+from uqharness.refinement.showing.mission import (
     FlightSet,
     IntervalJob,
     Intervals,
     fit_intervals,
     intervals_document,
+    no_pbox,
     write_forms,
 )
-from uqharness.refinement.showing.notebook import refinement_view
-from uqharness.refinement.showing.pboxes import FOLDER as PBOX
-from uqharness.refinement.showing.pboxes import no_pbox
 from uqharness.refinement.showing.show import air_of
-from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.timing import later
-from uqharness.refinement.types import Side
-from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, offered
+from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, named_beside, offered
 from uqharness.refinement.writing.effects import Written
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, renamed
 from uqharness.scratch import scratch_folder

@@ -18,8 +18,7 @@ from sysid.arrays import FloatArray
 from sysid.units import FT_M, percent
 from uqharness import batch
 from uqharness.errors import BadInputError
-from uqharness.replay.ground import terrain_m
-from uqharness.replay.model import ReplayModel
+from uqharness.replay.model import ReplayModel, terrain_m
 from uqharness.replay.replay import RAW, Shape, fly_segment, outputs_of, run_controls, shape_of
 from uqharness.replay.segments import Segment
 from uqharness.simulator import TRIM_LATITUDE_DEG, body_velocity, engine

@@ -13,6 +13,7 @@ then, and so do they.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,11 +24,73 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
-from uqharness.replay.begun import begun
-from uqharness.replay.ground import terrain_m
-from uqharness.replay.model import ReplayModel, control_setters
+from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
-from uqharness.simulator import STANDARD, TRIM_LATITUDE_DEG, body_velocity, engine
+from uqharness.simulator import (
+    SHORTEST_S,
+    STANDARD,
+    TRIM_LATITUDE_DEG,
+    Actuator,
+    body_velocity,
+    engine,
+)
+
+# Where a segment finds its actuators: behind a lag they are on their way to the commands that
+# came before its first row.
+
+_KEPT, _MODELS = 512, 16
+_STEP_S = 1e-3
+"""Longest step of an actuator, from command to command."""
+
+
+def begun(
+    model: ReplayModel, segment: Segment, properties: Mapping[str, float], limits: FloatArray
+) -> FloatArray:
+    """(c,) where actuators with a lag stand at the first row, and where controls that jump stood before it, in the record's units;
+    NaN of other controls, and where no command before it is known. properties: values in force, of which the actuators' own
+    count; limits (c, 2): where a command goes no further."""
+    out = np.full(len(model.controls), np.nan)
+    before = segment.at_commands().before
+    if before is None or not len(before):
+        return out
+    for control in model.jumping:
+        k = model.controls.index(control)
+        out[k] = np.clip(before[-1, k], *limits[k])
+    given = {**_given(model), **properties}
+    for control, numbers in model.lags.items():
+        k = model.controls.index(control)
+        lag, rate = (_number(text, given) for text in numbers)
+        if control in model.lagging and np.isfinite(before[:, k]).all() and not math.isnan(lag):
+            fastest = math.inf if math.isnan(rate) else abs(rate * model.position_unit(control))
+            servo = Actuator(lag if lag * SHORTEST_S < 1.0 else None, fastest)
+            out[k] = _last(servo, np.clip(before[:, k], *limits[k]), segment.command_s)
+    return out
+
+
+@cached(
+    LRUCache(_KEPT), key=lambda servo, commands, command_s: (servo, commands.tobytes(), command_s)
+)
+def _last(servo: Actuator, commands: FloatArray, command_s: float) -> float:
+    """Where a servo at rest at the first of some commands is when the last of them has been held as long as the others."""
+    step_s = command_s / max(1, math.ceil(command_s / _STEP_S - 1e-6))
+    return float(servo.follow(np.append(commands, commands[-1]), command_s, step_s)[-1])
+
+
+@cached(LRUCache(_MODELS), key=lambda model: model.identity)
+def _given(model: ReplayModel) -> dict[str, float]:
+    """Values in the XML of the properties that actuators' numbers are."""
+    fdm = model.open(0.01)
+    exists = fdm.get_property_manager().hasNode
+    return {name: float(fdm[name]) for name in model.servos if exists(name)}
+
+
+def _number(text: str, given: Mapping[str, float]) -> float:
+    """A number of an actuator, as it stands or as the property that it is; NaN without one."""
+    try:
+        return float(text)
+    except ValueError:
+        return given.get(text, math.nan)
+
 
 CHANNELS = (
     "V_mps",
@@ -465,3 +528,42 @@ def outputs_of(raw: FloatArray, segment: Segment, extra: int, n: int) -> FloatAr
     if extra:
         out[:done, c:] = raw[:, -extra:]
     return out
+
+
+# How fast replays ran, beside the bare JSBSim loop on the same machine at the same time.
+
+_RUNS = 2000
+
+
+@dataclass(frozen=True)
+class Speed:
+    """simulations (replays of all segments) and flight seconds a second of wall time, and the processes they ran in;
+    bare: flight seconds a second of one process that does nothing but step the same model."""
+
+    simulations_per_s: float
+    flight_s_per_s: float
+    processes: int
+    bare_flight_s_per_s: float
+
+    def text(self) -> str:
+        """One line for a report."""
+        return (
+            f"{self.simulations_per_s:.1f} simulations or {self.flight_s_per_s:.0f} flight seconds per second in {self.processes} "
+            f"process{'' if self.processes == 1 else 'es'}; JSBSim's bare loop: {self.bare_flight_s_per_s:.0f}"
+        )
+
+
+def bare_rate(model: ReplayModel, segment: Segment) -> float:
+    """Flight seconds a second of wall time when the model is stepped and nothing is set or read. Raises BadInputError."""
+    dt_s = segment.dt_s / runs_per_row(segment.dt_s)
+    fdm = model.open(dt_s)
+    fdm["ic/h-sl-ft"], fdm["ic/u-fps"] = (
+        (segment.altitude_m + 500.0) / FT_M,
+        float(segment.start[0]) / FT_M,
+    )
+    engine.run_ic(fdm)
+    run = fdm.run
+    begun = time.perf_counter()
+    for _ in range(_RUNS):
+        run()
+    return _RUNS * dt_s / (time.perf_counter() - begun)

@@ -1,7 +1,8 @@
-from .campaign_track import shown_cases as shown_cases
+from .campaign import condition_sections as condition_sections
+from .campaign import shown_cases as shown_cases
 from .compare import document_of as document_of
 from .compare import write_tables as write_tables
-from .convergence import convergence_section as convergence_section
+from .history import draw_rerun as draw_rerun
 from .model_form import bounds_document as bounds_document
 from .model_form import validation_document as validation_document
 from .model_form import write_residuals as write_residuals
@@ -9,8 +10,7 @@ from .next_flight import document as document
 from .next_flight import points_csv as points_csv
 from .notebook import campaign_view as campaign_view
 from .parts import first_lines as first_lines
-from .rerun import draw_rerun as draw_rerun
-from .sensitivity import condition_sections as condition_sections
+from .pbox import convergence_section as convergence_section
 from .write import Report as Report
 from .write import write_campaign_report as write_campaign_report
 from .write import write_figures as write_figures

@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 
+from sysid.units import percent
 from uqharness.campaign import (
     CONFIDENCE,
+    ENOUGH_EXCURSIONS,
+    TOLERANCE,
     UNCOMMANDED_METRICS,
     Condition,
+    RateRange,
     Statement,
     band_confidence,
     corners_only_words,
+    engine_words,
     hardest_of,
     in_condition,
     joint_words,
+    read_sensitivity,
     samples,
 )
 from uqharness.campaign.conditions import conditions
 from uqharness.campaign.folder import (
+    STATUS,
+    WHOLE,
     CheckRow,
+    as_number,
     read_cases,
     read_complete,
     read_decisions,
@@ -32,11 +43,217 @@ from uqharness.campaign.folder import (
 )
 from uqharness.campaign.spec import INTERIOR_MARK
 from uqharness.campaign.statements import statements
-from uqharness.report import statements as report_statements
-from uqharness.report.parts import Level, Say
-from uqharness.report.sample_words import called, kind_of
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table
+from uqharness.report.ground_track import flown_track
+from uqharness.report.parts import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Level,
+    Say,
+    Section,
+    Table,
+    Words,
+    shown,
+)
+from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
+from uqharness.report.svg import Scale, rows_chart
 from uqharness.statistics import NO, OPEN, YES, PBox, Sample, widened
 from uqharness.statistics.pbox import pbox
+
+# The report's words and table rows about excursion rates: supportable claims, and what stands
+# beside it.
+
+_ANSWER_WORDS = {YES: "yes", NO: "no", OPEN: "inconclusive"}
+_OTHER = "other"
+_KIND_WORDS = {
+    "loss_of_control": "Loss of control",
+    "ground_contact": "Ground contact",
+    "diverged": "Diverged",
+    _OTHER: "Ended otherwise",
+}
+"""Heads of the columns, by the kind of an aborted flight."""
+
+
+def answer_words(item: Statement) -> str:
+    """The answer in words; of an inconclusive one with the reason."""
+    words = _ANSWER_WORDS[item.answer]
+    return f"{words}: {item.reason or 'too few flight hours'}" if item.answer == OPEN else words
+
+
+def sentence(item: Statement) -> str:
+    """One statement in words, for the verdict."""
+    cell = item.cell
+    text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
+    if all(math.isnan(rate.rate) for rate in cell.rates):
+        return text + "undefined, for no flight was scored."
+    text += f"{item.best.rate:.3g} at the best corner, {item.worst.rate:.3g} at the worst"
+    text += f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the unit, "
+    hours = max(rate.hours for rate in cell.rates)
+    text = (
+        text.replace("%", " %")
+        + f"{hours:.3g} h per corner{' at most' if _uneven(item) else ''}). "
+    )
+    text += f"At most {item.acceptable_per_h:g} per hour at every corner? {answer_words(item).capitalize()}."
+    share = item.flight_share
+    return text + (f" {share.capitalize()}." if share else "")
+
+
+def row(item: Statement) -> dict[str, str]:
+    """One statement for the table."""
+    cell = item.cell
+    share = item.extrapolated_share
+    return {
+        "condition": cell.condition.label,
+        "radius": f"{cell.radius_m:g} m, {'3-D' if cell.distance == '3d' else 'horizontal'}",
+        "best": f"{item.best.rate:.3g} [{_limits(item.best)}]",
+        "worst": f"{item.worst.rate:.3g} [{_limits(item.worst)}]",
+        "worst_corner": item.worst.epistemic_id,
+        "answer": item.answer,
+        "hours": f"{sum(rate.hours for rate in cell.rates):.4g}",
+        "dispersion": "too few to say"
+        if math.isnan(item.dispersion_observed)
+        else f"{item.dispersion_observed:.2g}",
+        "carried": _carried(item),
+        "outside": "not known" if math.isnan(share) else percent(share),
+    }
+
+
+def aborted_kinds(found: Sequence[Statement]) -> tuple[str, ...]:
+    """Kinds of aborted flights that have a column of their own: the three of a flight that ends, and others where there are some.
+
+    None where no flight was aborted, so that no empty column widens a table.
+    """
+    totals = {kind: sum(item.aborted[kind] for item in found) for kind in _KIND_WORDS}
+    return (
+        tuple(kind for kind in _KIND_WORDS if kind != _OTHER or totals[kind])
+        if any(totals.values())
+        else ()
+    )
+
+
+def aborted_head(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Heads of the columns of aborted flights; none without kinds."""
+    limit = f"Aborted flights, {100 * CONFIDENCE:g} % upper limit [1/h]"
+    return (*(_KIND_WORDS[kind] for kind in kinds), limit) if kinds else ()
+
+
+def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tuple[str, ...]:
+    """Flights aborted by kind, and the upper limit of their rate at the worst corner; of several campaigns one after the other."""
+    if not kinds:
+        return ()
+    counts = (
+        " / ".join("not flown" if item is None else str(item.aborted[kind]) for item in items)
+        for kind in kinds
+    )
+    limits = " / ".join(
+        "not flown" if item is None else shown(item.loss_upper_per_h) for item in items
+    )
+    return (*counts, limits)
+
+
+def assumptions(found: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
+    """What the statements rest on, and where the flights contradict it."""
+    allowed = float(campaign["metrics"]["dispersion"])
+    allowance = (
+        f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their mean ([metrics] dispersion) "
+        "and for more where the flights of a corner show more. Lower limits need no such assumption."
+    )
+    if campaign["stop"]["rule"] != "decide":
+        allowance += (
+            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per hour at a smaller radius, "
+            f"the upper limit of the ratio there ({100 * CONFIDENCE:g} %) stands in place of the assumed one."
+        )
+    lines = [
+        "Flights are independent of each other; within a flight excursions may come in clusters.",
+        allowance,
+        (
+            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown, and yes needs an acceptable "
+            "rate of aborted flights as well ([metrics] acceptable_loss_per_h)."
+        ),
+        "Corners are the epistemic samples flown. Statements do not cover models between or outside them.",
+    ]
+    told = {
+        (item.cell.condition.words, item.cell.radius_m): item
+        for item in found
+        if item.cell.distance == "horizontal"
+    }
+    measured = [item for item in told.values() if item.dispersion.measured]
+    if measured:
+        least = min(measured, key=lambda item: item.quiet_hours_needed)
+        lines.append(
+            f"Clusters were measured for {len(measured)} of {len(told)} conditions and radii. With them a corner without an "
+            f"excursion needs {least.quiet_hours_needed:.3g} h to be a yes in {least.cell.condition.words} beyond "
+            f"{least.cell.radius_m:g} m."
+        )
+    beyond = [item for item in found if item.dispersion_observed > item.dispersion_allowed]
+    if beyond:
+        worst = max(beyond, key=lambda item: item.dispersion_observed)
+        lines.append(
+            f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond {worst.cell.radius_m:g} m in "
+            f"{worst.cell.condition.words}. Raise [metrics] dispersion for conditions that have not shown an excursion yet."
+        )
+    return lines
+
+
+def _carried(item: Statement) -> str:
+    """What clusters the limits carry, where that comes from, and the hours a quiet corner needs with it."""
+    corners = len(item.cell.rates)
+    origin = "assumed"
+    if item.dispersion.measured:
+        origin = f"from {item.dispersion.nearest_m:g} m"
+        if item.dispersion.measured < corners:
+            origin += f" at {item.dispersion.measured} of {corners} corners"
+    return f"{item.dispersion_allowed:.3g} {origin}, {item.quiet_hours_needed:.3g} h"
+
+
+def _limits(side: RateRange) -> str:
+    upper = "open" if math.isinf(side.upper) else f"{side.upper:.3g}"
+    return f"{side.lower:.2g} to {upper}"
+
+
+def _uneven(item: Statement) -> bool:
+    return len({rate.flights for rate in item.cell.rates}) > 1
+
+
+# What a campaign's epistemic samples are called: texts are written for corners, and say what
+# was flown instead.
+
+Part = TypeVar("Part")
+NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk": "walk"}
+"""[epistemic] method -> one of its samples; any other: sample."""
+
+
+def kind_of(epistemic: Mapping[str, Any]) -> str:
+    """What ``called`` takes for a campaign's [epistemic]: its method, unless other samples flew beside or in place of corners."""
+    mixed = epistemic["method"] == "corners" and (
+        epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
+    )
+    return "samples" if mixed else str(epistemic["method"])
+
+
+def called(part: Part, method: str) -> Part:
+    """A text, or a part of a page with all texts in it, that names the samples of ``method``. Drawings stay as they are."""
+    noun = NOUNS.get(method, "sample")
+    return part if noun == "corner" else _renamed(part, noun)
+
+
+def _renamed(part: Any, noun: str) -> Any:
+    if isinstance(part, str):
+        return part.replace("corner", noun).replace("Corner", noun.capitalize())
+    if isinstance(part, tuple):
+        return tuple(_renamed(item, noun) for item in part)
+    if isinstance(part, Figure):
+        return replace(part, caption=_renamed(part.caption, noun))
+    if is_dataclass(part) and not isinstance(part, type):
+        return replace(
+            part, **{f.name: _renamed(getattr(part, f.name), noun) for f in fields(part)}
+        )
+    return part
+
 
 _QUANTITIES = (
     ("cross_track", "cross-track", "m"),
@@ -222,9 +439,7 @@ def _verdict(
     said = [Say(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
-            said.append(
-                Say(called(report_statements.sentence(statement), kind), answer_level(statement))
-            )
+            said.append(Say(called(sentence(statement), kind), answer_level(statement)))
     if UNCOMMANDED_METRICS[0] in frame:
         said.append(
             Say(
@@ -293,3 +508,377 @@ def span(low: float, high: float) -> str:
     if math.isinf(high):
         return f"at least {low:.3g}"
     return f"{low:.3g} to {high:.3g}" if low != high else f"{low:.3g}"
+
+
+# Sensitivity ranges of a campaign as a section of its page, from its sensitivity.csv.
+
+_SHOWN = ("cross_track_median_m", "altitude_median_m", "speed_median_mps", "heading_median_deg")
+Row = Mapping[str, str]
+
+
+def sensitivity_section(
+    folder: Path, manifest: Mapping[str, Any], prefix: str = ""
+) -> tuple[Section, ...]:
+    """The section, none where ``uqharness sensitivity`` has not been run on the folder. Raises BadInputError."""
+    table_rows = read_sensitivity(folder, manifest)
+    if not table_rows:
+        return ()
+    conditions = by_condition(table_rows)
+    order = ("none", "light", "moderate", "severe")
+    hardest = max(conditions, key=lambda c: (order.index(c.turbulence), c.wind_mps))
+    rows = conditions[hardest]
+    counts = [
+        r["metric"]
+        for r in rows
+        if r["metric"].startswith("excursions_") and not r["metric"].endswith("_3d")
+    ]
+    by_metric = {
+        m: found for m in (*_SHOWN, *counts[:1]) if (found := [r for r in rows if r["metric"] == m])
+    }
+    text = (
+        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from the smallest to the largest "
+        "share over the values of the others, the wide pale one is its 95 % sampling interval. Ranges that overlap do not rank. "
+        f"{hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics stand in sensitivity.csv."
+    )
+    table = Table(
+        "Share of the p-box's width by coefficient, and by how much it would shrink were the coefficient known.",
+        ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
+        tuple(_table_row(r) for found in by_metric.values() for r in _ordered(found)),
+    )
+    blocks = (
+        Words(text, note=True),
+        range_figures(rows, tuple(by_metric), hardest, "", prefix),
+        table,
+    )
+    return (Section("Which uncertainty makes the width", blocks),)
+
+
+def condition_sections(content: bytes) -> list[Section]:
+    """The drawings of a sensitivity.csv, one file a condition: shares of the medians of the error's three quantities."""
+    out = []
+    for condition, found in by_condition(
+        list(csv.DictReader(content.decode().splitlines()))
+    ).items():
+        file = f"sensitivity-{condition.wind_mps:g}mps-{condition.turbulence}"
+        figures = range_figures(found, _SHOWN[:3], condition, file)
+        out += [Section(condition.words, (figures,))] if figures.items else []
+    return out
+
+
+def by_condition(rows: Sequence[Row]) -> dict[Condition, list[Row]]:
+    """Rows of sensitivity.csv by their condition, as they come."""
+    out: dict[Condition, list[Row]] = {}
+    for row in rows:
+        out.setdefault(Condition(float(row["wind_mps"]), row["turbulence"]), []).append(row)
+    return out
+
+
+def range_figures(
+    rows: Sequence[Row], metrics: Sequence[str], condition: Condition, file: str, prefix: str = ""
+) -> Figures:
+    """A chart for each metric that has a share; ``file`` as in :class:`Figures`."""
+    by_metric = {m: [r for r in rows if r["metric"] == m and r["share_min"]] for m in metrics}
+    figures = tuple(
+        _figure(m, _ordered(found), condition, prefix) for m, found in by_metric.items() if found
+    )
+    return Figures(figures, _LEGEND, True, file)
+
+
+_LEGEND = (
+    ("thick", "smallest to largest share over the pairs of corners"),
+    ("wide", "95 % sampling interval"),
+)
+
+
+def _ordered(rows: Sequence[Row]) -> list[Row]:
+    return sorted(
+        rows, key=lambda r: -(float(r["share_min"] or 0.0) + float(r["share_max"] or 0.0))
+    )
+
+
+def _figure(metric: str, rows: Sequence[Row], condition: Condition, prefix: str) -> Figure:
+    words, first = _words(metric), rows[0]
+    label = (
+        f"Sensitivity of the {words}: shares of the p-box's width [-] by coefficient; {first['coefficient']} has "
+        f"{float(first['share_min']):.2g} to {float(first['share_max']):.2g}."
+    )
+    name, x = (
+        f"{prefix}sensitivity-{metric.replace('_', '-')}",
+        Scale("share of the p-box's width [-]", 0.0, 1.0),
+    )
+    chart = rows_chart(name, label, x, [r["coefficient"] for r in rows], 22)
+    for k, r in enumerate(rows):
+        low, high = float(r["share_min"]), float(r["share_max"])
+        chart.across(float(r["share_low"] or low), float(r["share_high"] or high), k, "wide")
+        chart.across(low, high, k, "thick")
+        for end in (low, high):
+            chart.marker(end, float(k), "first", "bar")
+    return Figure(chart.name, chart.svg(), f"{words[0].upper()}{words[1:]}; {condition.words}.")
+
+
+def _table_row(r: Row) -> tuple[str, ...]:
+    if not r["share_min"]:
+        return (
+            _words(r["metric"]),
+            r["coefficient"],
+            f"undefined: {r['reason']}",
+            "undefined",
+            "undefined",
+        )
+
+    def span(low: str, high: str, scale: float = 1.0, unit: str = "") -> str:
+        return (
+            f"{scale * float(low):.2g} to {scale * float(high):.2g}{unit}"
+            if low and high
+            else "undefined"
+        )
+
+    return (
+        _words(r["metric"]),
+        r["coefficient"],
+        span(r["share_min"], r["share_max"]),
+        span(r["share_low"], r["share_high"]),
+        span(r["shrink_min"], r["shrink_max"], 100.0, " %"),
+    )
+
+
+def _words(metric: str) -> str:
+    if metric.startswith("excursions_"):
+        return f"excursions beyond {metric.split('_')[1].removesuffix('m')} m"
+    quantity = metric.rsplit("_", 2)[0].replace("_", "-")
+    return f"median {quantity} error"
+
+
+# Ground tracks of a campaign's page: of the flights whose records stand in the folder, as
+# `campaign rerun` leaves them.
+
+MOST_TRACKS = 4
+"""Tracks in the page: of the flights farthest from their path."""
+_WORST = "cross_track_median_m"
+_COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
+
+
+def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[Section, ...]:
+    """The tracks of flights flown again, or the command that flies the worst one again; none for a mission without a path.
+
+    frame: cases.parquet, one row a flight. A record that cannot be read is told.
+    """
+    if _WORST not in frame or not frame[_WORST].notna().any():
+        return ()
+    rows = frame.assign(far=frame[_WORST].fillna(np.inf)).sort_values(
+        ["far", "case_id"], ascending=[False, True]
+    )
+    found: list[Figure] = []
+    said: list[Block] = []
+    kept = {
+        path.parent.name: path
+        for path in (folder / "rerun").glob("*/record.parquet")
+        if path.is_file()
+    }
+    rows = rows[rows["case_id"].astype(str).isin(list(kept))]
+    for case_id, epistemic_id, wind, air in rows[
+        ["case_id", "epistemic_id", "wind_mps", "turbulence"]
+    ].itertuples(index=False):
+        if len(found) == MOST_TRACKS:
+            break
+        path = kept[str(case_id)]
+        try:
+            figure = _track(
+                path,
+                f"{prefix}track-{case_id}",
+                f"Case {case_id}: {epistemic_id}, {float(wind):g} m/s {air}.",
+            )
+        except BadInputError as error:
+            said.append(Words(str(error)))
+            continue
+        if figure is not None:
+            found.append(figure)
+    if found:
+        text = "Flights of the campaign that were flown again, the largest median cross-track error first."
+        return (
+            Section(
+                "Ground track", (Words(text, note=True), *said, Figures(tuple(found), file=""))
+            ),
+        )
+    worst = worst_case(frame)
+    text = "No record of a flight stands in this folder. The worst flight of the hardest condition is flown again, and drawn here, by:"
+    commands = (
+        ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
+        ("Report", "uqharness campaign report DIR"),
+    )
+    return (Section("Ground track", (*said, Words(text, note=True), Facts(commands))),)
+
+
+def shown_cases(frame: pd.DataFrame) -> tuple[str, ...]:
+    """Cases whose tracks a page should show: of the flights of the hardest condition with a known median cross-track error the one
+    with the largest and the one in the middle; fewer where there are fewer, none for a mission without a path."""
+    if _WORST not in frame or not frame[_WORST].notna().any():
+        return ()
+    rows = in_condition(frame, hardest_of(conditions(frame)))
+    known = rows[rows[_WORST].notna()].sort_values([_WORST, "case_id"], ascending=[False, True])
+    return (
+        tuple(str(case) for case in dict.fromkeys(known["case_id"].iloc[[0, len(known) // 2]]))
+        if len(known)
+        else ()
+    )
+
+
+def worst_case(frame: pd.DataFrame) -> str:
+    """Case with the largest median cross-track error that is known in the hardest condition, the first by its id among equals."""
+    rows = in_condition(frame, hardest_of(conditions(frame)))
+    known = rows[rows[_WORST].notna()]
+    rows = rows if known.empty else known.sort_values([_WORST, "case_id"], ascending=[False, True])
+    return str(rows["case_id"].iloc[0])
+
+
+def _track(path: Path, name: str, words: str) -> Figure | None:
+    table = read_table(path).to_pandas()
+    columns = {n: table[n].to_numpy(dtype=float) for n in _COLUMNS if n in table}
+    if "error_cross_track" in columns:
+        columns["cross_track_m"] = columns.pop("error_cross_track")
+    return flown_track(name, columns, words)
+
+
+# What a campaign's page says of the engine that flew it, and of the flights that JSBSim flew as
+# its judge.
+
+_NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
+
+
+def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
+    """Which engine flew, why, and how far it is from JSBSim."""
+    engine = manifest["campaign"]["campaign"]["engine"]
+    why = tuple(manifest.get("engine", {}).get("why", ()))
+    said = engine_words(_NAMES[engine], why)
+    blocks: list[Block] = [Words(f"Flown in {said}.")]
+    whole = [row for row in rows if row.part == WHOLE]
+    if engine == "batch":
+        flights = len({row.case_id for row in whole})
+        text = (
+            f"{flights} whole flights, and the first seconds of some of each condition, were flown in JSBSim as well. A difference "
+            f"is measured by the metric's spread over the condition's flights; at {TOLERANCE:g} of it the campaign would have "
+            "stopped. engine-check.csv has every row."
+        )
+        blocks += [Words(text, note=True), *_tables(whole)]
+    return Section("Engine", tuple(blocks))
+
+
+def _tables(rows: Sequence[CheckRow]) -> list[Block]:
+    by_metric: dict[str, list[CheckRow]] = {}
+    for row in rows:
+        if row.difference or row.metric == STATUS:
+            by_metric.setdefault(row.metric, []).append(row)
+    if not by_metric:
+        return []
+    head = ("Metric", "Flights", "Largest difference over spread", "Excused")
+    return [
+        Table(
+            "The batch engine against JSBSim.",
+            head,
+            tuple(_row(name, found) for name, found in by_metric.items()),
+        )
+    ]
+
+
+def _row(name: str, rows: Sequence[CheckRow]) -> tuple[str, ...]:
+    excused = [row for row in rows if row.verdict == "excused"]
+    why = "; ".join(dict.fromkeys(row.remark for row in excused))
+    shares = [as_number(row.difference) for row in rows if row.verdict != "excused"]
+    known = [share for share in shares if not math.isnan(share)]
+    largest = "" if name == STATUS else f"{max(known):.2g}" if known else "undefined"
+    return (name, str(len(rows)), largest, f"{len(excused)} ({why})" if excused else "0")
+
+
+# P-boxes of two campaigns over each other: the same flights before and after something changed
+# in the model.
+
+_OVERLAID = 2
+"""Conditions whose p-boxes are drawn over each other, the hardest; the table holds all."""
+
+
+def overlay_section(
+    before: CampaignFound,
+    after: CampaignFound,
+    names: Mapping[str, str],
+    prefix: str = "",
+    title: str = "Before and after",
+) -> Section:
+    """P-boxes of two campaigns over each other wherever both have the same quantity in the same condition."""
+    titles = ("before", "after")
+    drawn = hardest_first([c for c in conditions(before.frame) if c in conditions(after.frame)])[
+        :_OVERLAID
+    ]
+    words = [corner_words(side.frame) for side in (before, after)]
+    later = {(item.metric, item.condition): item for item in after.findings}
+    figures, rows = [], []
+    for item in sorted(
+        before.findings,
+        key=lambda f: drawn.index(f.condition) if f.condition in drawn else len(drawn),
+    ):
+        other = later.get((item.metric, item.condition))
+        if other is None:
+            continue
+        if item.condition in drawn:
+            # After is solid and before dashed, as in every other chart of the two.
+            boxes = [
+                DrawnBox(t, f.box, f.samples, w)
+                for t, f, w in zip(titles, (item, other), words, strict=True)
+            ][::-1]
+            place = f"{item.condition.wind_mps:g}mps-{item.condition.turbulence}".replace(".", "p")
+            name = f"{prefix}before-after-{item.metric.replace('_', '-')}-{place}"
+            figures.append(
+                pbox_figure(
+                    name, item.axis, item.unit, boxes, f"{item.title}; {item.condition.words}."
+                )
+            )
+        ends = [f.box.quantile(0.5) for f in (item, other)]
+        widths = [high - low for low, high in ends]
+        ratio = (
+            widths[1] / widths[0] if widths[0] > 0.0 and widths[0] < float("inf") else float("nan")
+        )
+        # A width is a fact: no claim was tested that a tick could confirm.
+        level: Level = "warn" if ratio > 1.0 else ""
+        change = Cell(
+            shown(ratio, ".2f"),
+            level,
+            small="wider" if ratio > 1.0 else "narrower" if ratio < 1.0 else "",
+        )
+        rows.append(
+            (
+                f"{item.title} [{item.unit}]",
+                item.condition.label,
+                span(*ends[0]),
+                span(*ends[1]),
+                change,
+            )
+        )
+    if not figures:
+        return Section(
+            title, (Words("The two campaigns share no quantity in the same condition."),)
+        )
+    text = (
+        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one after ({names['after']})."
+        " A narrower box means that less is unknown; a "
+        "box that moved means that the model was wrong. The cursor names the epistemic sample behind each side."
+    )
+    notes: list[Block] = [Words(text, note=True)]
+    unlike = _unlike(before, after)
+    if unlike:
+        notes.append(
+            Words(
+                f"Not the same flights otherwise: {unlike} differ, so part of the change may be theirs."
+            )
+        )
+    head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [-]")
+    table = Table("Where half of the flights stay below, before and after.", head, tuple(rows))
+    return Section(title, (*notes, Figures(tuple(figures)), table))
+
+
+def _unlike(before: CampaignFound, after: CampaignFound) -> str:
+    """What of two campaigns is flown differently, besides the model and its bounds."""
+    pairs = [
+        (side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)
+    ]
+    names = ["seed"] if pairs[0][0] != pairs[1][0] else []
+    keys = [k for k in pairs[0][1] if k != "variables"]
+    return ", ".join([*names, *(k for k in keys if pairs[0][1].get(k) != pairs[1][1].get(k))])

@@ -1,6 +1,6 @@
 from .analysis import Sensitivity as Sensitivity
 from .analysis import analyse as analyse
-from .repeats import average as average
+from .analysis import average as average
 from .result import Index as Index
 from .result import MethodResult as MethodResult
 from .result import PairRange as PairRange

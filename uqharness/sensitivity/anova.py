@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import is_flat
-from uqharness.sensitivity.resampling import Z, std_by_draws
+from uqharness.sensitivity.areas import Z, is_flat, std_by_draws
 from uqharness.sensitivity.result import (
     CONFIDENCE,
     Index,

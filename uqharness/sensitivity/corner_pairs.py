@@ -6,8 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.arrays import FloatArray
-from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
-from uqharness.sensitivity.resampling import MIN_DRAWS, RESAMPLES, pair_band
+from uqharness.sensitivity.areas import (
+    MIN_DRAWS,
+    OUTSIDE_ALLOWED,
+    RESAMPLES,
+    beyond_corners,
+    box_area,
+    is_flat,
+    pair_band,
+)
 from uqharness.sensitivity.result import (
     Index,
     MethodResult,

@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.arrays import FloatArray
-from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat, log_area
-from uqharness.sensitivity.resampling import Z, reach_of_box, std_by_draws
+from uqharness.sensitivity.areas import (
+    OUTSIDE_ALLOWED,
+    Z,
+    beyond_corners,
+    box_area,
+    is_flat,
+    log_area,
+    reach_of_box,
+    std_by_draws,
+)
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
 

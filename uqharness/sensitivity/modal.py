@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.arrays import FloatArray
-from uqharness.sensitivity.analysis import Sensitivity, analyse
-from uqharness.sensitivity.repeats import average
+from uqharness.sensitivity.analysis import Sensitivity, analyse, average
 from uqharness.sensitivity.study import Study, run_study
 
 Reading = Literal["as_corrected", "as_published"]

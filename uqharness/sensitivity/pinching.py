@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import OUTSIDE_ALLOWED, beyond_corners, box_area, is_flat
-from uqharness.sensitivity.resampling import reach_of_box
+from uqharness.sensitivity.areas import (
+    OUTSIDE_ALLOWED,
+    beyond_corners,
+    box_area,
+    is_flat,
+    reach_of_box,
+)
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
 

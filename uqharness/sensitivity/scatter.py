@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.sensitivity.areas import box_area, is_flat, log_area
-from uqharness.sensitivity.resampling import Z, reach_of_box
+from uqharness.sensitivity.areas import Z, box_area, is_flat, log_area, reach_of_box
 from uqharness.sensitivity.result import Index, MethodResult, all_undefined, missing_values
 from uqharness.sensitivity.study import Evaluations, Study
 

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.foreign.parsed_text import parse_json
+from sysid.foreign.regular_files import parse_json
 from uqharness.arguments import flag, instance, whole
 from uqharness.arguments import path as file_path
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.sensitivity.array_archive import read_arrays
 from uqharness.sensitivity.problem import (
     Problem,
     aleatory_centre,
     aleatory_draws,
     corners,
     make_problem,
+    read_arrays,
 )
 
 METHODS = ("local", "scatter", "anova", "pbox", "proposed")

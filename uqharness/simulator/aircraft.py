@@ -14,13 +14,12 @@ from lxml import etree
 
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
-from uqharness.project_files import PROJECT_ROOT as PROJECT_ROOT
+from uqharness.files import PROJECT_ROOT
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft_files import identity, read_xml, signature, walk
 from uqharness.simulator.card import Card, read_card, standard_card
 from uqharness.simulator.physical_checks import check_physical
 from uqharness.simulator.preflight import Undefined, ensure_loadable, undefined_message
-from uqharness.simulator.staging import fingerprint, staged
+from uqharness.simulator.staging import fingerprint, identity, read_xml, signature, staged, walk
 
 
 @dataclass(frozen=True)

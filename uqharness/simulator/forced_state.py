@@ -3,17 +3,228 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
 
 from sysid.units import FT_M
-from uqharness.simulator import control_system, engine
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.control_system import Rest
+from uqharness.simulator.staging import HasFiles, opened
+
+# The control system at rest: what aerodynamics and engines read of it no longer changes while
+# the aircraft's motion stands still.
+#
+# In the first frames of an instance its filters and integrators are on their way from zero,
+# flaps and gear from where JSBSim has put them: forces there are not those of steady flight.
+# Frames are run with the motion frozen until all comes to rest. The body rates may be left
+# free: a control law that integrates the error of a rate rests where the aircraft turns as
+# commanded, and nowhere before.
+
+RATES_HELD, RATES_FREE = "flight/steady-controls", "flight/steady-rates"
+"""Run properties of a mission that begins with the control system at rest, body rates held or free meanwhile."""
+
+AT_REST = 1e-9
+"""Change in a frame, as a share of the value or of 1, below which nothing moves."""
+BLOCK_FRAMES, MOST_BLOCKS, PATIENCE = 50, 400, 20
+_CONVERGED = 1e-11  # change over a block
+_MOVED_POSITION = 1e-6  # deg or rad
+_ROTATION = "simulation/integrator/rate/rotational"
+_RATES = ("p", "q", "r")
+_CONTROLS = frozenset({"flight_control", "autopilot", "system"})
+_LEVERS = ("throttle", "mixture", "advance", "feather")
+_DIRECT = ("propulsion/", "inertia/", "external_reactions/")
+_NAME = re.compile(r"[A-Za-z_/][\w./\-]*(\[\d+\])?")
+_WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
+_BY_POWER = ("thrust-lbs", "propeller-rpm")
+
+
+@dataclass(frozen=True)
+class Rest:
+    """How the control system comes to rest. ``watched``: properties that must; ``free``: the body rates are left free meanwhile."""
+
+    watched: tuple[str, ...]
+    free: bool = False
+
+    @property
+    def mark(self) -> str:
+        """The run property that says so to a flight."""
+        return RATES_FREE if self.free else RATES_HELD
+
+
+def felt(aircraft: HasFiles) -> tuple[str, ...]:
+    """Properties that components of the control system write and aerodynamics, engines or external forces read. Raises
+    BadInputError."""
+    written, read = _written_and_read(aircraft)
+    levers = {
+        name
+        for name in written
+        if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)
+    }
+    return tuple(
+        sorted((written & read) | levers | {name for name in written if name.startswith(_DIRECT)})
+    )
+
+
+def written_by_components(aircraft: HasFiles) -> set[str]:
+    """Properties that components of the control system write. Raises BadInputError."""
+    return _written_and_read(aircraft)[0]
+
+
+def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
+    written: set[str] = set()
+    read: set[str] = set()
+    found = opened(aircraft)
+    for file in (*found.own.values(), *found.beside.values()):
+        root = etree.parse(
+            BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)
+        ).getroot()
+        for section in [root] if root.tag != "fdm_config" else root.iterchildren("*"):
+            if section.tag in _CONTROLS:
+                written.update(_outputs(section))
+            else:
+                read.update(_tokens(section))
+    return written, read
+
+
+def _outputs(section: Any) -> Iterator[str]:
+    for channel in section.iter("channel"):
+        for component in channel.iterchildren("*"):
+            if name := (component.get("name") or "").strip():
+                yield _bare(
+                    name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}"
+                )
+            for output in component.iterchildren("output"):
+                yield _bare((output.text or "").strip())
+
+
+def _tokens(section: Any) -> Iterator[str]:
+    for element in section.iter("*"):
+        text = (element.text or "").strip().lstrip("-+")
+        if _NAME.fullmatch(text):
+            yield _bare(text)
+
+
+def _bare(name: str) -> str:
+    return name.removesuffix("[0]")
+
+
+def rest_of(aircraft: HasFiles, fdm: Any, free: bool = False) -> Rest:
+    """What must come to rest in an instance of the aircraft. Raises BadInputError."""
+    exists = fdm.get_property_manager().hasNode
+    return Rest(tuple(name for name in felt(aircraft) if exists(name)), free)
+
+
+def moving(fdm: Any, rest: Rest) -> str:
+    """What of the control system moves in the next frame, in which time and motion stand still; empty where nothing does."""
+    before = [fdm[name] for name in rest.watched]
+    engine.renew_forces(fdm)
+    for name, old in zip(rest.watched, before, strict=True):
+        if abs(fdm[name] - old) > AT_REST * max(abs(old), 1.0):
+            return name
+    return ""
+
+
+def bring_to_rest(fdm: Any, rest: Rest) -> str:
+    """Run frames, the motion frozen, until control system and engines rest: empty, or what still changes. Clock and fuel stay.
+
+    With ``rest.free`` the body rates end where the control system brings them. Raises BadInputError.
+    """
+    try:
+        return _run_to_rest(fdm, rest)
+    except engine.RuntimeFailure as error:
+        raise BadInputError(engine.explain(fdm, error)) from None
+
+
+def still_moving(fdm: Any, rest: Rest, names: Sequence[str]) -> set[str]:
+    """Bring the control system to rest as far as it goes, and return those of ``names`` that change in further frames."""
+    if not bring_to_rest(fdm, rest):
+        return set()
+    before = {name: fdm[name] for name in names}
+    run_frozen(fdm, BLOCK_FRAMES)
+    return {name for name in names if not abs(fdm[name] - before[name]) <= _MOVED_POSITION}
+
+
+def _run_to_rest(fdm: Any, rest: Rest) -> str:
+    exists = fdm.get_property_manager().hasNode
+    engines = range(fdm.get_propulsion().get_num_engines())
+    powers = [
+        f"propulsion/engine[{k}]/{what}"
+        for k in engines
+        for what in _BY_POWER
+        if exists(f"propulsion/engine[{k}]/{what}")
+    ]
+    rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if rest.free else []
+    names = [*rest.watched, *powers, *rates]
+    read = [engine.handle(fdm, name).get_double_value for name in names]
+    last, nearest, since, most, worst = [get() for get in read], float("inf"), 0, float("inf"), ""
+    for _ in range(MOST_BLOCKS):
+        run_frozen(fdm, BLOCK_FRAMES, rest.free)
+        now = [get() for get in read]
+        changes = [abs(new - old) / max(abs(new), 1.0) for new, old in zip(now, last, strict=True)]
+        most = max(changes, default=0.0)
+        worst = names[changes.index(most)] if changes else ""
+        last = now
+        if not most > _CONVERGED:
+            return ""
+        nearest, since = (most, 0) if most < 0.5 * nearest else (nearest, since + 1)
+        if since == PATIENCE:
+            break
+    if most <= AT_REST * BLOCK_FRAMES:
+        return ""
+    return f"the control system does not come to rest: {worst} still changes by {most:.2g} in {BLOCK_FRAMES} frames"
+
+
+def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
+    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned beneath it meanwhile.
+
+    ``free``: body rates are left to the control system.
+    """
+    frozen = [name for name in settling.INTEGRATORS if not (free and name == _ROTATION)]
+    before = {name: fdm[name] for name in frozen}
+    time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
+    for name in frozen:
+        fdm[name] = 0.0
+    # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear stand where they are commanded.
+    fdm.set_trim_status(True)
+    try:
+        for _ in range(frames):
+            # A script's events must not take these frames for flight.
+            fdm.set_sim_time(time_s)
+            fdm.run()
+    finally:
+        fdm.set_trim_status(trimming)
+        fdm.set_sim_time(time_s)
+        for name, value in before.items():
+            fdm[name] = value
+    if free:
+        for axis in _RATES:
+            fdm[f"ic/{axis}-rad_sec"] = fdm[f"velocities/{axis}-rad_sec"]
+    # A turboprop would fall back to idle.
+    if not settling.has_turboprop(fdm):
+        wind = {name: fdm[name] for name in _WIND}
+        fdm.run_ic()
+        for name, value in wind.items():
+            fdm[name] = value
+
+
+def marked(run_properties: Sequence[str], aircraft: HasFiles, fdm: Any) -> Rest | None:
+    """How a mission's flights bring the control system to rest before they begin; None where they need not.
+
+    Raises BadInputError.
+    """
+    for free, mark in ((False, RATES_HELD), (True, RATES_FREE)):
+        if mark in run_properties:
+            return rest_of(aircraft, fdm, free)
+    return None
+
 
 TRIM_LATITUDE_DEG = 45.0
 """Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
@@ -102,7 +313,7 @@ def forced(
     place(fdm, state)
     engine.run_ic(fdm)
     unsettled = engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
-    return fdm, unsettled or (control_system.bring_to_rest(fdm, rest) if rest is not None else "")
+    return fdm, unsettled or (bring_to_rest(fdm, rest) if rest is not None else "")
 
 
 def place(fdm: Any, state: BodyState) -> None:

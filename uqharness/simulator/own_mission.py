@@ -8,22 +8,366 @@ Identification, chapter 2).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.linalg import expm
 
+from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, content_hash, open_aircraft
+from uqharness.simulator.forced_state import TRIM_LATITUDE_DEG, body_velocity
 from uqharness.simulator.linear import STATES, LinearModel, linearise, modes
-from uqharness.simulator.manoeuvre_script import DOUBLET, THREE_TWO_ONE_ONE
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 from uqharness.simulator.signals import SECOND_ORDER
-from uqharness.simulator.start import StartSection
-from uqharness.simulator.steady_start import SCRIPT, write_steady_start
+from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
+from uqharness.toml import Number, Section
+
+# [start] of campaign.toml: the trimmed flight of a mission that needs no script.
+
+STEADY = "steady"
+"""The mission that [start] describes."""
+
+MARK = "flight/steady-start"
+"""Run property of such a mission: engines begin in the steady state of their throttles, deviations are scored from the start."""
+
+
+class StartSection(Section):
+    """Steady flight, wings level, controls where they trim the nominal model; above flat ground at sea level.
+
+    ``climb_deg`` is the flight-path angle, level where it is None; it is solved for where the throttle gives no thrust.
+    """
+
+    V_mps: Number = Field(gt=0, le=1000)
+    altitude_m: Number = Field(gt=0, le=30_000)
+    heading_deg: Number = Field(default=0.0, ge=0, le=360)
+    climb_deg: Number | None = Field(default=None, ge=-45, le=45)
+
+
+# Steady flight as a mission of any aircraft: trim it, and write initial conditions and a run
+# script that begin in that trim.
+#
+# The controls stay where they are (what an aircraft does by itself), so flights should be
+# short: seconds to a minute or two.
+
+SCRIPT = "steady-mission.xml"
+INITIALIZE = "steady-start"
+
+# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); a trim takes a second.
+_trims: dict[tuple[str, StartSection], Trim] = {}
+
+
+def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
+    """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises BadInputError where there is no trim.
+
+    Numbers carry nine digits: what a solver leaves in the last ones would be another file on another machine.
+    """
+    condition = SteadyCondition(
+        start.V_mps,
+        start.altitude_m,
+        math.radians(start.climb_deg or 0.0),
+        heading_rad=math.radians(start.heading_deg),
+    )
+    key = (content_hash(aircraft), start)
+    if key not in _trims:
+        _trims[key] = find_trim(aircraft, condition)
+    trim = _trims[key]
+    if not trim.converged:
+        raise BadInputError(
+            f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; "
+            f"try another V_mps, altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m H tells)"
+        )
+    write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
+    write_bytes(script, _script(aircraft, trim).encode())
+    return trim
+
+
+def _initialize(trim: Trim) -> str:
+    condition = trim.condition
+    u, v, w = (
+        speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
+<initialize name="{INITIALIZE}">
+  <latitude unit="DEG" type="geodetic"> {TRIM_LATITUDE_DEG:g} </latitude>
+  <longitude unit="DEG"> 0 </longitude>
+  <elevation unit="M"> 0 </elevation>
+  <altitudeMSL unit="M"> {condition.altitude_m:.9g} </altitudeMSL>
+  <phi unit="RAD"> {condition.bank_rad:.9g} </phi>
+  <theta unit="RAD"> {trim.theta_rad:.9g} </theta>
+  <psi unit="RAD"> {condition.heading_rad:.9g} </psi>
+  <ubody unit="FT/SEC"> {u:.9g} </ubody>
+  <vbody unit="FT/SEC"> {v:.9g} </vbody>
+  <wbody unit="FT/SEC"> {w:.9g} </wbody>
+</initialize>
+"""
+
+
+def _path(condition: SteadyCondition) -> str:
+    if condition.climb_rad == 0.0:
+        return "Level flight"
+    return f"Steady flight on a path of {math.degrees(condition.climb_rad):.3f} deg"
+
+
+def _script(aircraft: Aircraft, trim: Trim) -> str:
+    fdm = open_aircraft(aircraft)
+    engines = fdm.get_propulsion().get_num_engines()
+    marks = [(MARK, 1.0), *([(trim.rest.mark, 1.0)] if trim.rest is not None else [])]
+    properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
+    if engines:
+        # Before the throttle, which starting an engine opens.
+        properties += [
+            ("propulsion/set-running", -1.0),
+            *((name, 1.0) for name in engine.levers(fdm)),
+        ]
+    for control, value in trim.controls.items():
+        name = aircraft.card.inputs[control].property
+        properties.append((name, value))
+        if name == "fcs/throttle-cmd-norm":
+            properties += [(f"{name}[{index}]", value) for index in range(1, engines)]
+    lines = "\n".join(
+        f'    <property value="{value:.9g}">{name}</property>' for name, value in properties
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- Steady flight of {aircraft.name}, trimmed as the nominal model, controls fixed. -->
+<runscript name="steady">
+  <use aircraft="{aircraft.name}" initialize="{INITIALIZE}"/>
+  <run start="0" end="60" dt="{aircraft.dt_s:g}">
+{lines}
+  </run>
+</runscript>
+"""
+
+
+# Run scripts of the three identification flights: manoeuvres flown open loop, the autopilot in
+# between.
+#
+# A manoeuvre begins where the autopilot left the controls: the surfaces' and the motor's own
+# positions become the open-loop commands, the autopilot lets go, and the steps are added to
+# what it held, so that one script serves any aircraft with this project's autopilot, at any
+# speed, in turbulence. ``flight/manoeuvre`` counts the manoeuvres; `uqharness fly` turns the
+# count into the name of the event that set it, and the record's column ``manoeuvre``.
+
+STEP_S = 0.01
+_COMMAND = {
+    "elevator": ("fcs/elevator-cmd-deg", "fcs/elevator-pos-deg"),
+    "aileron": ("fcs/aileron-cmd-deg", "fcs/aileron-pos-deg"),
+    "rudder": ("fcs/rudder-cmd-deg", "fcs/rudder-pos-deg"),
+    "throttle": ("fcs/throttle-cmd-pct", "fcs/throttle-pos-pct"),
+}
+DOUBLET = ((1, 1.0), (1, -1.0))
+THREE_TWO_ONE_ONE = ((3, -1.0), (2, 1.0), (1, -1.0), (1, 1.0))
+QUIET_S = 1.0  # open loop before the first step: the segment's start state is estimated from it
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Steps of one control about where it stands: ``pattern`` of (units, sign), ``unit_s`` s, ``size`` deg or percent.
+
+    ``rest_s`` open loop after the last step; then the autopilot recovers for ``recovery_s`` at ``speed_mps`` (None: as before).
+    """
+
+    name: str
+    control: str
+    size: float
+    unit_s: float
+    pattern: tuple[tuple[int, float], ...] = DOUBLET
+    rest_s: float = 3.5
+    recovery_s: float = 5.0
+    speed_mps: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A flight: ``speed_mps`` to begin with, ``settle_s`` on the autopilot, then manoeuvres one after the other."""
+
+    name: str
+    purpose: str
+    speed_mps: float
+    manoeuvres: tuple[Manoeuvre, ...]
+    settle_s: float = 4.0
+
+    @property
+    def end_s(self) -> float:
+        """When the script ends [s]."""
+        return self.settle_s + sum(_length(m) for m in self.manoeuvres)
+
+
+PLANS = (
+    Plan(
+        "flight-ident",
+        "identification",
+        22.0,
+        (
+            Manoeuvre("pitch doublet, 22 m/s", "elevator", 3.0, 0.5),
+            Manoeuvre("3-2-1-1, 22 m/s", "elevator", 2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=5.0),
+            Manoeuvre("roll doublet, 22 m/s", "aileron", 8.0, 0.6, rest_s=2.0),
+            Manoeuvre("yaw doublet, 22 m/s", "rudder", 8.0, 0.7),
+            Manoeuvre(
+                "throttle doublet, 22 m/s",
+                "throttle",
+                22.0,
+                1.6,
+                rest_s=1.5,
+                recovery_s=6.0,
+                speed_mps=19.0,
+            ),
+            Manoeuvre("pitch doublet, 19 m/s", "elevator", -6.0, 0.6),
+            Manoeuvre("roll doublet, 19 m/s", "aileron", -8.0, 0.6, rest_s=2.0),
+            Manoeuvre("yaw doublet, 19 m/s", "rudder", -8.0, 0.8, recovery_s=6.5, speed_mps=24.0),
+            Manoeuvre("3-2-1-1, 24 m/s", "elevator", -2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=1.0),
+        ),
+    ),
+    Plan(
+        "flight-bounds",
+        "model-form bounds",
+        21.0,
+        (
+            Manoeuvre("3-2-1-1, 21 m/s", "elevator", -3.0, 0.35, THREE_TWO_ONE_ONE),
+            Manoeuvre("yaw doublet, 21 m/s", "rudder", -6.0, 0.8),
+            Manoeuvre("roll doublet, 21 m/s", "aileron", -10.0, 0.5, rest_s=2.0),
+            Manoeuvre(
+                "pitch doublet, 21 m/s", "elevator", -3.5, 0.5, recovery_s=6.0, speed_mps=23.5
+            ),
+            Manoeuvre("pitch doublet, 23.5 m/s", "elevator", 2.5, 0.4),
+            Manoeuvre("yaw doublet, 23.5 m/s", "rudder", 7.0, 0.6),
+            Manoeuvre(
+                "throttle doublet, 23.5 m/s",
+                "throttle",
+                -22.0,
+                1.6,
+                rest_s=1.5,
+                recovery_s=6.5,
+                speed_mps=19.5,
+            ),
+            Manoeuvre("roll doublet, 19.5 m/s", "aileron", 7.0, 0.8, rest_s=2.0),
+            Manoeuvre("pitch doublet, 19.5 m/s", "elevator", -5.5, 0.7, recovery_s=1.0),
+        ),
+    ),
+    Plan(
+        "flight-validation",
+        "validation",
+        20.0,
+        (
+            Manoeuvre("roll doublet, 20 m/s", "aileron", 9.0, 0.5, rest_s=2.0),
+            Manoeuvre("pitch doublet, 20 m/s", "elevator", -6.0, 0.6),
+            Manoeuvre("yaw doublet, 20 m/s", "rudder", 7.0, 0.9),
+            Manoeuvre(
+                "3-2-1-1, 20 m/s",
+                "elevator",
+                2.5,
+                0.4,
+                THREE_TWO_ONE_ONE,
+                recovery_s=6.0,
+                speed_mps=22.5,
+            ),
+            Manoeuvre("pitch doublet, 22.5 m/s", "elevator", 3.5, 0.4),
+            Manoeuvre("roll doublet, 22.5 m/s", "aileron", -7.0, 0.7, rest_s=2.0),
+            Manoeuvre("throttle doublet, 22.5 m/s", "throttle", 18.0, 2.0, rest_s=1.5),
+            Manoeuvre("yaw doublet, 22.5 m/s", "rudder", -8.0, 0.7),
+            Manoeuvre(
+                "3-2-1-1, 22.5 m/s", "elevator", -2.5, 0.3, THREE_TWO_ONE_ONE, recovery_s=1.0
+            ),
+        ),
+    ),
+)
+
+
+def _length(m: Manoeuvre) -> float:
+    return QUIET_S + m.unit_s * sum(units for units, _ in m.pattern) + m.rest_s + m.recovery_s
+
+
+def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
+    # Half a step early, so that rounding of the clock cannot shift it by a frame.
+    lines = "".join(f"\n      {text}" for text in sets)
+    return (
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s - step_s / 2:.3f}</condition>'
+        f"{lines}\n    </event>\n"
+    )
+
+
+def _events(plan: Plan, step_s: float) -> Iterator[str]:
+    time = plan.settle_s
+    for number, m in enumerate(plan.manoeuvres, start=1):
+        take = [
+            f'<set name="{command}"><function> <sum> <property>{position}</property> <value>0</value> </sum> </function></set>'
+            for command, position in _COMMAND.values()
+        ]
+        yield _event(
+            time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
+        )
+        time += QUIET_S
+        before = 0.0
+        for units, sign in (*m.pattern, (0, 0.0)):
+            step = m.size * (sign - before)
+            where = "back" if units == 0 else f"{m.control} {m.size * sign:+g}"
+            yield _event(
+                time,
+                f"{time:.2f} s, {where}",
+                [f'<set name="{_COMMAND[m.control][0]}" type="FG_DELTA" value="{step:g}"/>'],
+                step_s,
+            )
+            before, time = sign, time + units * m.unit_s
+        time += m.rest_s
+        after = ['<set name="ap/engaged" value="1"/>', _count(0)]
+        if m.speed_mps is not None:
+            after.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
+        yield _event(time, f"{time:.2f} s, autopilot", after, step_s)
+        time += m.recovery_s
+
+
+def _count(number: int) -> str:
+    return f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
+
+
+def script(plan: Plan, step_s: float = STEP_S) -> str:
+    """The run script of a plan as text, for a step of ``step_s`` (2 ms or more)."""
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<!--
+  Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, change the plan there.
+
+  On the autopilot along a wide circle, with manoeuvres open loop in between. A manoeuvre starts from where the
+  autopilot left the controls and adds its steps to that, so this serves any aircraft with this project's autopilot.
+  {MANOEUVRE_PROPERTY} counts the manoeuvres, 0 in between; the event that sets a number bears the manoeuvre's name.
+-->
+<runscript name="{plan.name}">
+  <description>Flight for {plan.purpose}: {len(plan.manoeuvres)} manoeuvres</description>
+  <use aircraft="espaaro" initialize="cruise"/>
+  <run start="0" end="{plan.end_s:g}" dt="{step_s:g}">
+    <property value="0">{MANOEUVRE_PROPERTY}</property>           <!-- 1, 2, ... during a manoeuvre -->
+    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, which at 0.01 s acts as 4 % more
+         roll damping, and an identification from this flight would find that. -->
+    <property value="3">simulation/integrator/rate/rotational</property>
+    <property value="3">simulation/integrator/rate/translational</property>
+    <property value="3">simulation/integrator/position/rotational</property>
+    <property value="1">ap/engaged</property>
+    <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius by (true over equivalent airspeed)^2:
+         2019 m at 100 m above the sea. -->
+    <property value="2000">ap/WP_LOITER_RAD</property>            <!-- m -->
+    <property value="0">ap/loiter-center-north-m</property>       <!-- m -->
+    <property value="2019">ap/loiter-center-east-m</property>     <!-- m -->
+    <property value="30">ap/NAVL1_PERIOD</property>               <!-- s, gentle: a manoeuvre should not begin in a turn -->
+    <property value="20">ap/ROLL_LIMIT_DEG</property>             <!-- deg -->
+    <property value="100">ap/altitude-cmd-m</property>            <!-- m above ground -->
+    <property value="{plan.speed_mps:g}">ap/airspeed-cmd-mps</property>         <!-- m/s, true -->
+    <property value="0">air/wind-mps</property>                   <!-- m/s -->
+    <property value="270">air/wind-from-deg</property>            <!-- deg -->
+    <property value="0">air/turbulence-w20-kt</property>          <!-- kt; 0 none, 15 light, 30 moderate, 45 severe -->
+    <property value="1">sensor/noise</property>                   <!-- 1: what the autopilot is told carries Table 2.1's noise -->
+    <property value="1">sensor/log</property>                     <!-- 1: all channels of a flight log -->
+    <property value="1">simulation/randomseed</property>          <!-- sensors; 1 .. 2147483646 -->
+    <property value="2">atmosphere/randomseed</property>          <!-- turbulence; unset, it would share the sensors' stream -->
+{"".join(_events(plan, step_s))}  </run>
+</runscript>
+"""
+
 
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 EXCURSION_DEG = 4.0
@@ -94,7 +438,7 @@ def write_own_mission(
     write_bytes(
         path,
         text.replace(
-            "  </run>", f"{properties}{_events(aircraft, steps, restarting)}  </run>"
+            "  </run>", f"{properties}{_own_mission_events(aircraft, steps, restarting)}  </run>"
         ).encode(),
     )
     return path, steps
@@ -156,19 +500,21 @@ def _excursion_rad(
     return greatest
 
 
-def _events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
+def _own_mission_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
     out, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
         out.append(
-            _event(time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>')
+            _own_mission_event(
+                time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
+            )
         )
         before, name = 0.0, aircraft.card.inputs[step.control].property
         for units, sign in (*step.pattern, (0, 0.0)):
             change = (
                 f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
             )
-            out.append(_event(time - half, f"{time:.2f} s, {step.control}", change))
+            out.append(_own_mission_event(time - half, f"{time:.2f} s, {step.control}", change))
             if restarting:
                 out.append(_restart(time, aircraft.dt_s))
             before, time = sign, time + units * step.unit_s
@@ -188,11 +534,11 @@ def _restart(time_s: float, dt_s: float) -> str:
             f'<set name="{rate}" value="{SECOND_ORDER[rate] if rule is None else rule:g}"/>'
             for rate in _RATES
         )
-        out.append(_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
+        out.append(_own_mission_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
     return "".join(out)
 
 
-def _event(time_s: float, name: str, change: str) -> str:
+def _own_mission_event(time_s: float, name: str, change: str) -> str:
     return (
         f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s:.5f}</condition>\n'
         f"      {change}\n    </event>\n"

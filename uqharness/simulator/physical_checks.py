@@ -19,7 +19,7 @@ from lxml import etree
 
 from sysid.units import SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.simulator.aircraft_files import HasFiles, Opened, opened
+from uqharness.simulator.staging import HasFiles, Opened, opened
 
 _LOG = logging.getLogger("uqharness")
 _SIZES = {"wingarea": "area", "wingspan": "span", "chord": "mean chord"}

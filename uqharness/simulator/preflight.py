@@ -17,7 +17,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from sysid.foreign.memory_limit import MemoryLimit
+from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.regular_files import in_words
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError

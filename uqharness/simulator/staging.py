@@ -3,15 +3,286 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
+import stat
 from collections import Counter, OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from sysid.digests import sha256_of_parts
+from sysid.foreign.regular_files import read_regular, require_regular
+from uqharness.errors import BadInputError
 from uqharness.scratch import Scratch, scratch_folder
-from uqharness.simulator.aircraft_files import FileState, HasFiles, Opened, opened, signature, state
-from uqharness.simulator.gate import Passed
+from uqharness.simulator.gate import Passed, passed
+
+# Which files an aircraft is made of: its own folder's, and what JSBSim opens beside it. Their
+# identity, and a safe copy.
+#
+# An aircraft's folder may come from anywhere. Only regular files in it are read. A link counts
+# as the file that it leads to if that lies in the folder, or with the other aircraft of a
+# JSBSim root (root/aircraft/NAME); other links and linked folders are refused.
+
+MOST_FILE_BYTES = 16_000_000
+"""Of one XML file: the largest that comes with JSBSim has 2 MB."""
+MOST_FILES = 20_000
+"""In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some thousands."""
+
+INSIDE = {
+    "systems": ("", "Systems", "systems"),
+    "engine": ("", "Engines", "engines", "Engine", "engine"),
+}
+"""Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+_SKIPPED = frozenset({".git"})
+
+
+class HasFiles(Protocol):
+    """Where an aircraft's files lie: its folder, its own XML there, and the shared folders of engines and systems."""
+
+    @property
+    def folder(self) -> Path:
+        """The aircraft's folder."""
+        ...
+
+    @property
+    def xml(self) -> Path:
+        """The aircraft's XML file."""
+        ...
+
+    @property
+    def engine_path(self) -> Path:
+        """Where engines and propellers are looked for after the aircraft's folder."""
+        ...
+
+    @property
+    def systems_path(self) -> Path:
+        """The same for systems."""
+        ...
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Files that JSBSim may open for an aircraft, as the gate passed them.
+
+    own      path within the aircraft's folder -> file: all that its XML refers to, and initial conditions
+    beside   "engine/..." or "systems/..." -> file, of the shared folders
+    looked_at  the shared folders' files that were looked for, there or not
+    """
+
+    own: dict[str, Passed]
+    beside: dict[str, Passed]
+    looked_at: tuple[Path, ...]
+
+
+def walk(folder: Path) -> Iterator[tuple[str, Path]]:
+    """(Path within the folder, file) of every file below ``folder``, sorted.
+
+    Raises BadInputError for a link that leads elsewhere, a linked folder, what is no regular file, and too many files.
+    """
+    home = folder.resolve()
+    collection = home.parent
+    allowed = (home, collection) if collection.name == "aircraft" else (home,)
+    # By parts, as paths sort: the order is part of the identity.
+    found = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
+    if len(found) > MOST_FILES:
+        raise BadInputError(
+            f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed"
+        )
+    for _, path in found:
+        if path.is_symlink():
+            _refuse_link(path, allowed)
+        try:
+            require_regular(path)
+        except OSError as error:
+            raise BadInputError(
+                f"{path}: {error.strerror or error}; remove it from the aircraft's folder"
+            ) from None
+    yield from found
+
+
+def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
+    try:
+        entries = list(os.scandir(folder))
+    except OSError as error:
+        raise BadInputError(f"{folder}: cannot be read: {error.strerror or error}") from None
+    for entry in entries:
+        path = folder / entry.name
+        if entry.is_symlink() and path.is_dir():
+            raise BadInputError(
+                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed in an aircraft's folder"
+            )
+        if entry.is_dir(follow_symlinks=False):
+            if entry.name not in _SKIPPED:
+                yield from _below(path, f"{prefix}{entry.name}/")
+        else:
+            yield f"{prefix}{entry.name}", path
+
+
+def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
+    try:
+        target = path.resolve(strict=True)
+    except (OSError, RuntimeError):
+        raise BadInputError(
+            f"{path}: is a link that leads nowhere ({_target(path)}); remove it"
+        ) from None
+    if not any(target.is_relative_to(place) for place in allowed):
+        raise BadInputError(
+            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead"
+        )
+
+
+def _target(path: Path) -> str:
+    try:
+        return os.readlink(path)
+    except OSError:
+        return "unreadable"
+
+
+def read_xml(path: Path) -> bytes:
+    """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is too large."""
+    try:
+        content = read_regular(path, MOST_FILE_BYTES)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if content.startswith(_LFS_POINTER):
+        raise BadInputError(
+            f"{path}:1: is a Git LFS pointer, not the file itself; fetch the file with 'git lfs "
+            "pull' in its repository, or download it"
+        )
+    return content
+
+
+def opened(aircraft: HasFiles) -> Opened:
+    """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with file and line.
+
+    Of a file that is named, every place in which JSBSim looks is taken, so that its own search decides.
+    """
+    files = dict(walk(aircraft.folder))
+    own: dict[str, Passed] = {}
+    beside: dict[str, Passed] = {}
+    looked_at: list[Path] = []
+    todo = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
+    named: set[str] = set()
+    while todo:
+        name = todo.pop()
+        if name in files and name not in own:
+            own[name] = passed(read_xml(files[name]), str(files[name]))
+            todo += _named_in(own[name], named, files)
+        for kind in ("engine", "systems"):
+            shared = _shared(aircraft, kind)
+            path, key = shared / name, f"{kind}/{name}"
+            if name not in named or key in beside:
+                continue
+            looked_at.append(path)
+            if path.is_file():
+                beside[key] = passed(_read_beside(path, shared), str(path))
+                todo += _named_in(beside[key], named, files)
+    for name, path in files.items():
+        if name not in own and name.endswith(".xml"):
+            content = read_xml(path)
+            if b"<initialize" in content:
+                own[name] = passed(content, str(path))
+    return Opened(own, beside, tuple(dict.fromkeys(looked_at)))
+
+
+def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator[str]:
+    """Names to look up that ``file`` refers to and no file before it did, and where they are within the aircraft's folder."""
+    for reference in file.references:
+        # "./a//b.xml" is "a/b.xml".
+        name = Path(reference.name).as_posix()
+        if name not in named:
+            named.add(name)
+            yield name
+            inside = (
+                f"{folder}/{name}" for folders in INSIDE.values() for folder in folders if folder
+            )
+            yield from (place for place in inside if place in files)
+
+
+def _read_beside(path: Path, folder: Path) -> bytes:
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise BadInputError(
+            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
+        )
+    return read_xml(path)
+
+
+def identity(aircraft: HasFiles) -> str:
+    """SHA-256 over every file that decides how the aircraft flies, names included.
+
+    These are the XML and TOML files of its folder, and what its XML takes from the folders of engines and systems beside it. Raises
+    BadInputError.
+    """
+    return sha256_of_parts(_named_contents(aircraft))
+
+
+def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
+    for name, path in walk(aircraft.folder):
+        if path.suffix in {".xml", ".toml"}:
+            yield name.encode(errors="surrogateescape") + b"\0"
+            yield read_xml(path) + b"\0"
+    for name in sorted(opened(aircraft).beside):
+        kind, _, rest = name.partition("/")
+        yield f"beside/{name}".encode(errors="surrogateescape") + b"\0"
+        yield read_xml(_shared(aircraft, kind) / rest) + b"\0"
+
+
+FileState = tuple[int, int, int] | None
+"""Time of the last change [ns], size and number of a file; None where there is none."""
+
+
+def state(path: Path) -> FileState:
+    """What changes when a file is edited, without reading it."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
+
+
+def signature(folder: Path) -> tuple[tuple[str, FileState], ...]:
+    """The same for all files of a folder. Raises BadInputError as `walk` does."""
+    return tuple((name, state(path)) for name, path in walk(folder))
+
+
+def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
+    """Copy an aircraft's folder to ``target``, which must not exist: regular files, and what links in it lead to.
+
+    ``keep_links``: links stay links, for a copy that takes the folder's own place. Raises BadInputError as `walk` does.
+    """
+    target.mkdir(parents=True)
+    for name, path in walk(source):
+        place = target / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if keep_links and path.is_symlink():
+            place.symlink_to(os.readlink(path))
+            continue
+        shutil.copyfile(path, place)
+        os.chmod(place, stat.S_IMODE(path.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
+
+
+def copy_beside(aircraft: HasFiles, root: Path, stock: Path) -> None:
+    """Copy what the aircraft takes from engines and systems of its own, beside its folder, into ``root``. Raises BadInputError.
+
+    stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even if nothing of it is used:
+    JSBSim's would be looked at instead.
+    """
+    own = {kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind}
+    for kind in own:
+        (root / kind).mkdir(parents=True, exist_ok=True)
+    for name in opened(aircraft).beside:
+        kind, _, rest = name.partition("/")
+        if kind in own:
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_bytes(read_xml(_shared(aircraft, kind) / rest))
+
+
+def _shared(aircraft: HasFiles, kind: str) -> Path:
+    return aircraft.engine_path if kind == "engine" else aircraft.systems_path
+
 
 _LOG = logging.getLogger("uqharness")
 _KEPT = 8

@@ -7,6 +7,7 @@ never dropped: it counts as +inf for the lower side and as -inf for the upper si
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +20,85 @@ from sysid.arrays import FloatArray
 from sysid.distributions import chi2_quantile, chi2_upper_quantile
 from sysid.notebook_view import rows_table, view
 from uqharness.arguments import number
-from uqharness.statistics.common_air import common_air_half_width, is_enough
+
+# Band around empirical distribution functions of corners that flew the same air: a bootstrap
+# over airs.
+#
+# Corners on common air err together, and Bonferroni pays as if they did not. The band's half-
+# width is a quantile of the largest distance between empirical and true distribution function,
+# over all values and corners. It is estimated by drawing airs with replacement, for all corners
+# the same ones (Efron and Tibshirani 1993; van der Vaart and Wellner 1996, theorem 3.6.1: the
+# bootstrap of the empirical process is consistent, jointly over a finite number of corners).
+# All counting is in integers, so that the result does not depend on the processor. Pure: arrays
+# in, arrays out.
+
+MIN_AIRS = 40
+"""Fewer airs are resampled too coarsely to keep the level."""
+RESAMPLES = 1000
+MIN_BEYOND = 20
+"""Resamples that must lie beyond the wanted quantile."""
+MOST_FLIGHTS = 100_000
+"""Flights of one p-box beyond which drawing again costs more than the width is worth."""
+_SEED = 20161224
+
+
+def is_enough(airs: int, flights: int, confidence: float) -> bool:
+    """Whether airs can be drawn again: neither too few nor too many flights, nor a quantile too far out."""
+    return (
+        airs >= MIN_AIRS
+        and flights <= MOST_FLIGHTS
+        and (1.0 - confidence) * RESAMPLES >= MIN_BEYOND
+    )
+
+
+def common_air_half_width(values: FloatArray, confidence: float, seed: int = _SEED) -> float:
+    """Half-width of a band that holds for all corners and values at once; ``values`` (c, n) of n common airs, NaN: not known.
+
+    What is not known counts as infinite for the lower side and as minus infinite for the upper side. Two corrections of order 1/n:
+    drawn distances scatter less than true ones by the root of (n - 1)/n, and are looked at after each step alone, so that up to 1/n
+    is missing.
+    """
+    airs = values.shape[1]
+    more = _multiplicities(airs, seed) - 1
+    largest = np.zeros(RESAMPLES, dtype=np.int64)
+    for row in values:
+        unknown = np.isnan(row)
+        sides = (np.inf, -np.inf) if unknown.any() else (np.inf,)
+        for side in sides:
+            np.maximum(largest, _distances(np.where(unknown, side, row), more), out=largest)
+    # The smallest resampled distance with at most the wanted share above it, of one more than were drawn.
+    place = min(int(np.ceil(confidence * (RESAMPLES + 1))), RESAMPLES) - 1
+    wanted = float(np.sort(largest)[place]) / airs
+    return min(1.0, float(np.sqrt(airs / (airs - 1.0))) * wanted + 1.0 / airs)
+
+
+@lru_cache(8)
+def _multiplicities(airs: int, seed: int) -> NDArray[np.int32]:
+    """(airs, resamples): how often each air was drawn."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(0, airs, (RESAMPLES, airs))
+    offset = airs * np.arange(RESAMPLES)[:, None]
+    times = np.bincount((drawn + offset).ravel(), minlength=RESAMPLES * airs)
+    found = np.ascontiguousarray(times.reshape(RESAMPLES, airs).T.astype(np.int32))
+    found.flags.writeable = False
+    return found
+
+
+def _distances(row: FloatArray, more: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(resamples,) largest difference between counts at or below a value, drawn and flown; ``more`` (airs, resamples): how much
+    oftener than once each air was drawn. Air by air, all resamples at once: a cumulative sum would leave the processor's cache."""
+    order = np.argsort(row, kind="stable")
+    ordered = row[order]
+    steps = np.append(ordered[1:] != ordered[:-1], True)
+    drawn, most, least = np.zeros((3, more.shape[1]), dtype=np.int32)
+    for air, is_step in zip(order.tolist(), steps.tolist(), strict=True):
+        drawn += more[air]
+        if is_step:
+            np.maximum(most, drawn, out=most)
+            np.minimum(least, drawn, out=least)
+    found: NDArray[np.int64] = np.maximum(most, -least).astype(np.int64)
+    return found
+
 
 MAX_POINTS = 512
 """Rows of a p-box; beyond that many distinct values the grid is thinned. The rows that remain are exact."""
@@ -386,3 +465,147 @@ def best_and_worst(rates: Sequence[ExcursionRate]) -> tuple[ExcursionRate, Excur
     """
     counted = [item for item in rates if not np.isnan(item.rate)] or list(rates)
     return min(counted, key=lambda item: item.rate), max(rates, key=lambda item: item.rate_upper)
+
+
+# How far flight data lie outside a p-box: the area metric of Oberkampf and Roy (2010, section
+# 12.8), with its unit.
+#
+# d = integral over x of the distance of the flights' empirical distribution function from the
+# interval [lower(x), upper(x)]: 0 where the flights could be drawn from within, else the area
+# by which they could not, in the metric's unit. Pure: arrays in, numbers out.
+
+
+@dataclass(frozen=True)
+class AreaMetric:
+    """``area`` outside the p-box, of which ``below`` lies at values smaller than the model allows and ``above`` at larger ones.
+
+    ``beyond_chance`` is what remains when chance is allowed for on both sides: the p-box's band, and as many flights as were flown.
+    Above 0 the flights contradict the p-box; at 0 they may agree, or be too few to say.
+    """
+
+    area: float
+    below: float
+    above: float
+    beyond_chance: float
+    flights: int
+
+
+def area_metric(box: PBox, values: FloatArray, confidence: float = 0.95) -> AreaMetric:
+    """Area metric of flight ``values`` (n,) in the p-box's unit; ``confidence`` is of the flights' own band.
+
+    ValueError for no value, or one that is not finite.
+    """
+    if values.size == 0 or not np.all(np.isfinite(values)):
+        raise ValueError("the area metric needs at least one flight, and finite values")
+    at = np.unique(np.concatenate([box.value, values]))
+    share = ecdf(np.sort(values), at) / values.size
+    row = np.searchsorted(box.value, at, side="right")
+
+    def steps(side: FloatArray) -> FloatArray:
+        return np.concatenate([[0.0], side])[row]
+
+    widths = np.append(np.diff(at), 0.0)
+    # Beyond the last value flown a side stays where it is: flights that failed, or were too few, leave it open.
+    below = float(widths @ np.maximum(share - steps(box.upper), 0.0))
+    above = float(widths @ np.maximum(steps(box.lower) - share, 0.0))
+    # Below the first value flown nothing is known but how few flights there were.
+    open_band = np.concatenate([[box.band_upper[0]], box.band_upper])[row]
+    chance = band_half_width(values.size, 1, confidence)
+    beyond = np.maximum(share - chance - open_band, 0.0) + np.maximum(
+        steps(box.band_lower) - share - chance, 0.0
+    )
+    return AreaMetric(below + above, below, above, float(widths @ beyond), int(values.size))
+
+
+# Have enough flights been flown, and enough epistemic samples? Answered from what was flown, by
+# taking parts of it.
+#
+# Aleatory: the flights are cut into repeats, consecutive in aleatory id and so independent, as
+# if the campaign had been flown several times with other seeds (Hale 2016, Fig 3.5); their
+# distribution functions should lie together. Epistemic: the p-box of a part of the samples,
+# drawn at random, against that of all; independent draws from one law are exchangeable, so at
+# any value one more has a chance of at most 2/(m + 1) to lie outside the envelope of m. Pure:
+# arrays in, tables out.
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """``repeats`` times ``flights`` flights of one epistemic sample: how far apart their distribution functions lie.
+
+    ``distance`` is the largest between any two, ``expected`` what it stays below in 95 of 100 studies of independent draws;
+    ``medians`` (repeats,) in the metric's unit; ``curves`` (repeats, flights) sorted values, inf for failed flights.
+    """
+
+    repeats: int
+    flights: int
+    distance: float
+    expected: float
+    medians: FloatArray
+    curves: FloatArray
+
+
+@dataclass(frozen=True)
+class Growth:
+    """P-boxes of ``samples`` epistemic samples out of all: mean ``area`` between the sides (metric's unit), its spread over draws.
+
+    ``chance_of_more`` bounds, for any value of the metric, the chance that one more sample lies outside.
+    """
+
+    samples: int
+    area: float
+    area_low: float
+    area_high: float
+    chance_of_more: float
+
+
+def repeats(values: FloatArray, number: int, confidence: float = 0.95) -> Repeats:
+    """Cut the flights ``values`` (n,), in the order of their ids, into ``number`` repeats. ValueError if they are too few."""
+    flights = values.size // number
+    if number < 2 or flights < 2:
+        raise ValueError(f"{values.size} flights do not make {number} repeats of at least 2")
+    curves = np.sort(values[: number * flights].reshape(number, flights), axis=1)
+    distance = max(_distance(first, second) for first, second in itertools.combinations(curves, 2))
+    # Two repeats differ by no more than the sum of their distances from the truth, which one band bounds for all at once.
+    expected = min(1.0, 2.0 * band_half_width(flights, number, confidence))
+    return Repeats(number, flights, distance, expected, _median(curves), curves)
+
+
+def _median(curves: FloatArray) -> FloatArray:
+    middle = curves.shape[1] // 2
+    return (
+        curves[:, middle]
+        if curves.shape[1] % 2
+        else 0.5 * (curves[:, middle - 1] + curves[:, middle])
+    )
+
+
+def _distance(first: FloatArray, second: FloatArray) -> float:
+    at = np.concatenate([first, second])
+    return float(np.max(np.abs(ecdf(first, at) / first.size - ecdf(second, at) / second.size)))
+
+
+def growth(samples: Sequence[FloatArray], seed: int, draws: int = 40) -> list[Growth]:
+    """P-box area against the number of epistemic samples, doubling up to all; ``samples`` are the flights' values of each."""
+    at = np.unique(np.concatenate(list(samples)))
+    at = at[np.isfinite(at)]
+    if at.size > 512:
+        at = at[np.unique(np.linspace(0, at.size - 1, 512).round().astype(int))]
+    curves = np.array([ecdf(np.sort(values), at) / values.size for values in samples])
+    widths = np.diff(at)
+    count = len(samples)
+    generator = np.random.default_rng(seed)
+    sizes = sorted(
+        {*(2**power for power in range(1, count.bit_length()) if 2**power < count), count}
+    )
+    found = []
+    for size in sizes:
+        tries = 1 if size == count else draws
+        areas = []
+        for _ in range(tries):
+            part = curves[generator.choice(count, size, replace=False)]
+            areas.append(float(widths @ (part.max(axis=0) - part.min(axis=0))[:-1]))
+        low, high = np.quantile(areas, [0.025, 0.975])
+        found.append(
+            Growth(size, float(np.mean(areas)), float(low), float(high), 2.0 / (size + 1.0))
+        )
+    return found

@@ -16,8 +16,7 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 from uqharness.campaign.spec import CampaignSpec, Coefficient, Turbulence, campaign_from
 from uqharness.errors import BadInputError
 from uqharness.flight import DEFAULT_TURBULENCE_SOURCE
-from uqharness.settings import Number, Section, listed, tupled
-from uqharness.toml import as_toml, explain, line_of, read_toml
+from uqharness.toml import Number, Section, as_toml, explain, line_of, listed, read_toml, tupled
 
 Names = Annotated[tuple[str, ...], BeforeValidator(listed), Field(min_length=1)]
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]*"

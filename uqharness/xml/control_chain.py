@@ -13,8 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
-from uqharness.xml.document import Document, Node, attribute
-from uqharness.xml.properties import declarations, declare
+from uqharness.xml.document import Document, Node, attribute, declarations, declare
 
 _KINDS = frozenset(
     {

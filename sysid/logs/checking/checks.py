@@ -8,14 +8,10 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding
-from sysid.logs.air_velocity import components_of
-from sysid.logs.channels import Channel
-from sysid.logs.checking.estimates import check_estimates
-from sysid.logs.checking.held import held, interpolated, stuck, wraps
-from sysid.logs.checking.kinematics import AIR
-from sysid.logs.checking.lever_arm import lever_arm_finding
-from sysid.logs.checking.mending import mend, spoils
-from sysid.logs.checking.physics import MOST_RAD, check_physics, degrees_by_size
+from sysid.logs.channels import Channel, components_of
+from sysid.logs.checking.kinematics import AIR, lever_arm_finding
+from sysid.logs.checking.physics import MOST_RAD, check_physics, degrees_by_size, mend, spoils
+from sysid.logs.checking.signals import check_estimates, held, interpolated, stuck, wraps
 from sysid.logs.checking.surface_signs import check_surfaces
 from sysid.logs.time_base import SLOWEST_STEP_S, CleanTime, time_unit_finding
 from sysid.record import FlightRecord, Metadata

@@ -1,22 +1,263 @@
 """What the channels of a flight must have to do with one another, whatever the aircraft: relations that hold for any rigid body.
 
-Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.checking.spectra`
+Each relation says that one channel, or what is made of it, equals something made of others. `sysid.logs.checking.kinematics`
 estimates scale, sign and lateness of it. Equations of motion of the centre of gravity: Etkin and Reid, "Dynamics of Flight",
 3rd ed. 1996, 4.3, 4.7.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
 
 from sysid.arrays import FloatArray
-from sysid.logs.air_velocity import components_of
-from sysid.logs.checking.spectra import NOTHING, Relation, relate, relate_means
+from sysid.errors import Finding
+from sysid.logs.channels import components_of
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
+
+# Two noisy signals that should be one: scale, sign and lateness of one against the other, and
+# how much of it is evidence.
+#
+# y(t) = k x(t - tau), both with noise of unknown size at every frequency
+#
+# Noise in x pulls the regression of y on x (H1) towards zero and noise in y pushes the reverse
+# regression (H2) up, so the true scale lies between the two (Bendat and Piersol, "Random Data",
+# 4th ed. 2010, 6.1.4 and 9.2). Only bands whose coherence cannot be chance count; what two
+# channels of mere noise have in common is chance.
+
+ComplexArray = NDArray[np.complexfloating]
+SURE = 3.0
+"""Standard errors on either side of what counts as possible."""
+_BANDS, _LEAST_BINS = 12, 6
+_CHANCE = 1e-5  # that a band of mere noise counts, all bands together; lateness and sign are looked for, which helps chance
+_FLOOR = 0.01  # relative: no two sensors agree better
+_MOST_LATE_S, _LATE_STEP_S = 0.5, 0.005
+_TAPER = 0.2  # share of a stretch at either end
+TAPERED = 1.26
+"""By which the taper raises the variance of sums over frequencies: mean w^4 / (mean w^2)^2."""
+LEAK = 5e-3
+"""Of the strongest band's power: what leaks from it has its phase and not its own."""
+_SIGN_MARGIN = 1.15  # by how much the reversed sign has to explain more, since lateness can look like it in a narrow band
+
+
+@dataclass(frozen=True)
+class Relation:
+    """y = scale * x(t - late_s).
+
+    low, high   the scale lies between, SURE standard errors and the noise of both signals counted; negative for a reversed sign
+    late_std_s  standard error of ``late_s``
+    coherence   of the bands that count, mean      bands   number of them, 0: no evidence
+    """
+
+    low: float
+    high: float
+    late_s: float
+    late_std_s: float
+    coherence: float
+    bands: int
+
+    @property
+    def evident(self) -> bool:
+        """Whether the signals have more in common than chance gives."""
+        return self.bands > 0
+
+    @property
+    def scale(self) -> float:
+        """Geometric middle of ``low`` and ``high``."""
+        return (
+            math.copysign(math.sqrt(self.low * self.high), self.low)
+            if self.evident
+            else float("nan")
+        )
+
+    def allows(self, scale: float, tolerance: float = 0.0) -> bool:
+        """Whether the scale can be this one; ``tolerance`` relative on either side."""
+        least, most = sorted((self.low, self.high))
+        near, far = sorted((scale * (1.0 + tolerance), scale / (1.0 + tolerance)))
+        return self.evident and least <= far and most >= near
+
+
+NOTHING = Relation(float("nan"), float("nan"), float("nan"), float("inf"), 0.0, 0)
+
+
+def relate(
+    x: Sequence[FloatArray], y: Sequence[FloatArray], dt_s: float, low_hz: float, high_hz: float
+) -> Relation:
+    """The relation of y to x, from stretches (n,) without gaps, ``dt_s`` apart, in a band of frequencies."""
+    parts = [spectrum(a, b, dt_s, low_hz, high_hz) for a, b in zip(x, y, strict=True)]
+    if not parts:
+        return NOTHING
+    frequency = np.concatenate([part[0] for part in parts])
+    fx, fy = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+    power = np.sum(np.abs(fx) ** 2) * np.sum(np.abs(fy) ** 2)
+    if frequency.size < _LEAST_BINS or not power > 0.0:
+        return NOTHING
+    groups = groups_of(frequency, low_hz, high_hz)
+    late, sign = _coarse(frequency, fx, fy, groups)
+    turned = sign * fy * np.exp(2j * np.pi * frequency * late)
+    rows = []
+    most = max(float(np.mean(np.abs(fx[group]) ** 2)) for group in groups)
+    for group in groups:
+        if float(np.mean(np.abs(fx[group]) ** 2)) < LEAK * most:
+            continue
+        a, b, k = fx[group], turned[group], float(np.count_nonzero(group))
+        xx, yy, xy = (
+            float(np.sum(np.abs(a) ** 2)),
+            float(np.sum(np.abs(b) ** 2)),
+            complex(np.sum(np.conj(a) * b)),
+        )
+        shared = abs(xy) ** 2 / (xx * yy) if xx * yy > 0.0 else 0.0
+        chance = (1.0 - min(shared, 1.0)) ** (k - 1.0)
+        if chance * len(groups) >= _CHANCE:
+            continue
+        variance = (1.0 - min(shared, 1.0)) / (2.0 * k * shared) + _FLOOR**2
+        center = 2.0 * np.pi * float(np.sum(np.abs(a) ** 2 * frequency[group]) / xx)
+        rows.append(
+            (
+                1.0 / variance,
+                math.log(abs(xy) / xx),
+                math.log(yy / abs(xy)),
+                np.angle(xy),
+                center,
+                shared,
+            )
+        )
+    if not rows:
+        return NOTHING
+    weight, first, second, phase, omega, shared_all = (
+        np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)
+    )
+    if not np.all(np.isfinite(first + second)) or np.sum(weight * np.cos(phase)) <= 0.0:
+        return NOTHING
+    information = float(weight.sum())
+    middle = float(weight @ first) / information
+    # Bands that disagree with one another say that more than noise is between the two.
+    excess = max(1.0, float(weight @ (first - middle) ** 2) / max(1, len(rows) - 1))
+    spread = math.sqrt(excess / information)
+    about = float(weight @ omega**2)
+    fine = -float(weight @ (omega * phase)) / about
+    miss = max(1.0, float(weight @ (phase + omega * fine) ** 2) / max(1, len(rows) - 1))
+    ends = (middle - SURE * spread, float(weight @ second) / information + SURE * spread)
+    return Relation(
+        sign * math.exp(ends[0]),
+        sign * math.exp(ends[1]),
+        late + fine,
+        math.sqrt(miss / about),
+        float(weight @ shared_all) / information,
+        len(rows),
+    )
+
+
+def relate_means(x: FloatArray, y: FloatArray) -> Relation:
+    """The relation of means (n,) over blocks of time, their own mean included: for what is steady rather than moving.
+
+    Blocks count as independent. No lateness can be told.
+    """
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    n = x.size
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if n < _LEAST_BINS or not xx * yy > 0.0 or xy == 0.0:
+        return NOTHING
+    shared = min(1.0, xy**2 / (xx * yy))
+    if math.exp(0.5 * (n - 1.0) * math.log(max(1.0 - shared, 1e-300))) >= _CHANCE:
+        return NOTHING
+    spread = math.sqrt((1.0 - shared) / (n * shared) + _FLOOR**2)
+    sign = math.copysign(1.0, xy)
+    first, second = math.log(abs(xy) / xx), math.log(yy / abs(xy))
+    return Relation(
+        sign * math.exp(first - SURE * spread),
+        sign * math.exp(second + SURE * spread),
+        float("nan"),
+        float("inf"),
+        shared,
+        1,
+    )
+
+
+def spectrum(
+    x: FloatArray, y: FloatArray, dt_s: float, low_hz: float, high_hz: float
+) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Frequencies inside the band and the Fourier transforms there, tapered at the ends, straight lines taken out."""
+    n = x.size
+    at = np.linspace(-1.0, 1.0, n)
+    edge = np.clip(
+        np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / max(1.0, _TAPER * n), 0.0, 1.0
+    )
+    taper = 0.5 - 0.5 * np.cos(np.pi * edge)
+    frequency = np.asarray(np.fft.rfftfreq(n, dt_s), dtype=np.float64)
+    inside = (frequency >= low_hz) & (frequency <= high_hz)
+    out = []
+    for values in (x, y):
+        level = values - values.mean()
+        straight = level - at * float(at @ level) / float(at @ at)
+        out.append(np.fft.rfft(straight * taper)[inside] / math.sqrt(n))
+    return frequency[inside], out[0], out[1]
+
+
+def band_passed(x: FloatArray, dt_s: float, low_hz: float, high_hz: float) -> FloatArray:
+    """(..., n) without what lies below and above the band, nothing moved in time; mirrored beyond its ends.
+
+    The gain is that of Butterworth's high-pass and low-pass of the second order, each run forwards and backwards.
+    """
+    n = x.shape[-1]
+    frequency = np.arange(1, n) / (2.0 * n * dt_s)
+    gain = 1.0 / ((1.0 + (low_hz / frequency) ** 4) * (1.0 + (frequency / high_hz) ** 4))
+    return np.asarray(
+        fft.idct(fft.dct(x, norm="ortho") * np.concatenate([[0.0], gain]), norm="ortho")
+    )
+
+
+def groups_of(frequency: FloatArray, low_hz: float, high_hz: float) -> list[NDArray[np.bool_]]:
+    """Bands of equal ratio, joined upwards until each has enough frequencies."""
+    edges = np.geomspace(low_hz, high_hz, _BANDS + 1)[1:]
+    found, begin = [], 0.0
+    for edge in edges:
+        group = (frequency > begin) & (frequency <= edge * (1.0 + 1e-9))
+        if np.count_nonzero(group) >= _LEAST_BINS:
+            found.append(group)
+            begin = edge * (1.0 + 1e-9)
+    rest = frequency > begin
+    if found and rest.any():
+        found[-1] = found[-1] | rest
+    return found or [np.ones(frequency.size, dtype=bool)]
+
+
+def _coarse(
+    frequency: FloatArray, fx: ComplexArray, fy: ComplexArray, groups: Sequence[NDArray[np.bool_]]
+) -> tuple[float, float]:
+    """Lateness to _LATE_STEP_S and sign that bring the bands together, each band counting by its own correlation."""
+    late = np.arange(-_MOST_LATE_S, _MOST_LATE_S + 0.5 * _LATE_STEP_S, _LATE_STEP_S)
+    total = np.zeros(late.size)
+    # Powers of one turn per step: a hundred times cheaper than an exponential each, and right to 1e-13.
+    turns = np.broadcast_to(
+        np.exp(2j * np.pi * _LATE_STEP_S * frequency), (late.size, frequency.size)
+    ).copy()
+    turns[0] = np.exp(2j * np.pi * late[0] * frequency)
+    np.multiply.accumulate(turns, axis=0, out=turns)
+    for group in groups:
+        cross = np.conj(fx[group]) * fy[group]
+        size = math.sqrt(
+            float(np.sum(np.abs(fx[group]) ** 2)) * float(np.sum(np.abs(fy[group]) ** 2))
+        )
+        if size > 0.0:
+            along = (
+                np.real((turns[:, group] * cross).sum(axis=1)) / size
+            )  # no BLAS, whose threads cost more than they do
+            total += np.count_nonzero(group) * along * np.abs(along)
+    # Of equals the least lateness.
+    total *= 1.0 - 1e-3 * np.abs(late)
+    best, worst = int(np.argmax(total)), int(np.argmin(total))
+    if -total[worst] > _SIGN_MARGIN * total[best]:
+        return float(late[worst]), -1.0
+    return float(late[best]), 1.0
+
 
 Columns = Mapping[str, FloatArray]
 Pair = tuple[FloatArray, FloatArray]
@@ -367,3 +608,139 @@ def against_wind(found: Stretches) -> Relation:
 def all_laws() -> Sequence[Law]:
     """Every law that a flight is held against."""
     return (*LAWS, WIND_LAW)
+
+
+# Where the accelerometers sit, from what they feel beside the motion of the centre of gravity.
+
+LEVER_ARM_BAND_HZ = (0.08, 2.0)
+_MIN_SEGMENT_S = 20.0
+_MIN_ROWS = 20  # a log so slow that the band is not in it has nothing to compare
+_LONGEST_S = 600.0
+_ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
+_RATES = ("p_radps", "q_radps", "r_radps")
+_ACCELERATIONS = ("ax_mps2", "ay_mps2", "az_mps2")
+
+
+def _longest(record: FlightRecord, names: tuple[str, ...]) -> FlightRecord | None:
+    if not all(n in record for n in names):
+        return None
+    segments = record.segments(names, _MIN_SEGMENT_S)
+    if not segments:
+        return None
+    best = max(segments, key=lambda s: s.stop - s.start)
+    # Ten minutes are plenty, and keep the check quick on long logs.
+    part = record.rows(
+        slice(best.start, min(best.stop, best.start + int(_LONGEST_S / record.dt_s)))
+    )
+    return part if len(part) >= _MIN_ROWS and 0.4 / part.dt_s > LEVER_ARM_BAND_HZ[0] else None
+
+
+def _band(x: FloatArray, dt_s: float) -> FloatArray:
+    """(..., n) over BAND_HZ, the upper edge below 0.4 of the sampling rate."""
+    return band_passed(x, dt_s, LEVER_ARM_BAND_HZ[0], min(LEVER_ARM_BAND_HZ[1], 0.4 / dt_s))
+
+
+_LEVER_ARM_BLOCK_S, _LEAST_BLOCKS = 4.0, 8
+_TOLD_M = 0.3  # a flight that hardly turns regresses noise on noise, and its error says so
+_SURE = 4.5  # standard errors: three axes in every log, a few dozen blocks behind each error
+
+
+@dataclass(frozen=True)
+class LeverArm:
+    """Place of the accelerometer from the CG, body axes, m: value, standard error and effect of timing per axis.
+
+    timing_m  what rates half a row before or after the accelerations would add: in omega x v a time offset t of omega is
+              omega_dot x (t v), which is a lever arm of t v
+    """
+
+    position_m: FloatArray
+    std_m: FloatArray
+    timing_m: FloatArray
+
+
+def lever_arm(record: FlightRecord) -> LeverArm | None:
+    """Place of the accelerometer relative to the point whose motion V, alpha and beta describe (the CG).
+
+    From a = dv/dt + omega x v - g + (omega_dot x) r + omega x (omega x r), all terms band-passed alike; least squares
+    over the longest stretch without gaps. None without measured V, alpha, beta, attitude, rates and accelerations.
+    """
+    names = ("V_mps", "alpha_rad", "beta_rad", *_ATTITUDE, *_RATES, *_ACCELERATIONS)
+    if any(n in record.metadata.estimates for n in ("alpha_rad", "beta_rad")):
+        return None
+    part = _longest(record, names)
+    if part is None:
+        return None
+    dt = part.dt_s
+    speed, alpha, beta = part["V_mps"], part["alpha_rad"], part["beta_rad"]
+    phi, theta = part["phi_rad"], part["theta_rad"]
+    p, q, r = (part[n] for n in _RATES)
+    v = np.stack(
+        [
+            speed * np.cos(alpha) * np.cos(beta),
+            speed * np.sin(beta),
+            speed * np.sin(alpha) * np.cos(beta),
+        ]
+    )
+    g = G0_MPS2 * np.stack(
+        [-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)]
+    )
+    omega = np.stack([p, q, r])
+    acceleration = np.gradient(v, dt, axis=1) + np.cross(omega, v, axis=0) - g
+    measured = np.stack([part[n] for n in _ACCELERATIONS])
+    dp, dq, dr = np.gradient(omega, dt, axis=1)
+    rows = np.array(
+        [
+            [-(q**2 + r**2), p * q - dr, p * r + dq],
+            [p * q + dr, -(p**2 + r**2), q * r - dp],
+            [p * r - dq, q * r + dp, -(p**2 + q**2)],
+        ]
+    )
+    a = np.concatenate(_band(rows, dt).swapaxes(1, 2))
+    b = _band(measured - acceleration, dt).ravel()
+    weight = np.ones(b.size)
+    for _ in range(2):
+        information = (a * weight[:, None]).T @ a
+        if np.linalg.cond(information) > 1e8:
+            return None
+        position = np.linalg.solve(information, a.T @ (weight * b))
+        residual = b - a @ position
+        # The axes are not equally good: beta's noise times the airspeed is on one, the airspeed's own on another.
+        weight = np.repeat(
+            1.0 / np.maximum(np.mean(residual.reshape(3, -1) ** 2, axis=1), 1e-300), speed.size
+        )
+    # Residuals are correlated in time and larger in manoeuvres: what counts is how the sums over some seconds scatter
+    # (cluster-robust covariance; Liang and Zeger, Biometrika 73, 1986).
+    block = np.tile(np.arange(speed.size) * dt // _LEVER_ARM_BLOCK_S, 3).astype(int)
+    sums = np.zeros((block.max() + 1, 3))
+    information = (a * weight[:, None]).T @ a
+    np.add.at(sums, block, a * (weight * residual)[:, None])
+    if len(sums) < _LEAST_BLOCKS:
+        return None
+    inverse = np.linalg.inv(information)
+    scatter = sums.T @ sums * len(sums) / (len(sums) - 3.0)
+    return LeverArm(
+        np.asarray(position, dtype=float),
+        np.sqrt(np.diag(inverse @ scatter @ inverse)),
+        0.5 * dt * np.mean(np.abs(v), axis=1),
+    )
+
+
+def lever_arm_finding(record: FlightRecord) -> list[Finding]:
+    """A finding when the accelerometer sits off the CG by more than _SURE standard errors, timing's effect and 3 cm."""
+    found = lever_arm(record)
+    if found is None:
+        return []
+    least = np.maximum(_SURE * found.std_m, 0.03) + found.timing_m
+    off = (np.abs(found.position_m) > least) & (found.std_m < _TOLD_M)
+    if not off.any():
+        return []
+    pairs = ", ".join(
+        f"{n} {v:+.2f} +- {s:.2f}"
+        for n, v, s in zip("xyz", found.position_m, found.std_m, strict=True)
+    )
+    numbers = {f"{n}_m": float(v) for n, v in zip("xyz", found.position_m, strict=True)}
+    numbers |= {f"{n}_std_m": float(v) for n, v in zip("xyz", found.std_m, strict=True)}
+    text = (
+        f"the accelerometers sit off the CG: {pairs} m; put it into the card's [sensors] position_m"
+    )
+    return [Finding("lever-arm", "ax_mps2", "warning", text, numbers)]

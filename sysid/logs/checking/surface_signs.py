@@ -15,8 +15,8 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding
-from sysid.logs.checking.mending import mend, spoils
-from sysid.logs.checking.spectra import band_passed
+from sysid.logs.checking.kinematics import band_passed
+from sysid.logs.checking.physics import mend, spoils
 from sysid.record import FlightRecord
 
 _BAND_HZ = (0.15, 4.0)

@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+from array import array
 from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,19 +21,264 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import Finding, LogError
-from sysid.foreign.raw import Progress, RawLog, Wanted
+from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.importers.dataflash_format import (
-    CHARACTERS,
-    FMT_LENGTH,
-    FMT_TYPE,
-    MAGIC,
-    Format,
-    make_format,
-    scaled,
-    text,
+
+# The DataFlash record format: what an FMT record says, as numpy types (for binary reader, text
+# reader and writer).
+
+MAGIC = b"\xa3\x95"
+FMT_TYPE = 128
+FMT_LENGTH = 89
+
+# Format character -> (numpy type, multiplier that turns the stored integer into the field's unit).
+CHARACTERS: dict[str, tuple[str, float]] = {
+    "a": ("<i2", 1.0),
+    "b": ("<i1", 1.0),
+    "B": ("<u1", 1.0),
+    "h": ("<i2", 1.0),
+    "H": ("<u2", 1.0),
+    "i": ("<i4", 1.0),
+    "I": ("<u4", 1.0),
+    "q": ("<i8", 1.0),
+    "Q": ("<u8", 1.0),
+    "f": ("<f4", 1.0),
+    "d": ("<f8", 1.0),
+    "g": ("<f2", 1.0),
+    "M": ("<u1", 1.0),
+    "c": ("<i2", 0.01),
+    "C": ("<u2", 0.01),
+    "e": ("<i4", 0.01),
+    "E": ("<u4", 0.01),
+    "L": ("<i4", 1e-7),
+    "n": ("S4", 1.0),
+    "N": ("S16", 1.0),
+    "Z": ("S64", 1.0),
+}
+INSTANCE_NAMES = ("I", "C", "Instance", "Inst")
+
+
+@dataclass(frozen=True)
+class Format:
+    """One FMT record: type number, total length in bytes, name, format characters and column names."""
+
+    type: int
+    length: int
+    name: str
+    characters: str
+    columns: tuple[str, ...]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Structured type of the payload (without the three header bytes)."""
+        fields: list[Any] = []
+        for column, character in zip(self.columns, self.characters, strict=True):
+            base = CHARACTERS[character][0]
+            fields.append((column, base, (32,)) if character == "a" else (column, base))
+        return np.dtype(fields)
+
+    @property
+    def instance_column(self) -> str | None:
+        """The column that numbers instances of one sensor, by its usual names; None when there is none."""
+        for column, character in zip(self.columns, self.characters, strict=True):
+            if column in INSTANCE_NAMES and character in "bBhHiI":
+                return column
+        return None
+
+    @property
+    def time_column(self) -> tuple[str, float] | None:
+        """(column, seconds per unit) of the time stamp, or None.
+
+        In the GPS message of logs before version 3.4 TimeMS is the GPS time of week; T is the autopilot's clock.
+        """
+        if self.name.startswith("GPS") and "TimeUS" not in self.columns and "T" in self.columns:
+            return "T", 1e-3
+        for name, scale in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
+            if name in self.columns:
+                return name, scale
+        return None
+
+
+def make_format(kind: int, length: int, name: str, characters: str, columns: str) -> Format | None:
+    """Build a Format; None when it contradicts itself (a damaged FMT record must not steer the reader)."""
+    names = tuple(columns.split(",")) if columns else ()
+    printable = name.isascii() and name.isidentifier() and len(name) <= 4
+    if (
+        not printable
+        or len(names) != len(characters)
+        or len(set(names)) != len(names)
+        or not all(names)
+    ):
+        return None
+    if any(c not in CHARACTERS for c in characters):
+        return None
+    made = Format(kind, length, name, characters, names)
+    return made if made.dtype.itemsize + 3 == length else None
+
+
+def scaled(values: NDArray[Any], character: str) -> NDArray[Any]:
+    """Field values in the field's unit: multiplied where the format says so, text decoded, the rest unchanged."""
+    kind, multiplier = CHARACTERS[character]
+    if kind.startswith("S"):
+        return np.array(
+            [v.split(b"\0", 1)[0].decode("latin-1") for v in values.tolist()], dtype=object
+        )
+    return values.astype(np.float64) * multiplier if multiplier != 1.0 else values
+
+
+def text(raw: bytes) -> str:
+    """Text of a fixed-length field up to its first NUL."""
+    return raw.split(b"\0", 1)[0].decode("latin-1")
+
+
+# From the columns of a DataFlash log, binary or text, to a RawLog: instances split, parameters,
+# texts, vehicle.
+
+Columns = dict[str, NDArray[Any]]
+# Messages that identify the vehicle, its parameters and its modes; small in every log.
+MOST_INSTANCES = 256  # of one kind of message
+ALWAYS = frozenset({"PARM", "MSG", "MODE", "VER", "ARM", "EV", "ORGN"})
+# VER.BU, the number of the firmware's build type.
+_BUILD = {
+    1: "ArduRover",
+    2: "ArduCopter",
+    3: "ArduPlane",
+    4: "AntennaTracker",
+    7: "ArduSub",
+    12: "Blimp",
+    13: "Heli",
+}
+_ONLY_IN = {
+    "ATC_RAT_RLL_P": "ArduCopter",
+    "RATE_RLL_P": "ArduCopter",
+    "WPNAV_SPEED": "ArduCopter",
+    "ATC_STR_RAT_P": "ArduRover",
+    "RLL2SRV_TCONST": "ArduPlane",
+    "ARSPD_FBW_MIN": "ArduPlane",
+}
+_VEHICLE = re.compile(
+    r"^(Ardu|APM[: ]?)(Plane|Copter|Rover|Sub)|^(AntennaTracker|Blimp|Rover)", re.IGNORECASE
 )
-from sysid.logs.importers.dataflash_tables import ALWAYS, Columns, assemble
+
+
+def assemble(
+    dialect: str,
+    columns: dict[str, Columns],
+    formats: Mapping[str, Format],
+    counts: Mapping[str, int],
+    findings: list[Finding],
+    path: Path,
+    places: Mapping[str, NDArray[np.int64]] | None = None,
+    headers: tuple[int, ...] = (),
+) -> RawLog:
+    """Split instances and pull out parameters, texts and vehicle. Raises LogError when nothing carries a time.
+
+    places   position in the file of each record, by message      headers  positions of further headers of a log
+    """
+    places = places or {}
+    messages: dict[tuple[str, int], MessageTable] = {}
+    for name in list(columns):
+        fmt = formats[name]
+        stamp = fmt.time_column
+        if stamp is None or stamp[0] not in columns[name]:
+            continue
+        table = columns[name]
+        time_s = table[stamp[0]] / np.float64(round(1.0 / stamp[1]))
+        for instance, rows in _instances(table, fmt.instance_column):
+            fields = {
+                c: v[rows] for c, v in table.items() if c not in (stamp[0], fmt.instance_column)
+            }
+            place = places.get(name)
+            order = place[rows] if place is not None and len(place) == len(time_s) else None
+            messages[(name, instance)] = MessageTable(time_s[rows], fields, order)
+        if name not in ALWAYS:
+            del columns[name]  # the messages hold what is needed; a big log must not be there twice
+    if not messages:
+        raise LogError(
+            "no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time",
+            path,
+        )
+    texts, parameters = _texts(messages), _parameters(columns)
+    said = messages.get(("MSG", 0))
+    set_at = places.get("PARM")
+    return RawLog(
+        headers=headers,
+        text_places=() if said is None or said.place is None else tuple(said.place.tolist()),
+        parameter_log=()
+        if set_at is None or not parameters
+        else tuple(
+            (int(at), str(n), float(v))
+            for at, n, v in zip(
+                set_at, columns["PARM"]["Name"], columns["PARM"]["Value"], strict=False
+            )
+        ),
+        dialect=dialect,
+        messages=messages,
+        counts=dict(counts),
+        parameters=parameters,
+        texts=texts,
+        vehicle=_vehicle(texts, columns, parameters),
+        findings=tuple(findings),
+    )
+
+
+def _instances(table: Columns, column: str | None) -> list[tuple[int, Any]]:
+    """(instance, its rows); a column of more numbers than any vehicle has sensors counts something else."""
+    if column is None or column not in table:
+        return [(0, slice(None))]
+    numbers = table[column]
+    if len(numbers) and numbers.min() == numbers.max():
+        return [(int(numbers[0]), slice(None))]
+    found = np.unique(numbers)
+    return (
+        [(int(i), numbers == i) for i in found]
+        if len(found) <= MOST_INSTANCES
+        else [(0, slice(None))]
+    )
+
+
+def _texts(messages: Mapping[tuple[str, int], MessageTable]) -> tuple[tuple[float, str], ...]:
+    table = messages.get(("MSG", 0))
+    if table is None or "Message" not in table.fields:
+        return ()
+    return tuple(
+        (float(t), str(m)) for t, m in zip(table.time_s, table.fields["Message"], strict=True)
+    )
+
+
+def _parameters(columns: dict[str, Columns]) -> dict[str, float]:
+    table = columns.get("PARM", {})
+    if "Name" not in table or "Value" not in table:
+        return {}
+    return {str(n): float(v) for n, v in zip(table["Name"], table["Value"], strict=True)}
+
+
+def _vehicle(
+    texts: tuple[tuple[float, str], ...],
+    columns: dict[str, Columns],
+    parameters: Mapping[str, float],
+) -> str:
+    """What the log calls itself, else what its parameters are of; an aeroplane that takes off on rotors says VTOL."""
+    named = _named(texts, columns)
+    if not named:
+        # Parameters that one kind of vehicle alone has.
+        named = next((kind for name, kind in _ONLY_IN.items() if name in parameters), "")
+    return (
+        f"{named or 'ArduPlane'} VTOL"
+        if parameters.get("Q_ENABLE", 0.0) > 0.0 and "VTOL" not in named
+        else named
+    )
+
+
+def _named(texts: tuple[tuple[float, str], ...], columns: dict[str, Columns]) -> str:
+    build = columns.get("VER", {}).get("BU")
+    for _, message in texts:
+        if _VEHICLE.match(message):
+            return message
+    if build is not None and len(build):
+        return _BUILD.get(int(build[0]), "")
+    return ""
+
 
 BLOCK_BYTES = 8 << 20
 _FMT_FORMAT = Format(
@@ -247,3 +496,133 @@ def _blocks(handle: BinaryIO, walker: _Walker, size: int, progress: Progress | N
                 progress(min(1.0, base / size))
         if not fresh:
             return
+
+
+# ArduPilot DataFlash as text (.log): one line a record, values already in the field's unit.
+# Streamed line by line.
+
+_MAX_LINE = 4096
+_MOST_FORMATS = 1000  # the binary form can number 256
+_WHOLE = frozenset("bBhHiIqQM")
+
+
+class _Collector:
+    def __init__(self, fmt: Format, keep: list[str]) -> None:
+        self.where = [fmt.columns.index(c) for c in keep]
+        self.text = [CHARACTERS[fmt.characters[i]][0].startswith("S") for i in self.where]
+        self.whole = [fmt.characters[i] in _WHOLE for i in self.where]
+        self.keep = keep
+        self.values: list[Any] = [[] if text else array("d") for text in self.text]
+        self.place = array("q")
+
+    def add(self, cells: list[str], place: int) -> bool:
+        """Append one record; False, and nothing appended, when a number cannot be read."""
+        row: list[Any] = []
+        try:
+            for i, text, whole in zip(self.where, self.text, self.whole, strict=True):
+                value = cells[i].strip() if text else float(cells[i])
+                if whole and not float(value).is_integer():  # nan and inf are none either
+                    return False
+                row.append(value)
+        except (ValueError, IndexError):
+            return False
+        for store, value in zip(self.values, row, strict=True):
+            store.append(value)
+        self.place.append(place)
+        return True
+
+    def columns(self) -> Columns:
+        pairs = zip(self.keep, self.values, self.text, strict=True)
+        return {
+            c: np.array(v, dtype=object) if text else np.frombuffer(v, dtype=np.float64)
+            for c, v, text in pairs
+        }
+
+
+def read_text(path: Path, wanted: Wanted | None = None, progress: Progress | None = None) -> RawLog:
+    """Read a text DataFlash log; arguments and errors as in `dataflash_binary.read`."""
+    formats: dict[str, Format] = {}
+    collectors: dict[str, _Collector | None] = {}
+    counts: dict[str, int] = defaultdict(int)
+    headers: list[int] = []
+    bad_lines, first_bad, done, line_number = 0, 0, 0, 0
+    with open_regular(path) as handle:
+        size = max(1, os.fstat(handle.fileno()).st_size)
+        while raw := handle.readline(_MAX_LINE):
+            line_number += 1
+            done += len(raw)
+            if progress is not None and line_number % 20000 == 0:
+                progress(done / size)
+            line = raw.decode("latin-1").rstrip("\r\n")
+            if not line.strip():
+                continue
+            name, _, rest = line.partition(",")
+            name = name.strip()
+            if name == "FMT":
+                fmt = _format(rest)
+                if fmt is not None and fmt.name == "FMT" and counts:
+                    headers.append(line_number)
+                if fmt is not None and fmt.name not in formats and len(formats) >= _MOST_FORMATS:
+                    fmt = None
+                if fmt is not None and formats.get(fmt.name) != fmt:
+                    formats[fmt.name] = fmt
+                    keep = _keep(fmt, wanted)
+                    collectors[fmt.name] = _Collector(fmt, keep) if keep else None
+                good = fmt is not None
+            elif name in formats:
+                collector = collectors[name]
+                # The last column takes what is left: a text message may hold commas.
+                cells = rest.split(",", len(formats[name].columns) - 1)
+                good = collector is None or collector.add(cells, line_number)
+            else:
+                good = False
+            if good:
+                counts[name] += 1
+            else:
+                bad_lines += 1
+                first_bad = first_bad or line_number
+    if not any(n for name, n in counts.items() if name != "FMT"):
+        raise LogError(
+            f"no DataFlash record could be read in {line_number} lines; copy the log again", path
+        )
+    findings = []
+    if bad_lines:
+        message = (
+            f"{bad_lines} of {line_number} lines could not be read (the first is line {first_bad})"
+        )
+        numbers = {"lines": float(bad_lines), "first_line": float(first_bad)}
+        findings.append(Finding("damaged-lines", "", "warning", message, numbers))
+    columns = {
+        name: c.columns() for name, c in collectors.items() if c is not None and counts[name]
+    }
+    places = {
+        name: np.frombuffer(c.place, dtype=np.int64)
+        for name, c in collectors.items()
+        if c is not None and counts[name]
+    }
+    return assemble(
+        "dataflash-text", columns, formats, dict(counts), findings, path, places, tuple(headers)
+    )
+
+
+def _keep(fmt: Format, wanted: Wanted | None) -> list[str]:
+    if wanted is None or fmt.name in ALWAYS:
+        return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if k != "a"]
+    if fmt.name not in wanted:
+        return []
+    fields = set(wanted[fmt.name]) | {fmt.instance_column, (fmt.time_column or ("",))[0]}
+    return [c for c, k in zip(fmt.columns, fmt.characters, strict=True) if c in fields and k != "a"]
+
+
+def _format(rest: str) -> Format | None:
+    cells = [c.strip() for c in rest.split(",")]
+    if len(cells) < 4 or not cells[0].isdigit() or not cells[1].isdigit():
+        return None
+    columns = tuple(c for c in cells[4:] if c)
+    if (
+        len(columns) != len(cells[3])
+        or any(c not in CHARACTERS for c in cells[3])
+        or len(set(columns)) != len(columns)
+    ):
+        return None
+    return Format(int(cells[0]), int(cells[1]), cells[2], cells[3], columns)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from sysid.errors import LogError
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.air_velocity import COMPONENTS
-from sysid.logs.importers.dataflash_format import FMT_LENGTH, FMT_TYPE, MAGIC
-from sysid.logs.importers.table_format import SNIFFED_BYTES, decoded, sniff
+from sysid.logs.channels import COMPONENTS
+from sysid.logs.importers.dataflash import FMT_LENGTH, FMT_TYPE, MAGIC
+from sysid.logs.importers.tables import SNIFFED_BYTES, decoded, sniff
 from sysid.vocabulary import SIGNALS
 
 _FOREIGN = {

@@ -1,7 +1,7 @@
 """The process that `limited` starts: it reads one file after another, each within the memory it was told, and sends data.
 
 An order is a line of JSON on standard input. An answer is a row of frames on standard output: a letter, a length of 8 bytes, so
-many bytes. r: reading begins; p: share done; c: a part, as `sysid.foreign.data_file` writes it; d: done; e: refused, the sentence;
+many bytes. r: reading begins; p: share done; c: a part, as `sysid.foreign.typed_files` writes it; d: done; e: refused, the sentence;
 m: out of memory; x: failed, a traceback.
 """
 
@@ -24,9 +24,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.foreign.data_file import dump
-from sysid.foreign.memory_limit import MemoryLimit
+from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.raw import Progress, RawLog, TimeColumn
+from sysid.foreign.typed_files import dump
 
 _PROGRESS_S = 0.1
 

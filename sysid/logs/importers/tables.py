@@ -7,10 +7,13 @@ where it is packed, and its reader eight.
 
 from __future__ import annotations
 
+import csv
+import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +23,348 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError, in_a_line
-from sysid.foreign.limits import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
+from sysid.foreign.limited import LIMITS, MOST_COLUMNS, MOST_COMMENT, MOST_LINE, too_much
 from sysid.foreign.raw import MessageTable, RawLog, TimeColumn, Wanted
 from sysid.foreign.regular_files import in_words, open_regular
-from sysid.logs.air_velocity import COMPONENTS, with_air_data
-from sysid.logs.importers.table_format import SNIFFED_BYTES, TableFormat, listed, sniff
-from sysid.logs.importers.table_times import time_names, times_of
+from sysid.logs.channels import COMPONENTS, with_air_data
+from sysid.logs.time_base import TIME_UNITS, likely_time_unit, time_unit_finding
 from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from sysid.vocabulary import LABELS, SIGNALS
+
+# How the text of a table is written: separator, decimal sign, encoding, and the lines that hold
+# names and units.
+#
+# Every combination of separator and decimal sign is tried on the table's first lines, with
+# Python's csv module; the one that reads most cells as numbers below a line of names is taken.
+
+SNIFFED_BYTES = 65536
+_SNIFFED_LINES = 60
+_WAYS = ((",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", "."), (",", ","))
+_CLOCK = re.compile(r"\d:\d\d")
+_SPACES = ((" ", "."), (" ", ","))
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
+
+
+@dataclass(frozen=True)
+class TableFormat:
+    """How a table is written.
+
+    separator, decimal, encoding   as pandas takes them, but " " for any number of spaces
+    header_line   line (from 0) of the names; those before it hold comments, or words about the file
+    names, units  of the columns; ``units`` is empty where no line of units follows the names
+    numeric       number of columns that hold numbers or times of day
+    trailing      whether a separator follows the last cell of each row, but not the last name
+    """
+
+    separator: str
+    decimal: str
+    encoding: str
+    header_line: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    numeric: int
+    trailing: bool = False
+
+    @property
+    def first_row_line(self) -> int:
+        """Line (from 0) of the first row of values."""
+        return self.header_line + 1 + bool(self.units)
+
+
+def decoded(head: bytes) -> tuple[str, str] | None:
+    """Text of a file's first bytes and its encoding, None for what is no text."""
+    if b"\0" in head:
+        return None
+    # A character may be cut at the end of the head.
+    lines = head if len(head) < SNIFFED_BYTES else head[: head.rfind(b"\n") + 1]
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            text = lines.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        # Bytes of any kind can be cp1252: a table has lines of printable characters.
+        printable = sum(c.isprintable() or c in "\t\r\n" for c in text[:2000])
+        if encoding == "utf-8-sig" or printable > 0.99 * len(text[:2000]):
+            return text, encoding
+    return None
+
+
+def listed(names: Sequence[Any]) -> str:
+    """The columns of a table and the way to a map, for a message."""
+    shown = ", ".join(str(name)[:40] for name in names[:40])
+    more = f" and {len(names) - 40} more" if len(names) > 40 else ""
+    return f"its columns are {shown}{more}; `uqharness log map FILE --out map.toml` proposes a map"
+
+
+def sniff(head: bytes) -> TableFormat | None:
+    """How the table is written whose first bytes (up to SNIFFED_BYTES) these are; None where they are no table."""
+    content = decoded(head)
+    if content is None:
+        return None
+    text, encoding = content
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+        if line.strip() and not line.startswith("#")
+    ][:_SNIFFED_LINES]
+    for ways in (_WAYS, _SPACES):
+        tried = [_read_as(lines, separator, decimal, encoding) for separator, decimal in ways]
+        scored = [(score, -k, way) for k, (score, way) in enumerate(tried) if way is not None]
+        if scored:
+            return max(scored)[2]
+    return None
+
+
+def is_number(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell is empty or a number."""
+    cell = cell.strip()
+    if decimal != ".":
+        if "." in cell:
+            return False
+        cell = cell.replace(decimal, ".")
+    if not cell:
+        return True
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_as(
+    lines: Sequence[tuple[int, str]], separator: str, decimal: str, encoding: str
+) -> tuple[float, TableFormat | None]:
+    """Share of the cells that are numbers, weighted by their count, and the format; None where this is no table."""
+    try:
+        rows = [
+            next(
+                csv.reader(
+                    [line.strip() if separator == " " else line],
+                    delimiter=separator,
+                    skipinitialspace=True,
+                )
+            )
+            for _, line in lines
+        ]
+    except (csv.Error, StopIteration):
+        return 0.0, None
+    if len(rows) < 2:
+        return 0.0, None
+    width = Counter(len(row) for row in rows[len(rows) // 2 :]).most_common(1)[0][0]
+    # A separator at the end of each row, but not of the names, adds an empty cell.
+    narrow = width - 1 if all(not row[-1] for row in rows[len(rows) // 2 :]) else width
+    top = next(
+        (
+            k
+            for k, (row, below) in enumerate(itertools.pairwise(rows))
+            if len(row) in (width, narrow) and len(below) == width
+        ),
+        None,
+    )
+    if top is None or narrow < 2:
+        return 0.0, None
+    first = [cell.strip() for cell in rows[0] if cell.strip()]
+    if any(is_number(cell.strip(), decimal) for cell in rows[top]) and len(first) > 1:
+        # Names that are fewer than the cells below them are names all the same: the reader counts both.
+        top = top if any(is_number(cell, decimal) for cell in first) else 0
+    names = [cell.strip() for cell in rows[top]]
+    body = [row[:narrow] for row in rows[top + 1 :] if len(row) == width]
+    units: tuple[str, ...] = ()
+    if len(body) > 1:
+        numeric = _numeric_columns(body[1:], decimal)
+        words = [bool(body[0][k].strip()) and not is_number(body[0][k], decimal) for k in numeric]
+        if numeric and len(words) > 1 and sum(words) > len(words) // 2:
+            units, body = tuple(cell.strip() for cell in body[0]), body[1:]
+    numeric = _numeric_columns(body, decimal)
+    cells = sum(bool(row[k].strip()) for row in body for k in numeric)
+    named = [name for name in names if name]
+    if any(is_number(name, decimal) for name in named) or len(set(named)) < 2:
+        cells //= 4  # numbers above numbers are rather a row than names
+    if not cells:
+        return 0.0, None
+    clocks = sum(all(_CLOCK.search(row[k]) for row in body) for k in range(len(body[0])))
+    table = TableFormat(
+        separator,
+        decimal,
+        encoding,
+        lines[top][0],
+        tuple(names),
+        units,
+        len(numeric) + clocks,
+        len(rows[top]) == narrow < width,
+    )
+    return float(cells), table
+
+
+def _numeric_columns(rows: Sequence[Sequence[str]], decimal: str) -> list[int]:
+    """Columns most of whose cells are numbers, as far as they are not empty."""
+    columns = []
+    for k in range(len(rows[0])):
+        cells = [row[k] for row in rows if row[k].strip()]
+        if 2 * sum(is_number(cell, decimal) for cell in cells) > len(cells):
+            columns.append(k)
+    return columns
+
+
+# Which column of a table holds its times, and in which unit.
+#
+# A map's `[signals.time_s]` decides. Without one the column's name decides, and among several
+# names the column whose values increase; then a column of times written as text, then one of
+# equal steps. A unit comes from the name ("time_us", "Time [ms]") or, where the name has none,
+# from the size of the steps.
+
+_UNIT_NAMES = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "micros", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), "ns"),
+    **dict.fromkeys(("min", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hours"), "h"),
+}
+_TIME_WORDS = frozenset({"time", "timestamp", "timestamps", "t", "clock", "utc", "datetime", "tow"})
+_NOT_TIMES = frozenset({"constant", "delay", "step", "zone", "dt", "to", "of", "flag", "status"})
+_INCREASING = 0.9  # share of steps that go forward in a column of times
+_EVEN = 0.02  # by which a column without a name may miss equal steps
+_TABLE_TIMES_CLOCK = r"(?:(?:(\d+):)?(\d{1,2}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)\s*Z?$"
+
+
+def time_names(names: Sequence[str]) -> list[str]:
+    """Columns that have the name of a time, the likeliest first."""
+    ranked = []
+    for k, name in enumerate(names):
+        words, unit = _words(name)
+        if not words & _TIME_WORDS or words & _NOT_TIMES:
+            continue
+        ranked.append((name != "time_s", len(words), unit is None, k, name))
+    return [name for *_, name in sorted(ranked)]
+
+
+def times_of(
+    fields: Mapping[str, NDArray[Any]], time: TimeColumn | None, path: Path
+) -> tuple[TimeColumn, FloatArray, list[Finding]]:
+    """The column of times and its unit, the times in s (NaN where there is none), and what had to be assumed.
+
+    Raises LogError where no column holds times.
+    """
+    if time is not None:
+        return time, _seconds(fields[time.field], time, path), []
+    named = time_names(list(fields))
+    readable = {name: _values(fields[name]) for name in named}
+    name = next((n for n, v in readable.items() if v is not None and _increases(v)), None)
+    findings = []
+    if name is None:
+        unnamed = {n: v for n, v in fields.items() if n not in named}
+        clock = _written_times(unnamed)
+        name = clock or _even_column(unnamed)
+        if name is not None:
+            reason = "holds increasing times of day" if clock else "has equal steps"
+            text = f"{name} {reason} and is taken for the time: no column is named as one"
+            mend = f'[signals.time_s]\nfield = "{name}"' + ("" if clock else '\nunit = "s"')
+            findings.append(Finding("time-column", "time_s", "warning", text, {}, "", mend))
+            readable[name] = _values(fields[name])
+    if name is None and named:
+        name = named[0]
+        if readable[name] is None:
+            row = str(fields[name][0])[:40]
+            raise LogError(
+                f"the time column {name} holds text that is no time ('{row}'); name another one:"
+                ' [signals.time_s] field = "..." unit = "s"; ' + listed(list(fields)),
+                path,
+            )
+    if name is None:
+        raise LogError(
+            'no time column; name it in a map ([signals.time_s] field = "..." unit = "s", ms, us or ns; times like'
+            f" 2024-05-01T12:00:00.02 need no unit); {listed(list(fields))}",
+            path,
+        )
+    values = readable[name]
+    assert values is not None
+    unit = _words(name)[1]
+    if fields[name].dtype == object:
+        return TimeColumn(name, "iso"), values, findings
+    if unit is None:
+        steps = np.diff(values[np.isfinite(values)])
+        step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+        unit = likely_time_unit(step)
+        if unit != "s":
+            findings.append(time_unit_finding(name, step, converted=True))
+    return TimeColumn(name, unit), values * TIME_UNITS[unit], findings
+
+
+def _words(name: str) -> tuple[frozenset[str], str | None]:
+    """Words of a column's name, without its unit, and the unit."""
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name.replace("µ", "u").replace("μ", "u"))
+    words = re.findall(r"[a-z]+", split.lower())
+    unit = None
+    if len(words) > 1 and words[-1] in _UNIT_NAMES:
+        unit = _UNIT_NAMES[words.pop()]
+    return frozenset(words), unit
+
+
+def _seconds(values: NDArray[Any], time: TimeColumn, path: Path) -> FloatArray:
+    numbers = _values(values)
+    if numbers is None:
+        raise LogError(
+            f"the time column {time.field} holds text that is no time ('{str(values[0])[:40]}'); allowed are"
+            " numbers, 2024-05-01T12:00:00.02 and 12:00:00.02",
+            path,
+        )
+    return numbers * (1.0 if values.dtype == object else TIME_UNITS.get(time.unit, 1.0))
+
+
+def _values(values: NDArray[Any]) -> FloatArray | None:
+    """Numbers as they are, times written as text in s from the first one; None for other text."""
+    if values.dtype != object:
+        return np.asarray(values, dtype=np.float64)
+    text = pd.Series(values).astype("string").str.strip()
+    stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+    if stamps.notna().mean() > 0.5:
+        since = stamps - stamps[stamps.first_valid_index()]
+        return np.asarray(since.dt.total_seconds(), dtype=np.float64)
+    parts = text.str.extract(_TABLE_TIMES_CLOCK)
+    numbers = parts.apply(lambda column: pd.to_numeric(column.str.replace(",", "."))).astype(float)
+    if numbers[3].notna().mean() <= 0.5:
+        return None
+    days, hours, minutes, seconds = (numbers[k].fillna(0.0 if k < 2 else np.nan) for k in range(4))
+    clock = (((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + seconds).to_numpy(dtype=np.float64)
+    # Past midnight a clock without a date begins anew.
+    backwards = np.nan_to_num(np.diff(clock, prepend=clock[:1])) < -43200.0
+    clock = clock + 86400.0 * np.cumsum(backwards)
+    return np.asarray(clock - clock[np.isfinite(clock)][0], dtype=np.float64)
+
+
+def _increases(values: FloatArray) -> bool:
+    good = values[np.isfinite(values)]
+    steps = np.diff(good)
+    if not np.any(steps > 0.0) or float(np.mean(steps >= 0.0)) <= _INCREASING:
+        return False
+    # Single damaged stamps are left out later, but a clock that begins again and again does not get on.
+    return float(good[-1] - good[0]) > 0.4 * steps.size * float(np.median(steps))
+
+
+def _written_times(fields: Mapping[str, NDArray[Any]]) -> str | None:
+    """The one column of text that reads as increasing times; None for none or several."""
+    texts = {n: v for n, v in fields.items() if v.dtype == object and len(v) >= 10}
+    times = [
+        name for name, text in texts.items() if (t := _values(text)) is not None and _increases(t)
+    ]
+    return times[0] if len(times) == 1 else None
+
+
+def _even_column(fields: Mapping[str, NDArray[Any]]) -> str | None:
+    """The one column whose steps are all alike and forward; None for none or several."""
+    even = []
+    for name, values in fields.items():
+        if values.dtype == object or len(values) < 10:
+            continue
+        steps = np.diff(values)
+        middle = float(np.median(steps))
+        if middle > 0.0 and bool(np.all(np.abs(steps - middle) < _EVEN * middle)):
+            even.append(name)
+    return even[0] if len(even) == 1 else None
+
 
 _METADATA_KEY = b"flight_record"
 _CSV_MARK = "# flight_record"

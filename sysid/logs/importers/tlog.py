@@ -23,8 +23,8 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.boots import boundaries
 from sysid.logs.importers.detect import frame_length, frame_time
+from sysid.logs.time_base import boundaries
 
 BLOCK_BYTES = 4 << 20
 _SAME_CLOCK_S = 60.0  # a stamp further from its receipt is another clock's

@@ -17,7 +17,7 @@ from pyulog import ULog
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import MessageTable, Progress, RawLog, Wanted
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.boots import RESTART_S
+from sysid.logs.time_base import RESTART_S
 
 # PX4's MAV_TYPE parameter and vehicle_status.vehicle_type.
 _MAV_TYPES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.air_rotation import (
+from sysid.aerodynamics.air_motion import (
     CHANNELS,
     ROLLING,
     AirPiece,
@@ -14,8 +14,7 @@ from sysid.aerodynamics.air_rotation import (
     without_air_rotation,
 )
 from sysid.aerodynamics.coefficients import half_width, smooth
-from sysid.aerodynamics.residuals import Cutoffs, PieceNoise, ResidualPiece, Residuals
-from sysid.aerodynamics.segmentation import Piece
+from sysid.aerodynamics.residuals import Cutoffs, Piece, PieceNoise, ResidualPiece, Residuals
 from sysid.aerodynamics.sensor_noise import autocorrelation
 from sysid.record import FlightRecord
 

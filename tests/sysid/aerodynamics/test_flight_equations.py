@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from sysid.aerodynamics import flight_equations as equations
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import Along, Body, loops, motion, sines
-from sysid.aerodynamics.gust_states import GustStates
 
 INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
 SIZES = {True: 13, False: 8}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import flow_rates, sines
-from sysid.aerodynamics.gust_states import GustStates
 
 B, DT, N = 3.66, 1e-3, 4000
 V0 = 21.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.segmentation import as_logged, cut
+from sysid.aerodynamics.residuals import as_logged, cut
 from sysid.aerodynamics.terms import split_name
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.open_equations import OUTPUTS, OpenEquations

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.residuals import Cutoffs, Prediction, residual_coefficients, steady_airspeed
-from sysid.aerodynamics.segmentation import Piece, cut
+from sysid.aerodynamics.residuals import (
+    Cutoffs,
+    Piece,
+    Prediction,
+    cut,
+    residual_coefficients,
+    steady_airspeed,
+)
 from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.record import FlightRecord
 from tests.helpers.flown import fly

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import (
     AIR,
     NX,

@@ -9,8 +9,7 @@ import pytest
 from scipy import fft, linalg
 
 from sysid.aerodynamics.coefficients import MassProperties, kernel
-from sysid.aerodynamics.residuals import Cutoffs, Prediction, residual_coefficients
-from sysid.aerodynamics.segmentation import Piece
+from sysid.aerodynamics.residuals import Cutoffs, Piece, Prediction, residual_coefficients
 from sysid.aerodynamics.sensor_noise import (
     REACHING,
     autocorrelation,

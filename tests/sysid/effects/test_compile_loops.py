@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import loops
-from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties, Reference, linearise
 from sysid.effects.compile_loops import compile_loops
-from sysid.effects.gust_score import AirLikelihood
 from sysid.effects.prediction import Columns, whiten
+from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation import kalman_loops
 from sysid.estimation.kalman import Process
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.effects.catalogue import catalogue, coefficient_effect, words
-from sysid.effects.effect_terms import parse
-from sysid.effects.file import read_effects
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import (
+    catalogue,
+    coefficient_effect,
+    parse,
+    read_effects,
+    subsystem_effects,
+    words,
+)
 from sysid.errors import LogError
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX
-from sysid.effects.gust_score import AirLikelihood
 from sysid.effects.prediction import Columns, minus_twice_log, whiten
+from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation.kalman import Process
 from sysid.parallel import Held
 from tests.helpers.linear_systems import system

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.gust_states import GustStates
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.rigid_body import NX, Reference, Steps, linearise
 from sysid.effects import turbulence
-from sysid.effects.gust_score import Score
 from sysid.effects.tuned import CERTAIN_T
-from sysid.effects.turbulence import Gusts, gust_intensity, process_of
+from sysid.effects.turbulence import Gusts, Score, gust_intensity, process_of
 from sysid.parallel import ALONE
 from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.autocorrelation import effective_samples, integral_time
+from sysid.estimation.coloured_residuals import effective_samples, integral_time
 
 
 def test_integral_time_of_a_first_order_process_is_known():

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from sysid.estimation.coloured import autocovariance, autoregression, coloured_information
-from sysid.estimation.diagnostics import ljung_box
+from sysid.estimation.coloured_residuals import (
+    autocovariance,
+    autoregression,
+    coloured_information,
+    ljung_box,
+)
 
 
 def test_biased_autocovariance_is_the_textbook_sum():

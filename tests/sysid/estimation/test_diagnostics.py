@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.diagnostics import Colour, colour_warnings
+from sysid.estimation.coloured_residuals import Colour, colour_warnings
 
 MOST_WORDS = 60
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.filter_layout import Layout
+from sysid.estimation.filter_error import Layout
 
 THETA = np.array([1.0, 2.0, 3.0])
 Q, R = np.array([0.0, 0.5, 0.0, 0.25]), np.array([0.1, 10.0])

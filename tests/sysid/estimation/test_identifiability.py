@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from sysid.estimation.identifiability import assess, masked_covariance
+from sysid.estimation.results import assess, masked_covariance
 
 NAMES = ("a", "b", "c", "d")
 

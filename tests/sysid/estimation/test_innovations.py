@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.estimation.ekf import make_model
-from sysid.estimation.filter_input import read_record
-from sysid.estimation.filter_layout import Layout
-from sysid.estimation.innovations import FilterProblem
+from sysid.estimation.filter_error import FilterProblem, Layout, read_record
 
 DT, N = 0.05, 120
 THETA, Q, R = np.array([-1.0, 2.0]), np.array([0.04]), np.array([0.05])

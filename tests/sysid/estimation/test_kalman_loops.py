@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid.aerodynamics import NX
 from sysid.estimation import kalman_loops as loops
-from sysid.estimation.kalman_arrays import Acting, Gains, Seen
+from sysid.estimation.kalman_loops import Acting, Gains, Seen
 from tests.helpers.linear_systems import system
 
 RNG = np.random.default_rng(4)

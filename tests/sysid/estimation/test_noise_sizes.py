@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.noise_sizes import _SIGNALS, PRIOR_SPREAD, _cost, noise_size
+from sysid.estimation.noise import _SIGNALS, PRIOR_SPREAD, _cost, noise_size
 
 DT, FROM = 0.02, 6.0
 

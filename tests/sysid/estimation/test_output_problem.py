@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.estimation.noise import Noise, concentrated
-from sysid.estimation.output_problem import CARRIED, OutputErrorProblem
+from sysid.estimation.output_error import CARRIED, OutputErrorProblem
 from sysid.estimation.sensitivities import SafeSimulation, first_steps
 
 T = np.linspace(0.0, 4.0, 80)

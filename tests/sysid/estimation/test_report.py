@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid import equation_error, filter_error, output_error
-from sysid.estimation.report import unresolved
+from sysid.estimation.results import unresolved
 
 
 def two_outputs(theta):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.result import correlation, split
+from sysid.estimation.results import correlation, split
 
 
 def test_a_stack_is_cut_where_its_segments_join():

@@ -7,11 +7,14 @@ import pytest
 
 from sysid.estimation.sensitivities import (
     SafeSimulation,
+    Shift,
+    answers,
     first_steps,
     forward_differences,
+    grouped,
+    rows_moved,
     sensitivities,
 )
-from sysid.estimation.together import Shift, answers, grouped, rows_moved
 
 LENGTHS = (30, 40, 50)
 EDGES = (0, 30, 70, 120)

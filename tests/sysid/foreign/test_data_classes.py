@@ -9,8 +9,7 @@ import pytest
 
 from sysid.aerodynamics import GustStates
 from sysid.errors import Finding, LogError
-from sysid.foreign.data_classes import find_class, own_class
-from sysid.foreign.data_file import dump, load
+from sysid.foreign.typed_files import dump, find_class, load, own_class
 from sysid.record import FlightRecord
 
 FIELDS = ["code", "channel", "severity", "message", "numbers", "spoils", "mend"]
@@ -34,15 +33,15 @@ def test_a_class_is_found_by_its_name_and_made_without_running_it():
 def test_a_named_tuple_is_made_of_its_fields():
     value = GustStates(2.8, turning_with=False)
     own = own_class(GustStates)
-    assert own is find_class("sysid.aerodynamics.gust_states:GustStates", list(GustStates._fields))
+    assert own is find_class("sysid.aerodynamics.air_motion:GustStates", list(GustStates._fields))
     found = load(dump({"states": value}))["states"]
     assert type(found) is GustStates
     assert found == value
-    assert "b of sysid.aerodynamics.gust_states:GustStates holds a str" in own.misfit(
+    assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in own.misfit(
         ["2.8", 0.0, True, True]
     )
     assert (
-        own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.gust_states"}))
+        own_class(type("Other", (GustStates,), {"__module__": "sysid.aerodynamics.air_motion"}))
         is None
     )
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from sysid.foreign.data_dtypes import described, dtype_from
+from sysid.foreign.typed_files import described, dtype_from
 
 TYPES = [
     "<f8",

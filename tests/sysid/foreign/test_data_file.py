@@ -20,9 +20,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid.errors import Finding
-from sysid.foreign import data_file, data_limits
-from sysid.foreign.data_file import MAGIC, DataFileError, dump, load
+from sysid.foreign import typed_files
 from sysid.foreign.raw import MessageTable, RawLog
+from sysid.foreign.typed_files import MAGIC, DataFileError, dump, load
 from sysid.record import FlightRecord
 
 
@@ -293,13 +293,13 @@ def test_what_is_no_data_is_refused_by_name(value, said):
 
 
 def test_a_header_is_bounded(monkeypatch):
-    monkeypatch.setattr(data_file, "HEADER_MOST", 1000)
+    monkeypatch.setattr(typed_files, "HEADER_MOST", 1000)
     assert len(load(dump(np.zeros(10_000)))) == 10_000
     with pytest.raises(DataFileError, match="allows 1000"):
         dump(list(range(1000)))
     monkeypatch.undo()
     written = dump(list(range(1000)))
-    monkeypatch.setattr(data_file, "HEADER_MOST", 1000)
+    monkeypatch.setattr(typed_files, "HEADER_MOST", 1000)
     with pytest.raises(DataFileError, match="longer than allowed"):
         load(written)
 
@@ -308,7 +308,7 @@ def test_a_list_that_many_hold_is_not_looked_through_for_ever(monkeypatch):
     numbers = {str(k): 1.0 for k in range(100)}
     written = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
     assert len(load(written)) == 100
-    monkeypatch.setattr(data_limits, "_MOST_LOOKS", 10_000)
+    monkeypatch.setattr(typed_files, "_MOST_LOOKS", 10_000)
     with pytest.raises(DataFileError, match="takes more than 10000 steps"):
         load(written)
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.foreign.data_limits import DataFileError
-from sysid.foreign.data_reader import Reader
+from sysid.foreign.typed_files import DataFileError, Reader
 
 FINDING = [
     "sysid.errors:Finding",

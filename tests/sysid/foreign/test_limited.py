@@ -18,9 +18,9 @@ import pytest
 
 from sysid.errors import LogError
 from sysid.foreign import limited
-from sysid.foreign.data_file import load
-from sysid.foreign.limits import LIMITS, Limit
+from sysid.foreign.limited import LIMITS, Limit
 from sysid.foreign.raw import RawLog
+from sysid.foreign.typed_files import load
 from sysid.logs.importers import tables, tlog, ulog
 from sysid.logs.load import import_log
 from sysid.logs.signal_map import shipped_map

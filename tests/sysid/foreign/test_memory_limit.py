@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 # In a process of its own: under a limit anything else of the tests' process would fail too.
 SCRIPT = """
 import resource
-from sysid.foreign.memory_limit import MemoryLimit
+from sysid.foreign.limited import MemoryLimit
 before = resource.getrlimit(resource.RLIMIT_AS)
 with MemoryLimit(100_000_000):
     small = bytearray(20_000_000)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sysid.foreign.parsed_text import ParseError, parse_json, parse_toml
+from sysid.foreign.regular_files import ParseError, parse_json, parse_toml
 
 DEEP = 100_000
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sysid.errors import Finding
-from sysid.foreign.value_types import fits
+from sysid.foreign.typed_files import fits
 
 
 class Flying(Protocol):

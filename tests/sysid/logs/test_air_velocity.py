@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.air_velocity import (
+from sysid.logs.channels import (
     COMPONENTS,
     alpha_of,
     beta_of,

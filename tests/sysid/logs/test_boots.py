@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.boots import boundaries
 from sysid.logs.card import AirframeCard
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.load import import_log
+from sysid.logs.time_base import boundaries
 from sysid.record import FlightRecord
 from tests.helpers.log_writers import px4_topics, write_text_log, write_tlog, write_ulog
 from tests.helpers.synthetic import flight

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from sysid.logs.cache import cached_file, default_cache, keep
 from sysid.logs.card import AirframeCard
+from sysid.logs.load import cached_file, default_cache, keep
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
 

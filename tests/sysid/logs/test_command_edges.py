@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid.logs.command_edges import logged_rows, place_steps
+from sysid.logs.servo import logged_rows, place_steps
 from tests.helpers.few import few
 
 DT, STRIDE, NOISE = 0.02, 2, 0.0036

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.dropouts import bridge
+from sysid.logs.assemble import bridge
 from sysid.record import FlightRecord
 
 N = 200

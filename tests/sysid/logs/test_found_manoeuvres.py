@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.found_manoeuvres import Manoeuvre, found_manoeuvres, label_found, labelled
 from sysid.logs.load import import_log
+from sysid.logs.manoeuvres import Manoeuvre, found_manoeuvres, label_found, labelled
 from sysid.record import FlightRecord, Metadata
 
 DT = 0.02

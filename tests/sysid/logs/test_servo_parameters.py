@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sysid.logs.servo_parameters import functions, outputs, parse_parameters
+from sysid.logs.servo import functions, outputs, parse_parameters
 
 ARDUPLANE = {
     "SERVO1_FUNCTION": 4.0,

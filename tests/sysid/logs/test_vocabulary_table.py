@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.logs.signal_map import shipped_dialects
-from sysid.logs.vocabulary_table import markdown_table
+from sysid.logs.signal_map import markdown_table, shipped_dialects
 from sysid.vocabulary import SIGNALS
 from tests.helpers.places import ROOT
 

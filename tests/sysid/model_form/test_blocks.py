@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from sysid.model_form.blocks import BLOCK_S, blocks_of, stretches
+from sysid.model_form.components import BLOCK_S, blocks_of, stretches
 from tests.helpers.residual_pieces import DT, first_order, residuals_of
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.aerodynamics.polynomial import regressors
+from sysid.aerodynamics.terms import regressors
 from sysid.model_form import components
-from sysid.model_form.blocks import blocks_of
-from sysid.model_form.components import TIMES_S, Uncertain, separate
+from sysid.model_form.components import TIMES_S, Uncertain, blocks_of, separate
 from sysid.model_form.fit import Design, FitOptions, fit_bounds
 from tests.helpers.residual_pieces import HALF, filtered, first_order, residuals_of
 

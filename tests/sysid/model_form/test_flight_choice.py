@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sysid.model_form.flight_choice import Offer, choose
-from sysid.model_form.worth import after, information
+from sysid.model_form.information_gain import Offer, after, choose, information
 from tests.helpers.model_forms import bounds_from
 
 STATE = "alpha_rad"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.model_form.judgement import bins, conformal, verdict
+from sysid.model_form.coverage import bins, conformal, verdict
 from tests.helpers.residual_pieces import residuals_of
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.polynomial import STATES
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
-from sysid.aerodynamics.terms import COEFFICIENTS
-from sysid.model_form.fit import fit_bounds
-from sysid.model_form.missing_terms import missing_terms
+from sysid.aerodynamics.terms import COEFFICIENTS, STATES
+from sysid.model_form.fit import fit_bounds, missing_terms
 
 NOISE = 1e-3
 

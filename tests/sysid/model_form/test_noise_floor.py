@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.model_form.noise_floor import floor_of, with_noise
+from sysid.model_form.fit import floor_of, with_noise
 
 
 def test_noise_is_added_where_there_is_a_figure_for_it():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.model_form.posterior import _Source, sample
+from sysid.model_form.components import _Source, sample
 
 
 @pytest.mark.parametrize("width", [1.0, 0.05, 0.002])

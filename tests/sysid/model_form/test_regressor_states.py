@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.model_form.regressor_states import quiet, quiet_states
+from sysid.model_form.fit import quiet, quiet_states
 from tests.helpers.residual_pieces import DT, filtered, noise_of, residuals_of
 
 STD = 0.5

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
+from sysid.model_form.components import STEP_S, variation
 from sysid.model_form.fit import Design, fit_bounds
-from sysid.model_form.variation import STEP_S, variation
 
 
 def wandering(rate_hz: float, seconds: float = 200.0, f: float = 0.2) -> tuple[Residuals, float]:

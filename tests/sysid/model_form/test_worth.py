@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.aerodynamics.polynomial import full_polynomial, regressors
-from sysid.model_form.worth import (
+from sysid.aerodynamics.terms import full_polynomial, regressors
+from sysid.model_form.information_gain import (
     after,
     belief,
     expected_width,

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.aborted import KINDS, aborted, aborted_flight
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution import CaseOutcome
+from uqharness.campaign.rounds import KINDS, aborted, aborted_flight
 from uqharness.campaign.run import find_mission
 
 pytestmark = pytest.mark.usefixtures("flights_here")

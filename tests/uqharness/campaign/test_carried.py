@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.campaign.carried import carried
+from uqharness.campaign.statements import carried
 from uqharness.statistics import observed_dispersion, upper_limits
 
 FLIGHTS, ASSUMED, ERROR = 500, 2.0, 0.05

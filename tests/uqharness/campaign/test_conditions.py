@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.campaign.columns import ERROR_METRICS
 from uqharness.campaign.conditions import (
+    ERROR_METRICS,
     Condition,
     conditions,
     excursion_cells,

@@ -11,12 +11,11 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Deadly, Flown, Raising, engines
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.engine_check import LEAST_SPREAD, compared, refuse_difference, spread
-from uqharness.campaign.execution.flying import NEAREST
+from uqharness.campaign.engines import LEAST_SPREAD, compared, refuse_difference, spread
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.engine_file import ENGINE_CHECK, WHOLE, read_check, write_check
+from uqharness.campaign.execution.worker import NEAREST, CaseOutcome
 from uqharness.campaign.folder.manifest import read_manifest
+from uqharness.campaign.folder.tables import ENGINE_CHECK, WHOLE, read_check, write_check
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.cli.main import main
 from uqharness.errors import EnginesDifferError
@@ -32,7 +31,7 @@ METRIC = "cross_track_median_m"
 
 @pytest.fixture(autouse=True)
 def _start_quickly(monkeypatch):
-    import uqharness.campaign.first_seconds as module
+    import uqharness.campaign.engines as module
 
     def forked(workers, **settings):
         return ProcessExecutor(workers, "fork", **settings)
@@ -144,7 +143,7 @@ def test_only_the_guilty_case_of_a_group_is_crashed(tmp_path, kind):
 
 
 def test_workers_and_groups_move_no_byte(spec, tmp_path, monkeypatch):
-    import uqharness.campaign.grouping as grouping
+    import uqharness.campaign.cases as grouping
 
     run(spec, tmp_path / "serial")
     run(spec, tmp_path / "two", executor=ProcessExecutor(2, "fork"))

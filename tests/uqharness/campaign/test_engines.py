@@ -20,11 +20,10 @@ from uqharness.campaign.engines import (
 )
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
-from uqharness.campaign.folder.salvage import Flying, salvage
-from uqharness.campaign.folder.shards import merge, parse_shard
-from uqharness.campaign.folder.status import read_status
+from uqharness.campaign.folder.shards import merge, parse_shard, read_status
+from uqharness.campaign.folder.verify import Flying, salvage
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

@@ -13,15 +13,15 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Flown, Understanding, engines
 from uqharness.campaign.cases import Part, build_cases
 from uqharness.campaign.cost import TRIAL_CONDITIONS, size_of, trial_conditions
-from uqharness.campaign.engines import reasons_against
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.first_seconds import (
+from uqharness.campaign.engines import (
     CASES_EACH,
     STORING_S,
     batch_pace,
     compare_start,
+    reasons_against,
     throwaway_process,
 )
+from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 

@@ -7,8 +7,14 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.cases import Mission, build_cases
-from uqharness.campaign.grouping import FLOWN_PER_CORE, GROUP_S, MOST_LANES, groups_of
+from uqharness.campaign.cases import (
+    FLOWN_PER_CORE,
+    GROUP_S,
+    MOST_LANES,
+    Mission,
+    build_cases,
+    groups_of,
+)
 
 
 def cases(tmp_path, flights=6, **changes):

@@ -16,14 +16,13 @@ from sysid.model_form.model_form import AircraftReference, read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
-from uqharness.campaign.aircraft import bounds_notes, noise_notes, with_own_noise
 from uqharness.campaign.cases import Mission, build_cases
+from uqharness.campaign.engines import bounds_notes, noise_notes, with_own_noise
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import describe, spec_of
+from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission

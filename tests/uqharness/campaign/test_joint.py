@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.campaign.joint import corners_only_words, joint_level, joint_words, points_flown
+from uqharness.campaign.statements import corners_only_words, joint_level, joint_words, points_flown
 from uqharness.flight.spec import COEFFICIENTS
 
 

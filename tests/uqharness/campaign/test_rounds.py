@@ -11,11 +11,11 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.page_checks import problems
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import read_manifest
 from uqharness.campaign.folder.shards import Shard
+from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

@@ -12,11 +12,11 @@ import pytest
 
 from sysid.digests import sha256_hex
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.folder.digests import DamageError
-from uqharness.campaign.sensitivity import MetricSensitivity
-from uqharness.campaign.sensitivity_tables import (
+from uqharness.campaign.folder.manifest import DamageError
+from uqharness.campaign.sensitivity import (
     COLUMNS,
     SENSITIVITY,
+    MetricSensitivity,
     as_csv,
     as_json,
     read_sensitivity,

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from uqharness.campaign import sensitivity_winner
-from uqharness.campaign.sensitivity_winner import find_winner
+from uqharness.campaign import sensitivity
+from uqharness.campaign.sensitivity import find_winner
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.result import Index, MethodResult, PairRange
 from uqharness.sensitivity.words import Ranking
@@ -33,11 +33,9 @@ WIDE = item("rough", 10.0, CX=(0.3, 0.4), Cm=(0.6, 0.7))
 @pytest.fixture
 def flown(monkeypatch):
     def of(*items, metrics=("cross_track_median_m", "speed_max_mps")):
-        monkeypatch.setattr(sensitivity_winner, "read_corner_campaign", lambda folder: None)
-        monkeypatch.setattr(sensitivity_winner, "metrics_of", lambda flown: metrics)
-        monkeypatch.setattr(
-            sensitivity_winner, "analyse_campaign", lambda flown, **more: list(items)
-        )
+        monkeypatch.setattr(sensitivity, "read_corner_campaign", lambda folder: None)
+        monkeypatch.setattr(sensitivity, "metrics_of", lambda flown: metrics)
+        monkeypatch.setattr(sensitivity, "analyse_campaign", lambda flown, **more: list(items))
 
     return of
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from uqharness.cli.run_scripts import main
-from uqharness.simulator.manoeuvre_script import PLANS, script
+from uqharness.simulator.own_mission import PLANS, script
 
 
 def test_every_plan_is_written(tmp_path, capsys):

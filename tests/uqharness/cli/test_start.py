@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness.errors import BadInputError
-from uqharness.plugin.folder import undo
+from uqharness.plugin.apply import undo
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uqharness.differences import GROUPS
-from uqharness.differences.channels import channels_of
+from uqharness.differences.elsewhere import channels_of
 from uqharness.simulator import find_aircraft, open_aircraft
 
 

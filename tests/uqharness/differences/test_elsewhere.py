@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.differences.channels import channels_of
-from uqharness.differences.elsewhere import fly_elsewhere
-from uqharness.differences.flown import How
+from uqharness.differences.elsewhere import How, channels_of, fly_elsewhere
 from uqharness.differences.matched import Asked, fly_matched
 from uqharness.differences.ranking import differences
 from uqharness.errors import BadInputError

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqharness.differences.channels import channels_of
-from uqharness.differences.flown import How, flown
+from uqharness.differences.elsewhere import How, channels_of, flown
 from uqharness.simulator import find_aircraft, open_aircraft
 
 LOITER = Path("scripts/loiter.xml").resolve()

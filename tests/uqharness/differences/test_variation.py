@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from uqharness.differences.matched import Asked, fly_matched
+from uqharness.differences.matched import Asked, fly_matched, spread
 from uqharness.differences.ranking import by_channel, differences
-from uqharness.differences.variation import spread
 from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
 

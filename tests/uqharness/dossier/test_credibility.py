@@ -3,8 +3,7 @@
 import json
 
 from tests.helpers import report_folders as folders
-from uqharness.dossier.credibility import factors, flown_by_simulation
-from uqharness.dossier.evidence import read_evidence
+from uqharness.dossier.evidence import factors, flown_by_simulation, read_evidence
 from uqharness.dossier.match import Match, prove
 
 NAMES = [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid.units import FT_M
-from uqharness.dossier.oscillation import fit_mode
+from uqharness.dossier.match import fit_mode
 from uqharness.simulator import (
     SECOND_ORDER,
     SteadyCondition,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.flight.autopilot_file import read_gains
+from uqharness.flight.autopilot_gains import read_gains
 
 PROPERTIES = {"ap/RLL_RATE_P", "ap/RLL2SRV_TCONST"}
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.flight.branching import Spliced, Split
-from uqharness.flight.dryden import DrydenGusts, dryden_parameters
-from uqharness.flight.gust_filters import PAGE_STEPS
-from uqharness.flight.levels import Levels
+from uqharness.flight.dryden import PAGE_STEPS, DrydenGusts, dryden_parameters
 from uqharness.flight.normals import Normals
+from uqharness.flight.seeds import Spliced, Split
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
+from uqharness.flight.stepping import Levels
 
 SPLIT = Split(700, 3, 4, 1, 2)
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.flight.contact import GroundWatch
-from uqharness.flight.fly import fly, fly_one_ulp_off
+from uqharness.flight.fly import GroundWatch, fly, fly_one_ulp_off
 from uqharness.flight.spec import FlightSpec
 from uqharness.simulator import engine, find_aircraft, stage
 

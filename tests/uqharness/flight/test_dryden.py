@@ -13,7 +13,6 @@ from scipy.integrate import quad
 from scipy.signal import welch
 
 from uqharness.errors import BadInputError
-from uqharness.flight.branching import Split
 from uqharness.flight.dryden import (
     COMPONENTS,
     Component,
@@ -24,6 +23,7 @@ from uqharness.flight.dryden import (
     dryden_sigma,
     gust_blocks,
 )
+from uqharness.flight.seeds import Split
 
 AIR = (22.2, 100.0, 30.0, 3.66)  # V m/s, h m, W20 kt, span m
 

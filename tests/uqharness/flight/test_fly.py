@@ -20,7 +20,7 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import dryden_gusts
 from uqharness.flight.fly import fly, record_mission
-from uqharness.flight.loiter_metrics import absolute_statistics, count_excursions, lost_control
+from uqharness.flight.scoring import absolute_statistics, count_excursions, lost_control
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.signal import lfilter
 
-from uqharness.flight.gust_filters import (
+from uqharness.flight.dryden import (
     PAGE_STEPS,
     GustFilters,
     UnitGusts,

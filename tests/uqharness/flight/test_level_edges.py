@@ -8,8 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.flight.handling import CATEGORIES, CLASSES, assess
-from uqharness.flight.level_edges import OSCILLATORY, cap_limits, level_edges, root_limits
+from uqharness.flight.handling import (
+    CATEGORIES,
+    CLASSES,
+    OSCILLATORY,
+    assess,
+    cap_limits,
+    level_edges,
+    root_limits,
+)
 from uqharness.simulator.linear import Mode
 
 IMAG = np.array([0.05, 0.3, 0.9, 2.0, 7.0])

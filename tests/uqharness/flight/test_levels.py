@@ -14,8 +14,8 @@ from scipy import stats
 from sysid.model_form.model_form import Parts
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission
-from uqharness.flight.levels import level_blocks, reflect
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver, TransientDriver
+from uqharness.flight.stepping import level_blocks, reflect
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
 from uqharness.simulator.signals import Source

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from uqharness.flight import locus
-from uqharness.flight.locus import point_at, root_locus, usual_speeds
+from uqharness.flight import handling
+from uqharness.flight.handling import point_at, root_locus, usual_speeds
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim, linearise, modes
 
 CONDITION = SteadyCondition(22.0)
@@ -59,9 +59,11 @@ def test_speeds_beyond_two_without_a_trim_are_not_tried(espaaro, first, monkeypa
             found if condition.V_mps >= 20.0 else replace(found, converged=False, reason="too slow")
         )
 
-    monkeypatch.setattr(locus, "find_trim", trim)
+    monkeypatch.setattr(handling, "find_trim", trim)
     monkeypatch.setattr(
-        locus, "point_at", lambda model, category, aircraft_class: replace(first, V_mps=tried[-1])
+        handling,
+        "point_at",
+        lambda model, category, aircraft_class: replace(first, V_mps=tried[-1]),
     )
     found = root_locus(espaaro, CONDITION, (10.0, 12.0, 15.0, 19.0, 21.0), "B", "I", first)
     assert tried == [21.0, 19.0, 15.0]

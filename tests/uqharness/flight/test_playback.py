@@ -8,7 +8,7 @@ import pytest
 from sysid.logs import channels
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
-from uqharness.flight.playback import NEEDED, playback_rows
+from uqharness.flight.recorded import NEEDED, playback_rows
 
 START = {"lat_deg": 37.2, "lon_deg": -80.4, "alt_m": 630.0}
 

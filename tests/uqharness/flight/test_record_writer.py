@@ -9,7 +9,7 @@ import pytest
 from sysid.logs.load import import_log
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.flight.record_writer import write_record
+from uqharness.flight.recorded import write_record
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script, read_script
 

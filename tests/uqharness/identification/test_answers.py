@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.identification.answers import MOTION_SIGMA, answer_of, motion, slip_of
+from uqharness.identification.compare import MOTION_SIGMA, answer_of, motion, slip_of
 
 DT_S = 0.02
 NOISE = 0.003

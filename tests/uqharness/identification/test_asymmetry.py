@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uqharness.identification.asymmetry import lateral_constants
+from uqharness.identification.excitation import lateral_constants
 from uqharness.plugin import with_card
 from uqharness.replay import ReplayFolder
 from uqharness.simulator import find_aircraft

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.identification.channels import parse_channels
+from uqharness.identification.replay_fit import parse_channels
 from uqharness.replay.replay import CONTROL_DELAY
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.identification.descent import Descent
+from uqharness.identification.identify import Descent
 
 
 def told(lengths, seconds=2.0, tolerance=0.05, most=40):

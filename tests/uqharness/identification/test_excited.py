@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid.linalg.blocks import Blocks
-from uqharness.identification.excited import LEAST_T, Excited, without
-from uqharness.identification.excited import judged as of_blocks
+from uqharness.identification.excitation import LEAST_T, Excited, without
+from uqharness.identification.excitation import judged as of_blocks
 from uqharness.identification.replay_fit import Observed
 
 RNG = np.random.default_rng(1)

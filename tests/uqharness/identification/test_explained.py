@@ -11,8 +11,8 @@ import pytest
 
 from tests.helpers.flown import fly
 from uqharness.cli.main import main
-from uqharness.identification.explained import unexplained, withdrawn
-from uqharness.identification.result import Identification
+from uqharness.identification.identify import unexplained, withdrawn
+from uqharness.identification.replay_fit import Identification
 
 TIME = np.linspace(0.0, 8.0, 401)
 Q = 0.3 * np.sin(2.0 * TIME)

@@ -16,7 +16,7 @@ from sysid.record import FlightRecord
 from tests.helpers.page_checks import problems
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.identification.designs import parse_designs
+from uqharness.identification.bounds import parse_designs
 from uqharness.simulator.aircraft import PROJECT_ROOT
 
 TRUTH, MODEL = "espaaro_truth", "espaaro"

@@ -10,7 +10,7 @@ import pytest
 
 from sysid.aerodynamics import COEFFICIENTS, Cutoffs
 from uqharness.cli.main import main
-from uqharness.identification.noisy_flight import NoisyFlight, noise_sizes, said_of_air
+from uqharness.identification.bounds import NoisyFlight, noise_sizes, said_of_air
 from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
 from uqharness.simulator import find_aircraft
 

@@ -19,11 +19,11 @@ from uqharness.identification.identify import identify
 from uqharness.identification.linearised import Bench, Point, make_setup, observed
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
 from uqharness.refinement.base import base_fit_and_noise, left_alone
+from uqharness.refinement.round import Side
 from uqharness.refinement.showing.show import show
-from uqharness.refinement.types import Side
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
 from uqharness.replay.flights import prepare
-from uqharness.replay.pool import spread_over
+from uqharness.replay.simulation import spread_over
 from uqharness.simulator.aircraft import find_aircraft
 
 NAMES = ("aero/Cl_p", "aero/Cl_da", "aero/Cm_q", "aero/Cm_alpha", "aero/Cn_r")

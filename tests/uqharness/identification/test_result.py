@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from uqharness.identification.result import Identification
+from uqharness.identification.replay_fit import Identification
 
 FOUND = SimpleNamespace(
     names=("a", "b"),

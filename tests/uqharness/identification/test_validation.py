@@ -9,7 +9,7 @@ import pytest
 from sysid.model_form import HOLDS_FROM
 from tests.helpers.model_forms import made_up_form
 from uqharness.errors import BadInputError
-from uqharness.identification.validation import failed, load_form, validate, verdicts
+from uqharness.identification.bounds import failed, load_form, validate, verdicts
 
 
 def covered(error=0.01, **shares):

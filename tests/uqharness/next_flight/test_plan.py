@@ -19,14 +19,21 @@ from tests.helpers.page_checks import problems
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.sensitivity_winner import find_winner
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.sensitivity import find_winner
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
 from uqharness.next_flight.mission_states import open_campaign, some_cases
-from uqharness.next_flight.points import Condition, Steps, TestPoint, library
-from uqharness.next_flight.script import AUTOPILOT, RECOVERY_S, schedule
+from uqharness.next_flight.points import (
+    AUTOPILOT,
+    RECOVERY_S,
+    Condition,
+    Steps,
+    TestPoint,
+    library,
+    schedule,
+)
 from uqharness.next_flight.trials import TestFlight, fly_points, try_points, unit_times
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import find_script

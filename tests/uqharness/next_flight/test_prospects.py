@@ -11,7 +11,7 @@ import pytest
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
 from tests.helpers.model_forms import LONGITUDINAL, MEAN, SPREAD, made_up_form
 from uqharness.next_flight.mission_states import Occupancy
-from uqharness.next_flight.prospects import designs_of, prospects, scatter_ratios, widths_over
+from uqharness.next_flight.plan import designs_of, prospects, scatter_ratios, widths_over
 
 FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
 MISSION = Occupancy(

@@ -13,7 +13,7 @@ from uqharness.plugin import apply
 from uqharness.plugin.apply import instrument_aircraft
 from uqharness.plugin.check import Verdict
 from uqharness.plugin.instrument import Bounds
-from uqharness.simulator import aircraft_facts
+from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.aircraft import find_aircraft
 
 BOUNDS = Bounds(None, {"CX": (-0.01, 0.01)})

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from sysid.foreign.parsed_text import parse_toml
-from uqharness.plugin.card import ERRORS_XML, card_text
-from uqharness.plugin.scale_functions import Scaled
-from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts
+from sysid.foreign.regular_files import parse_toml
+from uqharness.plugin.card import ERRORS_XML, Scaled, card_text
+from uqharness.simulator.facts import AircraftFacts, ControlFacts
 
 CONTROLS = {
     "elevator": ControlFacts(-1, 25.0, "fcs/elevator-pos-deg"),

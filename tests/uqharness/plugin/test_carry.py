@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from uqharness.plugin.carry import carried_files
+from uqharness.plugin.apply import carried_files
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.aircraft_files import copy_beside, copy_folder
+from uqharness.simulator.staging import copy_beside, copy_folder
 
 
 def root_of(tmp_path):

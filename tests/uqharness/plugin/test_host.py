@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.plugin.host import HOST_SYSTEM, SWITCH, host_xml
-from uqharness.plugin.own_card import with_card
-from uqharness.simulator import SteadyCondition, aircraft_facts, find_aircraft, find_trim
+from uqharness.plugin.apply import with_card
+from uqharness.plugin.card import HOST_SYSTEM, SWITCH, host_xml
+from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.forced_state import BodyState, body_velocity, forced
 from uqharness.xml import folder_names
 

@@ -20,12 +20,12 @@ from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.cli.instrument import parse_constant
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
+from uqharness.plugin.apply import undo, write
 from uqharness.plugin.check import check, check_in_child
-from uqharness.plugin.folder import undo, write
 from uqharness.plugin.instrument import Bounds, plan
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
-from uqharness.simulator.mid_envelope import open_mid_envelope
+from uqharness.simulator.facts import open_mid_envelope
 
 OWN = """
   <property value="0.3">own/gain</property>

@@ -7,10 +7,8 @@ import math
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.plugin.apply import instrument_aircraft
-from uqharness.plugin.folder import undo
+from uqharness.plugin.apply import MassProperties, instrument_aircraft, mass_insertions, undo
 from uqharness.plugin.instrument import Bounds
-from uqharness.plugin.mass import MassProperties, mass_insertions
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.xml import read_document

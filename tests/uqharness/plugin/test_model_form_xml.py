@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from sysid.aerodynamics.polynomial import regressors
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.terms import COEFFICIENTS, regressors
 from sysid.model_form.model_form import ModelForm
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form, with_parts

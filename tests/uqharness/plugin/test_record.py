@@ -8,7 +8,7 @@ import pytest
 
 from sysid.digests import sha256_hex
 from uqharness.errors import BadInputError
-from uqharness.plugin.record import FILE_NAME, changed, read_record, restored, to_json
+from uqharness.plugin.instrument import FILE_NAME, changed, read_record, restored, to_json
 from uqharness.xml.document import Insertion
 
 BEFORE = b"<a>\n <b/>\n <c/>\n</a>\n"

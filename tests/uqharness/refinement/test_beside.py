@@ -10,10 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement import beside as refine_beside
-from uqharness.refinement.beside import named_beside, too_weak
+from uqharness.refinement import unnamed as refine_beside
+from uqharness.refinement.round import Bent
 from uqharness.refinement.showing.show import Left, left_in
-from uqharness.refinement.types import Bent
+from uqharness.refinement.unnamed import named_beside, too_weak
 
 LIMIT = 4.0
 

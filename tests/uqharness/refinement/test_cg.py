@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import subsystem_effects
 from sysid.parallel import ALONE
 from sysid.units import IN_M
 from tests.helpers.flown import fly

@@ -13,7 +13,7 @@ from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice
 from uqharness.refinement.find import Found, chosen_interval, left_beside, slips_s
-from uqharness.refinement.showing.words import still_asked
+from uqharness.refinement.showing.document import still_asked
 
 
 def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:

@@ -10,8 +10,7 @@ import pytest
 from sysid.effects import Evidence, gather
 from sysid.effects.prediction import White
 from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.hold_out import Both
-from uqharness.refinement.judge import Verdict, gap_change, surer
+from uqharness.refinement.judge import Both, Verdict, gap_change, surer
 
 NAMES, KEY = ("aero/a", "aero/b"), "effect/Cm/c"
 TRUE = {"aero/a": 1.0, "aero/b": -0.5, KEY: 0.3}

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.prediction import White
 from sysid.effects.score import gather
 from sysid.effects.selection import Choice, Selection
-from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement.rounds import eligible, largest_step, resolved
 from uqharness.simulator.actuators import Actuator
 

@@ -8,11 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects.catalogue import coefficient_effect
+from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import Choice, Selection
-from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.refinement import search as module
 from uqharness.refinement.round import Round, Start
 from uqharness.refinement.search import (

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.refinement.setup import confirming_segments, file_hash, refuse_shared
+from uqharness.refinement.round import confirming_segments, file_hash, refuse_shared
 
 
 def test_a_flight_that_chose_is_refused_by_its_content_not_its_name(tmp_path: Path):

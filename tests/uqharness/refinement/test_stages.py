@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
-from sysid.foreign.data_file import dump
+from sysid.foreign.typed_files import dump
 from tests.helpers.places import ROOT
-from uqharness.refinement.stages import FOLDER, Stages
+from uqharness.refinement.round import FOLDER, Stages
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_it_is_said_to_a_user_who_asked_for_no_log(folder):
     folder.mkdir()
     script = f"""
 from pathlib import Path
-from uqharness.refinement.stages import Stages
+from uqharness.refinement.round import Stages
 stages = Stages(Path({str(folder)!r}), ["input"])
 (stages.folder / f"effects-{{stages.key}}.data").write_bytes(b"x")
 print(stages("effects", int, lambda: 5))

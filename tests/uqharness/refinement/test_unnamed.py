@@ -16,12 +16,11 @@ from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import Effect, value
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
-from uqharness.batch.lanes.fly import fly_many
+from uqharness.batch.lanes.course import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
-from uqharness.refinement.curves import STATES, is_in
-from uqharness.refinement.unnamed import EXPLAINED
+from uqharness.refinement.unnamed import EXPLAINED, STATES, is_in
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
 

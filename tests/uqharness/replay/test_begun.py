@@ -12,11 +12,10 @@ from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.cases import cards
 from tests.hidden_effects.flights import Flight
 from tests.hidden_effects.flights import fly as fly_hidden
-from uqharness.replay.begun import begun
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.model import CONTROLS, ReplayFolder, ReplayModel
 from uqharness.replay.positions import surface_positions
-from uqharness.replay.replay import CHANNELS, fly_segment
+from uqharness.replay.replay import CHANNELS, begun, fly_segment
 from uqharness.replay.segments import Segment
 from uqharness.simulator.aircraft import find_aircraft
 

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import subsystem_effects
 from tests.helpers.flown import fly
 from uqharness.refinement.writing.effects import Written, write_effects
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.force import force_states
-from uqharness.replay.ground import altitudes, height_known, heights
-from uqharness.replay.model import CONTROLS, ReplayFolder
+from uqharness.replay.model import CONTROLS, ReplayFolder, altitudes, height_known, heights
 from uqharness.replay.replay import CHANNELS, fly_segment
 from uqharness.simulator.aircraft import find_aircraft
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.replay.layout import delayed, late_limit_s, misplaced, nuisance_layout
 from uqharness.replay.replay import CONTROL_DELAY, SENSOR_OF
 from uqharness.replay.segments import Commands, Segment
+from uqharness.replay.simulation import delayed, late_limit_s, misplaced, nuisance_layout
 
 TIME = np.arange(5) * 0.02
 PIECE = Segment("s", "f", TIME, np.zeros((5, 4)), np.zeros(9), 100.0, 0.0)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.logs.command_edges import LATEST_S, logged_rows
+from sysid.logs.servo import LATEST_S, logged_rows
 from tests.helpers.flown import fly
-from uqharness.replay.flights import measured_outputs, prepare
-from uqharness.replay.logged_commands import mean_ahead, with_steps_placed
+from uqharness.replay.flights import mean_ahead, measured_outputs, prepare, with_steps_placed
 
 EVERY = 8
 

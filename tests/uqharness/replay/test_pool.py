@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from uqharness.replay.pool import replay_pool
+from uqharness.replay.simulation import replay_pool
 
 
 def process_of(point):

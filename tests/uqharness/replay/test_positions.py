@@ -19,8 +19,8 @@ from uqharness.replay import (
     ReplayJob,
     ReplayModel,
     Segment,
-    chains,
     fly_all,
+    positions,
     surface_positions,
 )
 from uqharness.replay import positions as module
@@ -226,17 +226,17 @@ def in_both(
 ) -> list[list[np.ndarray]]:
     """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
     flown = []
-    monkeypatch.setattr(chains, "_programs", {})
-    real = chains._in_lanes
+    monkeypatch.setattr(positions, "_programs", {})
+    real = positions._in_lanes
     monkeypatch.setattr(
-        chains,
+        positions,
         "_in_lanes",
         lambda program, asked, some: flown.append(len(some)) or real(program, asked, some),
     )
     out = []
     for worth_s in (1e9, 0.0):
         monkeypatch.setattr(module, "_stood", OrderedDict())
-        monkeypatch.setattr(chains, "WORTH_S", worth_s)
+        monkeypatch.setattr(positions, "WORTH_S", worth_s)
         assert not flown
         out.append(surface_positions(model, cut, CONTROLS, servos))
     # One to be compared with, then all.
@@ -258,13 +258,15 @@ def test_the_batch_engine_moves_the_components_as_jsbsim_does(
 def test_where_the_engines_differ_jsbsim_moves_the_components(
     model: ReplayModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chains, "_programs", {})
-    monkeypatch.setattr(chains, "WORTH_S", 0.0)
-    real = chains._in_lanes
-    monkeypatch.setattr(chains, "_in_lanes", lambda *asked: [1.001 * rows for rows in real(*asked)])
+    monkeypatch.setattr(positions, "_programs", {})
+    monkeypatch.setattr(positions, "WORTH_S", 0.0)
+    real = positions._in_lanes
+    monkeypatch.setattr(
+        positions, "_in_lanes", lambda *asked: [1.001 * rows for rows in real(*asked)]
+    )
     piece = segment(seed=23)
     (stood,) = surface_positions(model, [piece], CONTROLS)
-    assert list(chains._programs.values()) == [None]
+    assert list(positions._programs.values()) == [None]
     np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
 
 

@@ -8,8 +8,7 @@ import pytest
 import uqharness as uq
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
-from uqharness.replay.flights import prepare_together
-from uqharness.replay.power import SOURCES, throttle_at, with_throttle
+from uqharness.replay.flights import SOURCES, prepare_together, throttle_at, with_throttle
 from uqharness.simulator import find_aircraft
 
 AIRCRAFT = find_aircraft("espaaro")

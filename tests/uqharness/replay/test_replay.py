@@ -15,7 +15,7 @@ from tests.helpers.flown import NOISE, fly
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.motion import Model, integrate, trim
 from uqharness.errors import BadInputError
-from uqharness.identification.start import demand_of, forced_at
+from uqharness.identification.replay_fit import demand_of, forced_at
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, read_flight, segments, states
 from uqharness.replay.force import force_states

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.residuals import Cutoffs
-from sysid.aerodynamics.segmentation import Piece
+from sysid.aerodynamics.residuals import Cutoffs, Piece
 from tests.helpers.synthetic import flight
 from uqharness.errors import BadInputError
 from uqharness.replay import residuals

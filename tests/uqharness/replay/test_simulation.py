@@ -9,7 +9,7 @@ from tests.helpers.flown import fly
 from tests.uqharness.replay.test_replay import SURFACES, prepared_step
 from uqharness.replay import CONTROL_DELAY, Replay, ReplayFolder, simulation
 from uqharness.replay.flights import prepare, segments
-from uqharness.replay.pool import spread_over
+from uqharness.replay.simulation import spread_over
 from uqharness.simulator import find_aircraft
 
 CHANNELS = ("q_radps", "alpha_rad", "az_mps2")

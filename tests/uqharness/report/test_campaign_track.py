@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign_track import MOST_TRACKS, shown_cases, track_section, worst_case
+from uqharness.report.campaign import MOST_TRACKS, shown_cases, track_section, worst_case
 from uqharness.report.parts import Facts, Figures, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")

@@ -8,8 +8,8 @@ from lxml import etree
 
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.convergence import Converged
-from uqharness.report.convergence import convergence_section
-from uqharness.statistics.convergence import Growth, Repeats
+from uqharness.report.pbox import convergence_section
+from uqharness.statistics.pbox import Growth, Repeats
 
 REPEATS = Repeats(
     2, 3, 0.3, 0.9, np.array([2.0, 3.0]), np.array([[1.0, 2.0, 3.0], [2.0, 3.0, np.inf]])

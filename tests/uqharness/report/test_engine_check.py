@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from uqharness.campaign.folder.engine_file import CheckRow
-from uqharness.report.engine_check import engine_section
+from uqharness.campaign.folder.tables import CheckRow
+from uqharness.report.campaign import engine_section
 from uqharness.report.parts import Table, Words
 
 

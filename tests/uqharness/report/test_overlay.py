@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import report_folders as folders
-from uqharness.report.campaign import read_found
-from uqharness.report.overlay import overlay_section
+from uqharness.report.campaign import overlay_section, read_found
 from uqharness.report.parts import Figures, Table, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")

@@ -141,7 +141,7 @@ def loaded(modules):
 def test_reports_load_no_matplotlib():
     assert (
         loaded(
-            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.rerun, uqharness.cli.main"
+            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.history, uqharness.cli.main"
         )
         == []
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from markupsafe import Markup
 
+from uqharness.report.campaign import called
 from uqharness.report.parts import Cell, Figure, Figures, Section, Table
-from uqharness.report.sample_words import called
 
 
 @pytest.mark.parametrize(

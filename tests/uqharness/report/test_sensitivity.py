@@ -11,7 +11,7 @@ from lxml import etree, html
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from uqharness.cli.main import main
-from uqharness.report.sensitivity import condition_sections
+from uqharness.report.campaign import condition_sections
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 from uqharness import sensitivity
 from uqharness.errors import BadInputError
-from uqharness.sensitivity import array_archive
+from uqharness.sensitivity import problem
 
 UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
 
@@ -98,14 +98,14 @@ def test_a_missing_array(study, tmp_path):
 
 def test_a_damaged_archive_is_refused_or_gives_the_same_arrays(study, tmp_path):
     content = packed(study, tmp_path / "study.npz").read_bytes()
-    sound = array_archive.read_arrays(tmp_path / "study.npz")
+    sound = problem.read_arrays(tmp_path / "study.npz")
     refused = 0
     for place in range(40, len(content), 31):
         damaged = bytearray(content)
         damaged[place] ^= 0x41
         (tmp_path / "damaged.npz").write_bytes(damaged)
         try:
-            found = array_archive.read_arrays(tmp_path / "damaged.npz")
+            found = problem.read_arrays(tmp_path / "damaged.npz")
         except BadInputError:
             refused += 1
             continue
@@ -118,6 +118,6 @@ def test_a_damaged_archive_is_refused_or_gives_the_same_arrays(study, tmp_path):
 
 def test_a_bomb_is_refused_before_it_is_unpacked(study, tmp_path, monkeypatch):
     path = packed(study, tmp_path / "study.npz")
-    monkeypatch.setattr(array_archive, "MOST_BYTES", 100)
+    monkeypatch.setattr(problem, "MOST_BYTES", 100)
     with pytest.raises(BadInputError, match="would take"):
         sensitivity.read_study(path)

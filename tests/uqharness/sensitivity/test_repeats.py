@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.analysis import Sensitivity
-from uqharness.sensitivity.repeats import average
+from uqharness.sensitivity.analysis import Sensitivity, average
 from uqharness.sensitivity.result import Index, MethodResult, PairRange, undefined
 
 VALUES = np.array([0.2, 0.35, 0.3, 0.27])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity import resampling
-from uqharness.sensitivity.areas import box_area
-from uqharness.sensitivity.resampling import (
+from uqharness.sensitivity import areas as resampling
+from uqharness.sensitivity.areas import (
     MIN_DRAWS,
     PairBand,
+    box_area,
     pair_band,
     reach_of_box,
     std_by_draws,

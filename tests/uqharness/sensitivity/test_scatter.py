@@ -7,8 +7,7 @@ import pytest
 import statsmodels.api as sm
 from scipy import stats
 
-from uqharness.sensitivity.areas import box_area
-from uqharness.sensitivity.resampling import Z, reach_of_box
+from uqharness.sensitivity.areas import Z, box_area, reach_of_box
 from uqharness.sensitivity.scatter import scatter
 from uqharness.sensitivity.study import run_study
 

@@ -13,8 +13,8 @@ from tests.helpers.few import few
 from tests.helpers.places import ROOT
 from uqharness import sensitivity
 from uqharness.errors import BadInputError
+from uqharness.sensitivity.areas import pair_band
 from uqharness.sensitivity.problem import corners
-from uqharness.sensitivity.resampling import pair_band
 
 A, B = 7.0, 0.1  # Ishigami's constants
 PI = math.pi

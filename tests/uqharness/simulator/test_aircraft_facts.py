@@ -9,9 +9,9 @@ import pytest
 
 from sysid.units import FT_M, LBF_N, RAD_DEG
 from uqharness.plugin import Bounds, instrument_aircraft
-from uqharness.simulator import aircraft_facts, engine, find_aircraft
-from uqharness.simulator.aircraft_facts import ControlFacts, _facts, _Held, _throttle_facts
-from uqharness.simulator.mid_envelope import ALTITUDE_M
+from uqharness.simulator import engine, find_aircraft
+from uqharness.simulator import facts as aircraft_facts
+from uqharness.simulator.facts import ALTITUDE_M, ControlFacts, _facts, _Held, _throttle_facts
 from uqharness.simulator.staging import staged
 
 PLANE = """<?xml version="1.0"?>

@@ -9,7 +9,7 @@ import pytest
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
-from uqharness.simulator.aircraft_files import copy_folder, identity, opened, signature, walk
+from uqharness.simulator.staging import copy_folder, identity, opened, signature, walk
 
 
 def test_the_identity_of_a_self_contained_aircraft_is_that_of_its_folder() -> None:

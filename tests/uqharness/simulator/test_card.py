@@ -14,8 +14,8 @@ from sysid.logs.card import Reference
 from uqharness.errors import BadInputError
 from uqharness.replay.model import _factor
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
-from uqharness.simulator.aircraft_facts import AircraftFacts, ControlFacts
 from uqharness.simulator.card import InputCard, parse_card, read_card
+from uqharness.simulator.facts import AircraftFacts, ControlFacts
 from uqharness.simulator.signals import position_factor, sources
 
 

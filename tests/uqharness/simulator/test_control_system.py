@@ -8,10 +8,17 @@ import pytest
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.simulator import control_system, engine
+from uqharness.simulator import engine, forced_state
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.control_system import RATES_FREE, RATES_HELD, Rest
-from uqharness.simulator.forced_state import BodyState, apply_controls, body_velocity, forced
+from uqharness.simulator.forced_state import (
+    RATES_FREE,
+    RATES_HELD,
+    BodyState,
+    Rest,
+    apply_controls,
+    body_velocity,
+    forced,
+)
 
 ACCELERATIONS = (
     "accelerations/udot-ft_sec2",
@@ -29,12 +36,12 @@ def placed(name, V_mps, alpha_rad, **controls):
 
 
 def test_what_forces_feel_of_the_control_system():
-    assert set(control_system.felt(find_aircraft("c172p"))) >= {
+    assert set(forced_state.felt(find_aircraft("c172p"))) >= {
         "fcs/elevator-pos-rad",
         "fcs/rudder-pos-rad",
         "fcs/flap-pos-deg",
     }
-    f22 = set(control_system.felt(find_aircraft("f22")))
+    f22 = set(forced_state.felt(find_aircraft("f22")))
     assert {
         "fcs/throttle-pos-norm",
         "fcs/throttle-pos-norm[1]",
@@ -49,13 +56,13 @@ def test_what_forces_feel_of_the_control_system():
 @pytest.mark.parametrize(("name", "V_mps"), [("c172p", 45.0), ("T37", 90.0)])
 def test_a_control_system_without_filters_rests_from_the_first_frame_on(name, V_mps):
     aircraft, fdm = placed(name, V_mps, 0.05, elevator=-0.1, throttle=0.6)
-    assert control_system.moving(fdm, control_system.rest_of(aircraft, fdm)) == ""
+    assert forced_state.moving(fdm, forced_state.rest_of(aircraft, fdm)) == ""
 
 
 def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, throttle=0.5)
-    rest = control_system.rest_of(aircraft, fdm, free=True)
-    moving = control_system.moving(fdm, rest)
+    rest = forced_state.rest_of(aircraft, fdm, free=True)
+    moving = forced_state.moving(fdm, rest)
     assert moving in rest.watched
     names = (
         "velocities/u-fps",
@@ -65,8 +72,8 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
         "propulsion/total-fuel-lbs",
     )
     first, state = fdm["fcs/throttle-pos-norm"], [fdm[n] for n in names]
-    assert control_system.bring_to_rest(fdm, rest) == ""
-    assert control_system.moving(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert forced_state.moving(fdm, rest) == ""
     assert [fdm[n] for n in names] == pytest.approx(state, rel=1e-9)
     assert fdm.get_sim_time() == 0.0
     rested, thrust = fdm["fcs/throttle-pos-norm"], fdm["propulsion/engine/thrust-lbs"]
@@ -98,18 +105,18 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
     aircraft, fdm = placed(
         "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5
     )
-    rest = control_system.rest_of(aircraft, fdm, free=True)
+    rest = forced_state.rest_of(aircraft, fdm, free=True)
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
-    assert control_system.bring_to_rest(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, rest) == ""
     assert abs(fdm["velocities/q-rad_sec"]) < 1e-8
     assert abs(fdm["accelerations/qdot-rad_sec2"]) < 1e-8
     # A stick off centre commands a rate, and the aircraft turns with it.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=-0.1, aileron=0.0, rudder=0.0, throttle=0.5)
-    assert control_system.bring_to_rest(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, rest) == ""
     assert fdm["velocities/q-rad_sec"] == pytest.approx(0.02595, abs=1e-4)
     # With the rates held nothing tells the integrator that the aircraft does not turn: the surface stays, the moment too.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
-    control_system.bring_to_rest(fdm, Rest(rest.watched))
+    forced_state.bring_to_rest(fdm, Rest(rest.watched))
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
 
 
@@ -117,22 +124,22 @@ def test_a_ramp_is_told():
     aircraft, fdm = placed(
         "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.002, throttle=0.5
     )
-    said = control_system.bring_to_rest(fdm, control_system.rest_of(aircraft, fdm))
+    said = forced_state.bring_to_rest(fdm, forced_state.rest_of(aircraft, fdm))
     assert "does not come to rest: fcs/rudder-pos-rad still changes by" in said
 
 
 def test_marks_of_a_mission():
     aircraft, fdm = placed("x24b", 196.0, 0.08)
-    assert control_system.marked((), aircraft, fdm) is None
+    assert forced_state.marked((), aircraft, fdm) is None
     for mark, free in ((RATES_HELD, False), (RATES_FREE, True)):
-        rest = control_system.marked(("flight/steady-start", mark), aircraft, fdm)
+        rest = forced_state.marked(("flight/steady-start", mark), aircraft, fdm)
         assert rest.free is free
         assert rest.mark == mark
 
 
 def test_what_ends_jsbsim_meanwhile_is_a_sentence():
     aircraft, fdm = placed("x24b", 196.0, 0.08)
-    rest = control_system.rest_of(aircraft, fdm)
+    rest = forced_state.rest_of(aircraft, fdm)
 
     class Ends:
         def __getattr__(self, name):
@@ -148,4 +155,4 @@ def test_what_ends_jsbsim_meanwhile_is_a_sentence():
             raise RuntimeError("no more")
 
     with pytest.raises(BadInputError, match=r"JSBSim stopped at 0\.00 s: no more"):
-        control_system.bring_to_rest(Ends(), rest)
+        forced_state.bring_to_rest(Ends(), rest)

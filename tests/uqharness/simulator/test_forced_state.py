@@ -8,7 +8,7 @@ import pytest
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.simulator import control_system
+from uqharness.simulator import forced_state
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
@@ -57,7 +57,7 @@ def test_with_the_control_system_at_rest_the_thrust_is_that_of_the_throttle_and_
         "propulsion/engine/thrust-lbs",
     )
     fdm, _ = forced(aircraft, state, {"throttle": 0.5}, 300.0, None)
-    rest = control_system.rest_of(aircraft, fdm)
+    rest = forced_state.rest_of(aircraft, fdm)
     rested = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), rest)
     first = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,))
     assert rested[1][thrust] > 10.0 * first[1][thrust]

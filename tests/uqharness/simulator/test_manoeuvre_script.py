@@ -6,8 +6,8 @@ import pytest
 
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import PROJECT_ROOT
-from uqharness.simulator.manoeuvre_script import PLANS, script
 from uqharness.simulator.mission import read_script
+from uqharness.simulator.own_mission import PLANS, script
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)

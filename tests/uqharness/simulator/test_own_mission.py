@@ -16,7 +16,7 @@ from uqharness.simulator import (
     own_mission,
     write_own_mission,
 )
-from uqharness.simulator.control_system import Rest
+from uqharness.simulator.forced_state import Rest
 from uqharness.simulator.own_mission import EXCURSION_DEG
 
 

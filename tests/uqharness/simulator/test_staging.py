@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.aircraft_files import copy_folder, opened
-from uqharness.simulator.staging import copied, fingerprint, stage, staged
+from uqharness.simulator.staging import copied, copy_folder, fingerprint, opened, stage, staged
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from uqharness.simulator.start import StartSection
+from uqharness.simulator.own_mission import StartSection
 
 
 def test_a_start_heads_north_unless_told():

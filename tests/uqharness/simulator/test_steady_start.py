@@ -15,13 +15,13 @@ import tomlkit
 
 import uqharness as uq
 from tests.helpers.page_checks import problems
-from uqharness.campaign.aircraft import make_copy
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.columns import UNCOMMANDED_METRICS
+from uqharness.campaign.conditions import UNCOMMANDED_METRICS
+from uqharness.campaign.engines import make_copy
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly

@@ -6,8 +6,7 @@ import pytest
 
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.forced_state import BodyState, body_velocity, forced
-from uqharness.simulator.thrust_limit import AtLimit, thrust_reason
-from uqharness.simulator.trim import SteadyCondition, find_trim
+from uqharness.simulator.trim import AtLimit, SteadyCondition, find_trim, thrust_reason
 
 G = 9.80665
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.statistics.area import area_metric
-from uqharness.statistics.pbox import Sample, pbox
+from uqharness.statistics.pbox import Sample, area_metric, pbox
 
 
 def box(*corners, unknown=0):

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.statistics.clusters import dispersion_limits, quiet_flights
-from uqharness.statistics.rates import observed_dispersion, upper_limits
+from uqharness.statistics.rates import (
+    dispersion_limits,
+    observed_dispersion,
+    quiet_flights,
+    upper_limits,
+)
 
 REPEATS, ERROR = 2000, 0.05
 

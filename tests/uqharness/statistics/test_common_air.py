@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.statistics.common_air import (
+from uqharness.statistics.pbox import (
     MIN_AIRS,
     RESAMPLES,
+    Sample,
     _distances,
     _multiplicities,
+    band_half_width,
     common_air_half_width,
     is_enough,
+    pbox,
 )
-from uqharness.statistics.pbox import Sample, band_half_width, pbox
 
 
 def flown(corners: int, airs: int, seed: int = 0, own: float = 0.1) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.statistics.convergence import growth, repeats
+from uqharness.statistics.pbox import growth, repeats
 
 
 def test_repeats_of_one_law_lie_within_what_chance_explains_and_others_do_not():

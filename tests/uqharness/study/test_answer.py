@@ -7,13 +7,12 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.carried import BEYOND, carried
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.study.answer import answer_of
-from uqharness.study.performance import performance, read_flown
+from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.statements import BEYOND, carried
+from uqharness.study.answer import answer_of, performance, read_flown
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

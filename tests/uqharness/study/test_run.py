@@ -18,9 +18,8 @@ from uqharness.report.parts import Page
 from uqharness.report.write import Report
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study import run as chain_run
-from uqharness.study.run import run_chain
+from uqharness.study.run import read_study, run_chain
 from uqharness.study.spec import read_chain
-from uqharness.study.state import read_study
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.xml.document import parse_document
-from uqharness.xml.properties import (
+from uqharness.xml.document import (
     computes,
     declaration,
     declarations,
@@ -15,6 +14,7 @@ from uqharness.xml.properties import (
     declared_in,
     folder_declares,
     folder_names,
+    parse_document,
 )
 
 XML = b"""<fdm_config>

@@ -13,9 +13,16 @@ from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging
-from uqharness.xml.aerodynamics import read_section, require_reference
+from uqharness.xml.aerodynamics import (
+    Reference,
+    SectionEdit,
+    add_deltas,
+    add_functions,
+    add_system,
+    read_section,
+    require_reference,
+)
 from uqharness.xml.document import Document, append_child, apply, parse_document
-from uqharness.xml.summands import Reference, SectionEdit, add_deltas, add_functions, add_system
 
 DELTAS = {name: [f"d/{name}"] for name in COEFFICIENTS}
 DECLARED = [f'<property value="0">d/{name}</property>' for name in COEFFICIENTS]

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.batch.form.flying import BLOCK, Feed, Feeds, checked
-from uqharness.batch.form.ir import Function, known
+from uqharness.batch.form.ir import OPERATIONS, Function, known
 from uqharness.batch.form.passes import lowered
-from uqharness.batch.form.program import Program, Section, Stream
-from uqharness.batch.form.semantics import OPERATIONS
+from uqharness.batch.form.program import BLOCK, Feed, Feeds, Program, Section, Stream, checked
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from uqharness.batch.form.ir import Builder, Function, Node, Value, slots_read
+from uqharness.batch.form.ir import F64, Builder, Function, Node, Value, slots_read
 from uqharness.batch.form.program import Program
-from uqharness.batch.form.semantics import F64
 
 Rate = Value | None
 """A derivative; None where it is 0 whatever the inputs are."""

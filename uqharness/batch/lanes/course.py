@@ -6,7 +6,8 @@ recorded, where it stands. Its streams are functions of their seeds, its splits 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,23 +15,425 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch.form.flying import begun, blocked, chosen, slot, unblocked
-from uqharness.batch.lanes.begin import begin
-from uqharness.batch.lanes.feeds import Air, Feeder, Splits, airs_of
-from uqharness.batch.lanes.mission import LaneMission
-from uqharness.batch.models.ground import POINT, TOUCHED
-from uqharness.batch.models.winds import COUNTER
-from uqharness.batch.translate.frame import BEYOND, TIME
+from sysid.units import FT_M
+from uqharness.batch.form.program import (
+    Feed,
+    Flyer,
+    begun,
+    blocked,
+    chosen,
+    shared,
+    slot,
+    stepped,
+    unblocked,
+)
+from uqharness.batch.lanes.mission import (
+    AIR_WIND,
+    WIND,
+    LaneMission,
+    Loaded,
+    load_start,
+    make_mission,
+)
+from uqharness.batch.lanes.streams import (
+    GUSTS,
+    LEVELS,
+    TRANSIENTS,
+    HostGusts,
+    MovingLevels,
+    Noise,
+    Rows,
+    Series,
+    Turbulence,
+    noise_streams,
+)
+from uqharness.batch.machine.llvm import Target, chosen_target
+from uqharness.batch.models.auxiliary import POINT, TOUCHED
+from uqharness.batch.models.motion import CONDITIONS, rounded, start_state
+from uqharness.batch.models.winds import COUNTER, NORMALS
+from uqharness.batch.translate.frame import BEYOND, TIME, canonical
+from uqharness.errors import BadInputError
 from uqharness.flight import (
+    OPTIONAL_SIGNALS,
+    TURBULENCE_W20_KT,
     ContactPoint,
+    FlightResult,
     FlightSpec,
+    LevelDriver,
     Recorded,
     Split,
+    TransientDriver,
+    dryden_parameters,
+    first_levels,
     in_signals,
     record_stride,
+    refuse_above_ceiling,
     row_counts,
+    score,
+    scored_signals,
+    staged_mission,
 )
-from uqharness.simulator import Source, StagedMission
+from uqharness.simulator import CHANGEABLE, Source, StagedMission
+
+# From the specification of flights to their state before the first frame: JSBSim's start, then
+# the two initialising frames.
+
+_TURNS = 200
+"""Turns between two looks at whether engines have come to rest."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """``values``: slot to its value in each lane behind the initialising frames. ``noise``: by seed, drawn up to there."""
+
+    values: dict[str, FloatArray]
+    noise: Mapping[int, Noise]
+
+
+def begin(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Begun:
+    """Initialise. Raises BadInputError for a property that cannot be set, or that initialising has overwritten."""
+    count = len(specs)
+    loaded = _loaded(lanes, specs)
+    values = start_state(
+        {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
+    )
+    rows = [_given(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
+    given = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    values |= given
+    values |= {
+        name: np.array([one.static[name] for one in loaded])
+        for name in loaded[0].static
+        if name not in given
+    }
+    wind, blown = (
+        np.array([getattr(one, which) for one in loaded]) for which in ("wind_fps", "blown_fps")
+    )
+    noise = {
+        s: Noise(
+            s, lanes.flight.draws, lanes.flight.first_draws, initialising=3 if lanes.steady else 2
+        )
+        for s in dict.fromkeys(spec.seed_noise for spec in specs)
+    }
+    for number, flyer in enumerate(
+        (*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))
+    ):
+        if number == len(lanes.initialisers):
+            settle(lanes.settlers, values, count)
+        if number == 0:
+            values |= {
+                name: speed
+                for name, speed in zip(WIND, wind.T, strict=True)
+                if name in flyer.program.slots
+            }
+        drawn = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
+        values |= {f"#draw/{k}": drawn[:, k] for k in range(drawn.shape[1])}
+        values |= stepped(flyer, values, count)
+        if number == 1 and not lanes.air:
+            values |= dict(zip(WIND, blown.T, strict=True))
+    if lanes.points and (values[TOUCHED] >= 0.0).any():
+        raise BadInputError(
+            'the flight starts on the ground, where the batch engine computes no forces; fly it with engine = "jsbsim"'
+        )
+    _require_kept(specs, given, values)
+    return Begun(values, noise)
+
+
+def settle(
+    settlers: Sequence[tuple[str, Flyer]], values: dict[str, FloatArray], count: int
+) -> None:
+    """Bring every lane's engines to their steady state. settlers: as `compiled_settlers` gives them."""
+    for going, flyer in settlers:
+        program = flyer.program
+        state = begun(
+            program, count, {name: v for name, v in values.items() if name in program.slots}
+        )
+        while slot(program, state, going, count).any():
+            flyer.fly(state, 1, _TURNS)
+        values |= {name: slot(program, state, name, count) for name in program.slots}
+
+
+def _loaded(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[Loaded]:
+    """JSBSim is asked once for each start that differs."""
+    found: dict[tuple[object, ...], Loaded] = {}
+    out = []
+    for spec in specs:
+        own = tuple(
+            (n, v)
+            for n, v in sorted(spec.properties.items())
+            if n.startswith("ic/") or n in CHANGEABLE
+        )
+        key = (spec.wind_mps, spec.wind_from_deg, spec.turbulence, own)
+        if key not in found:
+            found[key] = load_start(lanes, spec)
+        out.append(found[key])
+    return out
+
+
+def _given(lanes: LaneMission, loaded: Loaded, spec: FlightSpec) -> dict[str, float]:
+    """Properties that are set for a flight; mass and what follows from it as JSBSim has them."""
+    blowing = (spec.wind_mps, spec.wind_from_deg, TURBULENCE_W20_KT[spec.turbulence])
+    air = dict(zip(AIR_WIND, blowing, strict=True)) if lanes.air else {}
+    asked = {**air, **first_levels(spec, lanes.dt_s), **spec.properties}
+    return {
+        name: loaded.static.get(name, float(value))
+        for name, value in ((canonical(n), v) for n, v in asked.items())
+    }
+
+
+def _require_kept(
+    specs: Sequence[FlightSpec], given: Mapping[str, FloatArray], values: Mapping[str, FloatArray]
+) -> None:
+    for name in specs[0].properties:
+        if name.startswith("ic/") or name in CHANGEABLE:
+            continue
+        wanted, kept = given[canonical(name)], values[canonical(name)]
+        moved = np.abs(kept - wanted) > 1e-9 * np.maximum(np.abs(wanted), 1.0)
+        if moved.any():
+            lane = int(np.argmax(moved))
+            raise BadInputError(
+                f"property {name} was set to {wanted[lane]:g} and stands at {kept[lane]:g} after initialising: the model computes "
+                "it, so it cannot be set"
+            )
+
+
+# Streams of lanes: each air, noise and walk is made once, a piece at a time, and shared by all
+# lanes that meet it.
+
+Air = tuple[float, float, float]
+"""Airspeed [m/s], height [m] and span [m] from which the host's gusts are made."""
+Splits = tuple[Split, ...]
+
+
+class Feeder:
+    """Feeds of the next frames for the lanes that are still flying.
+
+    airs: each lane's; begun: noise by seed, where the lanes stand before their first frame. Lanes that go on behind ``frame``
+    frames have ``splits``, and their streams are made anew up to there.
+    """
+
+    def __init__(
+        self,
+        lanes: LaneMission,
+        specs: Sequence[FlightSpec],
+        airs: Sequence[Air],
+        begun: Mapping[int, Noise] | None = None,
+        frame: int = 0,
+        splits: Sequence[Splits] | None = None,
+        target: Target | None = None,
+    ) -> None:
+        self._branching, self._target = False, target or chosen_target()
+        self._lanes, self._specs, self._airs, self._frame = lanes, specs, airs, frame
+        self._splits = [()] * len(specs) if splits is None else splits
+        self._program = lanes.program
+        self._wanted = {stream.name for stream in self._program.streams}
+        self._noise = noise_streams(lanes.flight.draws)
+        self._noises: dict[tuple[int, Splits], Noise] = {
+            (seed, ()): noise for seed, noise in (begun or {}).items()
+        }
+        self._series: dict[tuple[str, Hashable], Series] = {}
+        self._windows: dict[Hashable, _Window] = {}
+
+    def followed(self, lanes: Sequence[int], frame: int, splits: Sequence[Splits]) -> Feeder:
+        """A feeder behind ``frame`` frames whose lane k goes on with lane ``lanes[k]`` of this one, which is given up: streams that
+        are known go on where they stand, those of a new last split leave them there."""
+        specs, airs = [self._specs[k] for k in lanes], [self._airs[k] for k in lanes]
+        other = Feeder(self._lanes, specs, airs, None, frame, splits, self._target)
+        other._branching = True
+        for place, spec in enumerate(other._specs):
+            key = (spec.seed_noise, splits[place])
+            if key in self._noises:
+                other._noises[key] = self._noises[key]
+            air = (spec.seed_turbulence, splits[place])
+            if air in self._windows:
+                other._windows[air] = self._windows[air]
+            moving = (
+                (LEVELS.name, (spec.levels, ())),
+                (TRANSIENTS.name, (spec.transient, splits[place])),
+            )
+            for name in ((GUSTS.name, other._air(place)), *moving):
+                if name in self._series:
+                    found = other._series[name] = self._series[name]
+                    if isinstance(found, HostGusts):
+                        found.branch_from_now_on()
+            other._branch(self, place)
+        return other
+
+    def _branch(self, parent: Feeder, place: int) -> None:
+        """Gusts of a lane that has just left its parent's."""
+        key = self._air(place)
+        *own, splits = key
+        if splits and (GUSTS.name, key) not in self._series:
+            source = parent._series.get((GUSTS.name, (*own, splits[:-1])))
+            found = source.branched(splits[-1]) if isinstance(source, HostGusts) else None
+            if found is not None:
+                self._series[GUSTS.name, key] = found
+
+    def feeds(self, alive: NDArray[np.intp], frames: int, state: FloatArray) -> dict[str, Feed]:
+        """For ``frames`` frames on."""
+        out: dict[str, Feed] = {}
+        if self._noise:
+            out |= self._noise_feeds(alive, frames)
+        if GUSTS.name in self._wanted:
+            out[GUSTS.name] = self._fed(
+                GUSTS.name, [self._air(k) for k in alive], frames, self._gusts
+            )
+        if LEVELS.name in self._wanted:
+            out[LEVELS.name] = self._fed(
+                LEVELS.name, [(self._specs[k].levels, ()) for k in alive], frames, self._levels
+            )
+        if TRANSIENTS.name in self._wanted:
+            drivers = [(self._specs[k].transient, self._splits[k]) for k in alive]
+            out[TRANSIENTS.name] = self._fed(TRANSIENTS.name, drivers, frames, self._levels)
+        if NORMALS.name in self._wanted:
+            out[NORMALS.name] = self._turbulence(alive, frames, state)
+        return out
+
+    def _noise_feeds(self, alive: NDArray[np.intp], frames: int) -> dict[str, Feed]:
+        seeds = [(self._specs[k].seed_noise, self._splits[k]) for k in alive]
+        # What no lane meets any more stands still: nobody asks for it again.
+        rows = {key: self._noise_of(*key).frames(frames) for key in dict.fromkeys(seeds)}
+        out = {}
+        for stream in self._noise:
+            pieces = {seed: found[stream.name] for seed, found in rows.items()}
+            out[stream.name] = shared(
+                {s: p.array for s, p in pieces.items()},
+                seeds,
+                next(iter(pieces.values())).first_row,
+            )
+        return out
+
+    def _noise_of(self, seed: int, splits: Splits) -> Noise:
+        if (seed, splits) not in self._noises:
+            flight, initialising = self._lanes.flight, 3 if self._lanes.steady else 2
+            if splits:
+                # Noise has no memory: that of the last split is all that is heard.
+                made = Noise(
+                    splits[-1].seed("noise"), flight.draws, 0, self._target, frame=splits[-1].frame
+                )
+                made.frames(self._frame - splits[-1].frame)
+            else:
+                made = Noise(seed, flight.draws, flight.first_draws, self._target, initialising)
+                made.frames(self._frame)
+            self._noises[seed, splits] = made
+        return self._noises[seed, splits]
+
+    def _fed(
+        self, name: str, keys: Sequence[Hashable], frames: int, make: Callable[..., Series]
+    ) -> Feed:
+        pieces = {}
+        first = 0
+        for key in dict.fromkeys(keys):
+            if (name, key) not in self._series:
+                self._series[name, key] = make(key)
+                self._series[name, key].rows(self._frame)
+            array, first = self._series[name, key].rows(frames)
+            pieces[key] = array
+        return shared(pieces, keys, first)
+
+    def _levels(self, key: tuple[LevelDriver | TransientDriver, Splits]) -> MovingLevels:
+        return MovingLevels(key[0], self._lanes.dt_s, splits=key[1])
+
+    def _air(self, lane: int) -> tuple[int, str, Air, Splits]:
+        spec = self._specs[lane]
+        return spec.seed_turbulence, spec.turbulence, self._airs[lane], self._splits[lane]
+
+    def _gusts(self, key: tuple[int, str, Air, Splits]) -> HostGusts:
+        seed, turbulence, (speed, height, span), splits = key
+        refuse_above_ceiling(turbulence, height)
+        made = HostGusts(
+            dryden_parameters(speed, height, TURBULENCE_W20_KT[turbulence], span),
+            self._lanes.dt_s,
+            seed,
+            self._target,
+            splits,
+        )
+        if self._branching:
+            made.branch_from_now_on()
+        return made
+
+    def _turbulence(self, alive: NDArray[np.intp], frames: int, state: FloatArray) -> Feed:
+        """Lanes of one air may stand at different rows: each air keeps those that any of its lanes may still need."""
+        counters = slot(self._program, state, COUNTER, len(alive)).astype(np.int64)
+        seeds = [(self._specs[k].seed_turbulence, self._splits[k]) for k in alive]
+        pieces = {}
+        low = int(counters.min())
+        for seed in dict.fromkeys(seeds):
+            if seed not in self._windows:
+                self._windows[seed] = _Window(_turbulence_of(*seed, self._target))
+            window = self._windows[seed]
+            pieces[seed] = window.from_to(low, int(counters.max()) + frames)
+        return shared(pieces, seeds, low)
+
+
+def airs_of(
+    lanes: LaneMission, specs: Sequence[FlightSpec], values: Mapping[str, FloatArray]
+) -> list[Air]:
+    """Each lane's air, of its values behind initialising."""
+    return [_air_of(lanes, spec, values, lane) for lane, spec in enumerate(specs)]
+
+
+def _air_of(
+    lanes: LaneMission, spec: FlightSpec, values: Mapping[str, FloatArray], lane: int
+) -> Air:
+    if lanes.air:
+        speed = float(values["velocities/vt-fps"][lane]) * FT_M
+    else:
+        toward = math.radians(spec.wind_from_deg + 180.0)
+        north = float(values["velocities/v-north-fps"][lane]) * FT_M - spec.wind_mps * math.cos(
+            toward
+        )
+        east = float(values["velocities/v-east-fps"][lane]) * FT_M - spec.wind_mps * math.sin(
+            toward
+        )
+        down = float(values["velocities/v-down-fps"][lane]) * FT_M
+        speed = math.sqrt(north * north + east * east + down * down)
+    height = float(values["position/h-agl-ft"][lane]) * FT_M
+    span = float(values.get("metrics/bw-ft", np.full(lane + 1, lanes.span_ft))[lane]) * FT_M
+    return rounded(max(speed, 1.0)), rounded(max(height, 3.048)), span
+
+
+def _turbulence_of(seed: int, splits: Splits, target: Target) -> Series:
+    """Normals alone: the filters are the aircraft's, so that the last split's are all that is heard."""
+    if splits:
+        return _Behind(
+            Turbulence(splits[-1].seed("turbulence"), target, splits[-1].turbulence_row),
+            splits[-1].turbulence_row,
+        )
+    return Turbulence(seed, target)
+
+
+class _Behind:
+    """A series that begins at a row: those before it, which nobody asks for, are NaN."""
+
+    def __init__(self, series: Series, row: int) -> None:
+        self._series, self._row = series, row
+
+    def rows(self, n: int) -> Rows:
+        """The next ``n`` rows."""
+        lacking, self._row = min(n, self._row), max(self._row - n, 0)
+        array, first = self._series.rows(n - lacking)
+        return Rows(
+            np.concatenate([np.full((lacking, array.shape[1]), np.nan), array]), first - lacking
+        )
+
+
+class _Window:
+    """Rows of a series from where somebody still needs them."""
+
+    def __init__(self, series: Series) -> None:
+        self._series, self._first = series, 0
+        self._held: FloatArray | None = None
+
+    def from_to(self, first: int, last: int) -> FloatArray:
+        known = 0 if self._held is None else len(self._held)
+        lacking = last - (self._first + known)
+        if lacking > 0 or self._held is None:
+            new = self._series.rows(max(lacking, 1)).array
+            self._held = new if self._held is None else np.concatenate([self._held, new])
+        self._held = self._held[first - self._first :]
+        self._first = first
+        return self._held[: last - first]
+
 
 HEIGHT, SPEED = "position/h-agl-ft", "velocities/vt-fps"
 _CHUNK = 4000
@@ -342,3 +745,120 @@ def _recorded(made: Ready, end: End, records: FloatArray) -> Recorded:
     if np.any(records[index[BEYOND]] != 0.0):
         return Recorded(list(made.table), rows, "crashed", _BEYOND_REASON, end.flown_s)
     return Recorded(list(made.table), rows, end.status, end.reason, end.flown_s)
+
+
+# Many flights of one mission flown at once, each in its lane: what ``flight.fly`` gives for
+# one, to the rounding of a double.
+
+_RECORD_BYTES = 100_000_000
+"""Records of lanes that are flown together."""
+_FIXED = ("simulation/integrator/", "simulation/gravity-model")
+"""Properties that decide which program flies."""
+_KEPT = 24
+
+
+_ready: dict[Hashable, Ready] = {}
+
+
+def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
+    """Fly and score flights; results in the order given.
+
+    Raises BadInputError as ``flight.fly`` does, and for what the batch engine does not understand.
+    """
+    recorded = record_many(specs)
+    staged = {
+        mission: staged_mission(spec)
+        for mission, spec in {(spec.aircraft, spec.script): spec for spec in specs}.items()
+    }
+    return [
+        score(staged[spec.aircraft, spec.script], spec, one)
+        for spec, one in zip(specs, recorded, strict=True)
+    ]
+
+
+def record_many(specs: Sequence[FlightSpec]) -> list[Recorded]:
+    """Fly without scoring: what was recorded of each flight, in the order given. Raises BadInputError as ``fly_many`` does."""
+    results: dict[int, Recorded] = {}
+    groups: dict[Hashable, list[int]] = {}
+    for k, spec in enumerate(specs):
+        groups.setdefault(
+            (_program_key(spec), spec.duration_s, spec.burn_in_s, spec.record_rate_hz), []
+        ).append(k)
+    for places in groups.values():
+        for part in _parts(specs, places):
+            results.update(zip(part, _fly_alike([specs[k] for k in part]), strict=True))
+    return [results[k] for k in range(len(specs))]
+
+
+def _program_key(spec: FlightSpec) -> Hashable:
+    fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
+    air = (spec.turbulence != "none", spec.turbulence_source, spec.sensor_noise)
+    moving = (
+        spec.levels is not None,
+        None if spec.transient is None else spec.transient.coefficients,
+    )
+    flight = (str(spec.aircraft), str(spec.script), air, moving, spec.record_rate_hz)
+    return (flight, fixed, tuple(sorted(spec.properties)))
+
+
+def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Sequence[int]]:
+    """Groups whose records fit into memory; flights of one air stand together, so that its streams are made once."""
+    spec = specs[places[0]]
+    lane_bytes = max(1.0, spec.duration_s * spec.record_rate_hz) * 20 * 8
+    most = max(8, int(_RECORD_BYTES / lane_bytes) // 8 * 8)
+    ordered = sorted(places, key=lambda k: (specs[k].seed_turbulence, specs[k].seed_noise))
+    return (ordered[k : k + most] for k in range(0, len(ordered), most))
+
+
+def ready(spec: FlightSpec) -> Ready:
+    """The mission of a flight, translated once for all flights that one program flies. Raises BadInputError."""
+    staged = staged_mission(spec)
+    key = (id(staged), _program_key(spec))
+    found = _ready.get(key)
+    if found is None or found.staged is not staged:
+        signals = scored_signals(staged)
+        inputs = [name for name in spec.properties if not name.startswith(_FIXED)]
+        needed = [s.property for s in signals.values()] + [
+            s.over for s in signals.values() if s.over is not None
+        ]
+        records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, BEYOND]))
+        made = make_mission(
+            staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
+        )
+        there = {
+            name: s
+            for name, s in OPTIONAL_SIGNALS.items()
+            if s.property in made.flight.frame.records
+        }
+        found = Ready(staged, made, {"time_s": Source(TIME), **signals, **there})
+        while len(_ready) >= _KEPT:
+            del _ready[next(iter(_ready))]
+        _ready[key] = found
+    return found
+
+
+def _fly_alike(specs: Sequence[FlightSpec]) -> list[Recorded]:
+    course = Course.begun(ready(specs[0]), specs)
+    course.fly()
+    return course.recorded()
+
+
+def forget() -> None:
+    """Forget compiled missions: the next flights are translated and compiled anew."""
+    _ready.clear()
+
+
+# Whether the batch engine can fly a mission here, and if not, why.
+
+
+def refusals(spec: FlightSpec, varying: Collection[str] = ()) -> tuple[str, ...]:
+    """Sentences, with file and line, on what is not understood of a flight's aircraft and mission; empty: it can be flown.
+
+    varying: properties that differ between flights, beside those that ``spec`` sets.
+    """
+    properties = {**dict.fromkeys(varying, 0.0), **spec.properties}
+    try:
+        ready(replace(spec, properties=properties))
+    except BadInputError as error:
+        return tuple(str(error).splitlines())
+    return ()

@@ -12,22 +12,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from uqharness.batch.form.flying import Flyer
 from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.passes import for_what_follows, optimised
-from uqharness.batch.form.program import Program, Stream
-from uqharness.batch.form.settled import settled
+from uqharness.batch.form.passes import for_what_follows, optimised, settled
+from uqharness.batch.form.program import Flyer, Program, Stream
 from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.target import chosen_target
-from uqharness.batch.models.ground import POINT, TOUCHED
-from uqharness.batch.models.motion import WEIGHTS_PARTS, slots
-from uqharness.batch.models.start import CONDITIONS, rounded
-from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values
-from uqharness.batch.translate.properties import fixed, own
+from uqharness.batch.machine.llvm import chosen_target
+from uqharness.batch.models.auxiliary import POINT, TOUCHED
+from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, rounded, slots
+from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values, canonical, fixed, own
 from uqharness.batch.translate.propulsion.engines import going
-from uqharness.batch.translate.propulsion.mass import DRY, MASS, dry_aircraft
-from uqharness.batch.translate.scope import canonical
+from uqharness.batch.translate.propulsion.tanks import DRY, MASS, dry_aircraft
 from uqharness.batch.translate.sources import Sources, read_sources
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError

@@ -12,13 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.batch.form.flying import BLOCK, Feeds, checked
-from uqharness.batch.form.ir import Function
+from uqharness.batch.form.ir import F64, I1, Function
 from uqharness.batch.form.passes import lowered
-from uqharness.batch.form.program import Program, Section, Stream, When
-from uqharness.batch.form.semantics import F64, I1
-from uqharness.batch.machine.printer import FunctionPrinter, Vectors
-from uqharness.batch.machine.target import Target, attributes, built
+from uqharness.batch.form.program import BLOCK, Feeds, Program, Section, Stream, When, checked
+from uqharness.batch.machine.llvm import FunctionPrinter, Target, Vectors, attributes, built
 
 
 @dataclass(frozen=True)

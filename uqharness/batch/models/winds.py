@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from sysid.units import FT_M
-from uqharness.batch.form.arithmetic import rounded
 from uqharness.batch.form.ir import Value
+from uqharness.batch.form.maths import rounded
 from uqharness.batch.form.program import Stream, When
 from uqharness.batch.models.motion import MATRIX, matrix
 from uqharness.batch.models.vectors import Vector, applied, direction

@@ -15,10 +15,16 @@ from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import When
 from uqharness.batch.translate.components.component import Component
 from uqharness.batch.translate.components.kinds import trace
-from uqharness.batch.translate.controls import CHANNEL_STEP, HOOKS, copy_levers, read_only
-from uqharness.batch.translate.frame import Frame
+from uqharness.batch.translate.frame import (
+    CHANNEL_STEP,
+    HOOKS,
+    Frame,
+    Scope,
+    copy_levers,
+    property_of,
+    read_only,
+)
 from uqharness.batch.translate.functions import function_value
-from uqharness.batch.translate.scope import Scope, property_of
 from uqharness.xml import Document, Node
 
 _SILENT = ("description", "documentation", "limitation", "note", "reference")

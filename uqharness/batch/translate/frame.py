@@ -7,15 +7,130 @@ be read before it is written: it then has the value of the frame before.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import NoReturn
 
-from uqharness.batch.form.angles import without_angles
 from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.form.maths import without_angles
 from uqharness.batch.form.program import Program, Section, Stream, When
-from uqharness.batch.translate.scope import Scope, canonical
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
+
+# What the translation of XML to the intermediate form shares: the builder, the document, how a
+# property is read, and refusals.
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_.\-]*(\[\d+\])?(/[A-Za-z_][A-Za-z0-9_.\-]*(\[\d+\])?)*")
+_ROOT = "/fdm/jsbsim/"
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Where XML is read.
+
+    builder   makes the values
+    document  the file, for messages
+    read      the value of a property, None if nobody computes it: then the file is refused
+    draw      the standard normal (``random``) or the number of -1 to 1 (``urandom``) that an element draws in this frame;
+              None: refused
+    note_beyond  is handed a condition under which JSBSim computes what the engine cannot: the flight does not count then
+    """
+
+    builder: Builder
+    document: Document
+    read: Callable[[str], Value | None]
+    draw: Callable[[Node], Value | None] = lambda _: None
+    note_beyond: Callable[[Value], None] = lambda _: None
+
+    def where(self, condition: Value) -> Scope:
+        """The same for what JSBSim computes only where the condition holds: elsewhere nothing is noted."""
+
+        def note(beyond: Value) -> None:
+            self.note_beyond(self.builder.op("and", condition, beyond))
+
+        return replace(self, note_beyond=note)
+
+    def refuse(self, node: Node, why: str) -> NoReturn:
+        """Raise BadInputError with file and line."""
+        raise BadInputError(f"{self.document.where(node)}: {why}")
+
+    def only(self, node: Node, attributes: Collection[str] = ()) -> None:
+        """Refuse attributes that are not understood."""
+        for name in node.attributes:
+            if name not in attributes:
+                self.refuse(
+                    node,
+                    f"attribute '{name}' of <{node.tag}> is not understood by the batch engine; fly it with engine = \"jsbsim\"",
+                )
+
+    def number(self, node: Node, text: str | None = None) -> float:
+        """A number as JSBSim writes it: decimal, without blanks inside."""
+        text = (node.text if text is None else text).strip()
+        if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+            self.refuse(node, f"<{node.tag}> must be a finite decimal number; received {text!r}")
+        return float(text)
+
+    def property_value(self, node: Node) -> Value:
+        """The value of the property that the element's text names; a minus sign before the name negates it."""
+        if node.children:
+            self.refuse(
+                node,
+                f"<{node.tag}> must be the name of a property; received <{node.children[0].tag}>, which JSBSim ignores",
+            )
+        return self.named_property(node, node.text)
+
+    def named_property(self, node: Node, text: str) -> Value:
+        """The value of the property that a text of the element names; a minus sign before the name negates it."""
+        text = text.strip()
+        negative = text.startswith("-")
+        name = property_of(self, node, text.removeprefix("-"))
+        value = self.read(name)
+        if value is None:
+            self.refuse(
+                node,
+                f'property {name} is not computed by the batch engine; fly this aircraft with engine = "jsbsim"',
+            )
+        return -value if negative else value
+
+    def parameter(self, node: Node, text: str | None = None) -> Value:
+        """A number, or the value of a property with or without a minus sign."""
+        text = (node.text if text is None else text).strip()
+        return (
+            self.builder.constant(self.number(node, text))
+            if is_number(text)
+            else self.named_property(node, text)
+        )
+
+    @property
+    def undefined(self) -> Value:
+        """NaN: what JSBSim ends the flight for."""
+        return self.builder.constant(math.nan)
+
+
+def canonical(name: str) -> str:
+    """One spelling of a property's name: no root, no index 0."""
+    return name.strip().removeprefix(_ROOT).replace("[0]", "")
+
+
+def property_of(scope: Scope, node: Node, text: str) -> str:
+    """The property that a text names; refused if it is no name."""
+    name = canonical(text)
+    if not _NAME.fullmatch(name):
+        scope.refuse(
+            node, f"<{node.tag}> must be the name of a property; received {text.strip()!r}"
+        )
+    return name
+
+
+def is_number(text: str) -> bool:
+    """Whether JSBSim takes the text for a number; otherwise it is the name of a property."""
+    return bool(_NUMBER.fullmatch(text.strip()))
+
 
 TIME = "simulation/sim-time-sec"
 STEP = "#step"
@@ -259,3 +374,150 @@ class Frame:
                 tuple(canonical(name) for name in records),
             )
         )
+
+
+# JSBSim's own properties: which there are, which keep their value, which XML and hosts may
+# write, which must stand as they are.
+#
+# Found by experiment with JSBSim 1.3.3. A property that is none of its own is made by the XML
+# that declares it.
+
+_LEVERS = (
+    r"fcs/.*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm|gear/gear-(cmd|pos)-norm"
+)
+_AIR = (
+    r"atmosphere/((gust|wind)-(north|east|down)-fps|wind-mag-fps|psiw-rad|turb-type|delta-T|P-sl-psf"
+    r"|turbulence/milspec/(severity|windspeed_at_20ft_AGL-fps))"
+)
+_ENGINE_SET = (
+    r"propulsion/engine(\[\d+\])?/([xyz]-position|(pitch|yaw|reverser)-angle-rad|blade-angle|constant-speed-mode|propeller-sense"
+    r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor|ram-air-factor|cooling-factor|starter-norm"
+    r"|bleed-factor)"
+)
+_ENGINE_MADE = (
+    r"propulsion/engine(\[\d+\])?/(set-running|thrust-lbs|fuel-flow-rate-(pps|gph)|fuel-used-lbs|(engine|propeller)-rpm"
+    r"|advance-ratio|thrust-coefficient|helical-tip-Mach|prop-induced-velocity_fps|propeller-(power-ftlbps|torque-ftlb)"
+    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)|boost-speed|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
+    r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled|Inj(ectionTimer|WaterNorm|N[12]increment)"
+    r"|a?tsfc|itt-c|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
+)
+_TANK_SET = r"propulsion/tank(\[\d+\])?/(contents-lbs|priority|external-flow-rate-pps|unusable-volume-gal|[xyz]-position)"
+_TANK_MADE = r"propulsion/tank(\[\d+\])?/(pct-full|density-lbs_per_gal|local-i..-slug_ft2)"
+_OWN = re.compile(
+    r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments|flight-path|inertia|metrics|ground"
+    r"|atmosphere)/.*"
+    r"|aero/(Re|alpha(-wing|-max|-min)?-rad|alpha-deg|(alpha|beta)dot-(rad|deg)_sec|(mag-)?beta-(rad|deg)|[bc]i2vel|cl-squared"
+    r"|h_b-(cg|mac)-ft|qbar(UV|UW)?-psf|qbar-area|stall-hyst-norm)"
+    r"|systems/stall-warn-norm|gear/(num-units|wow|unit(\[\d+\])?/.*)|contact/unit(\[\d+\])?/.*|fcs/mag-.*-pos-rad"
+    r"|propulsion/(tat-[rc]|pt-lbs_sqft|active_engine|set-running|starter_cmd|cutoff_cmd|magneto_cmd|refuel|fuel_dump|fuel_freeze"
+    rf"|total-.*-lbs)|{_ENGINE_SET}|{_ENGINE_MADE}|{_TANK_SET}|{_TANK_MADE}|buoyant_forces/.*"
+)
+_FIXED = re.compile(
+    r"(metrics|inertia|external_reactions)/.*|simulation/(integrator/.*|gravity-model|gravitational-torque)"
+    rf"|{_AIR}|atmosphere/(randomseed|turb-(north|east|down)-fps|[pqr]-turb-rad_sec)"
+    r"|.*/malfunction/fail_(zero|hardover|stuck|low|high)"
+    r"|gear/(unit(\[\d+\])?/)?(WOW|wow|compression-ft|compression-velocity-fps)"  # 0: contact ends a flight
+    rf"|{_LEVERS}|position/terrain-elevation-asl-ft"
+    rf"|{_ENGINE_SET}|propulsion/engine(\[\d+\])?/[xyz]-reference-position|{_TANK_SET}|propulsion/tank(\[\d+\])?/density-lbs_per_gal"
+)
+_WRITABLE = re.compile(rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}")
+_BY_HOST = re.compile(
+    r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in|i..-slugs_ft2)"
+    r"|simulation/(integrator/.*|gravity-model)|ic/.*|position/terrain-elevation-asl-ft"
+)
+REQUIRED: Mapping[str, float] = MappingProxyType(
+    {
+        "simulation/gravity-model": 1.0,
+        "simulation/gravitational-torque": 0.0,
+        "simulation/terminate": 0.0,
+        "forces/hold-down": 0.0,
+        "atmosphere/SL-graded-delta-T": 0.0,
+        "atmosphere/vapor-pressure-psf": 0.0,
+        "atmosphere/updownburst/number-of-cells": 0.0,
+        "atmosphere/cosine-gust/magnitude-ft_sec": 0.0,
+        **{
+            f"simulation/models/FG{model}/enabled": 1.0
+            for model in (
+                "Inertial",
+                "Propagate",
+                "Atmosphere",
+                "Winds",
+                "FCS",
+                "MassBalance",
+                "Auxiliary",
+                "Propulsion",
+                "Aerodynamics",
+                "ExternalReactions",
+                "Aircraft",
+                "Accelerations",
+            )
+        },
+    }
+)
+"""Settings of JSBSim to the only value that the batch engine has."""
+
+
+def own(name: str) -> bool:
+    """Whether JSBSim makes the property itself, so that it may change although no XML writes it."""
+    return _OWN.fullmatch(name) is not None
+
+
+def fixed(name: str) -> bool:
+    """Whether one of JSBSim's own properties keeps its value as long as nobody writes it."""
+    return _FIXED.fullmatch(name) is not None
+
+
+def writable(name: str) -> bool:
+    """Whether the batch engine does what JSBSim does when XML writes the property."""
+    return not own(name) or _WRITABLE.fullmatch(name) is not None
+
+
+def settable(name: str) -> bool:
+    """Whether the batch engine does what JSBSim does when a host sets the property before the flight."""
+    return writable(name) or _BY_HOST.fullmatch(name) is not None
+
+
+# Properties of JSBSim's own flight control model: which change with which, which take no value,
+# and the engines' levers.
+
+_WITH_SIZE = ("left-aileron", "right-aileron", "elevator", "rudder")
+_SURFACES = (*_WITH_SIZE, "flap", "speedbrake", "spoiler")
+_CONTROLS_LEVERS = ("throttle", "mixture", "advance", "feather")
+CHANNEL_STEP = "simulation/channel-dt"
+_NO_VALUE = re.compile(
+    r"fcs/mag-.*-pos-rad|fcs/feather-.*|.*/(saturated|initial-integrator-value|randomseed|malfunction/fail_(zero|hardover|stuck|low|high))"
+)
+
+
+def read_only(name: str) -> bool:
+    """Whether JSBSim ignores what a component writes to it, or takes it otherwise than as a value."""
+    return bool(_NO_VALUE.fullmatch(name)) or not writable(name)
+
+
+def _surface(surface: str, degrees: bool) -> Callable[[Frame, Value], None]:
+    """Surfaces stand in radians and degrees: either sets the other, and their size."""
+
+    def write(frame: Frame, value: Value) -> None:
+        radians = value * (math.pi / 180.0) if degrees else value
+        frame.store(f"fcs/{surface}-pos-deg", value if degrees else value * (180.0 / math.pi))
+        frame.store(f"fcs/{surface}-pos-rad", radians)
+        if surface in _WITH_SIZE:
+            frame.store(f"fcs/mag-{surface}-pos-rad", frame.builder.op("abs", radians))
+
+    return write
+
+
+HOOKS: Mapping[str, Callable[[Frame, Value], None]] = {
+    f"fcs/{surface}-pos-{unit}": _surface(surface, unit == "deg")
+    for surface in _SURFACES
+    for unit in ("rad", "deg")
+}
+"""For ``Frame.hooks``: properties whose setting moves others."""
+
+
+def copy_levers(frame: Frame, engines: int) -> None:
+    """Put each engine's levers where they are commanded, as JSBSim does in every frame before the channels."""
+    for number in range(engines):
+        index = f"[{number}]" if number else ""
+        for lever in _CONTROLS_LEVERS:
+            frame.write(f"fcs/{lever}-pos-norm{index}", frame.get(f"fcs/{lever}-cmd-norm{index}"))

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.models import winds
-from uqharness.batch.models.air_data import trace_air_data, trace_ratios
-from uqharness.batch.models.atmosphere import trace_atmosphere
-from uqharness.batch.models.auxiliary import trace_auxiliary, trace_start_distance
-from uqharness.batch.models.ground import trace_ground
+from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
+from uqharness.batch.models.auxiliary import trace_auxiliary, trace_ground, trace_start_distance
 from uqharness.batch.models.motion import (
     INTEGRATORS,
     WEIGHTS,
@@ -23,14 +21,16 @@ from uqharness.batch.models.motion import (
     trace_propagate,
     trace_time,
 )
-from uqharness.batch.translate.aerodynamics import functions_of, trace_aerodynamics
+from uqharness.batch.translate.aerodynamics import (
+    functions_of,
+    trace_aerodynamics,
+    trace_external,
+    trace_totals,
+)
 from uqharness.batch.translate.channels import Systems, compute_where_read, refuse_inner_names
-from uqharness.batch.translate.controls import HOOKS
-from uqharness.batch.translate.external import trace_external, trace_totals
-from uqharness.batch.translate.frame import Frame, Values
-from uqharness.batch.translate.properties import REQUIRED, settable
+from uqharness.batch.translate.frame import HOOKS, REQUIRED, Frame, Values, settable
 from uqharness.batch.translate.propulsion.engines import STEADY_STEP_S, Propulsion, read_propulsion
-from uqharness.batch.translate.propulsion.mass import MASS
+from uqharness.batch.translate.propulsion.tanks import MASS
 from uqharness.batch.translate.script import trace_events
 from uqharness.batch.translate.sources import Sources
 from uqharness.errors import BadInputError

@@ -1,5 +1,4 @@
 from .dask import DaskExecutor as DaskExecutor
-from .flying import why_not as why_not
 from .processes import Executor as Executor
 from .processes import ProcessExecutor as ProcessExecutor
 from .processes import SerialExecutor as SerialExecutor
@@ -7,3 +6,4 @@ from .worker import CaseOutcome as CaseOutcome
 from .worker import FlightFunction as FlightFunction
 from .worker import Group as Group
 from .worker import attempt as attempt
+from .worker import why_not as why_not

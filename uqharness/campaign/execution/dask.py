@@ -16,8 +16,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign.execution.dask_orders import Order, answer_from, flight_name, order_text
-from uqharness.campaign.execution.dask_task import content_of, fly_order
+from uqharness.campaign.execution.dask_task import (
+    Order,
+    answer_from,
+    content_of,
+    flight_name,
+    fly_order,
+    order_text,
+)
 from uqharness.campaign.execution.processes import BATCH_S, PARTS, singly
 from uqharness.campaign.execution.worker import (
     CaseOutcome,

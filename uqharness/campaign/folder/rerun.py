@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from sysid.units import FT_M
-from uqharness.campaign.aircraft import make_copy, needs_copy
 from uqharness.campaign.cases import Case, build_cases
-from uqharness.campaign.execution.flying import JSBSIM, fly_group, why_not
+from uqharness.campaign.engines import make_copy, needs_copy
 from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import CaseOutcome
+from uqharness.campaign.execution.worker import JSBSIM, CaseOutcome, fly_group, why_not
 from uqharness.campaign.folder.manifest import (
     describe,
     read_manifest,

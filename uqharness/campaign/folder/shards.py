@@ -6,29 +6,116 @@ copied together afterwards. A case belongs to a shard by its place in the campai
 
 from __future__ import annotations
 
+import contextlib
 import re
+import sqlite3
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import read_regular
 from uqharness import checksums
+from uqharness.campaign.answers import Answer, as_json, read_answers
 from uqharness.campaign.cases import Case, Mission, build_cases
-from uqharness.campaign.folder.engine_file import merge_checks
+from uqharness.campaign.execution.worker import JSBSIM
 from uqharness.campaign.folder.manifest import (
+    COMPLETE,
+    INTERRUPTED,
     MANIFEST,
+    RUNNING,
+    SPOILT,
+    DamageError,
     describe,
+    has_digests,
     read_manifest,
     refuse_if_different,
     refuse_without_digests,
     spec_of,
     write_manifest,
 )
-from uqharness.campaign.folder.manifest_content import COMPLETE, INTERRUPTED, SPOILT
-from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, seal_files, sealed
-from uqharness.campaign.folder.store import JOURNAL, Store, run_lock
-from uqharness.campaign.folder.tables import make_tables, write_tables
+from uqharness.campaign.folder.store import JOURNAL, Store, is_running, run_lock
+from uqharness.campaign.folder.tables import (
+    ENGINE_CHECK,
+    MOST_CHECK_BYTES,
+    TABLE_NAMES,
+    is_sealed,
+    make_tables,
+    merge_checks,
+    table_digests,
+    write_tables,
+)
+from uqharness.campaign.rounds import Rounds
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.statements import joint_level, joint_words
 from uqharness.errors import BadInputError
+
+# The end of a campaign: digests of its journal and tables in the manifest, and whether they
+# still fit.
+
+
+def sealed(
+    manifest: Mapping[str, Any], store: Store, tables: Mapping[str, bytes]
+) -> dict[str, Any]:
+    """The manifest of a campaign that is complete now: with digests of the journal's flights and of the tables."""
+    digests = dict(manifest.get("tables", {})) | {
+        name: sha256_hex(content) for name, content in tables.items()
+    }
+    check = store.folder / ENGINE_CHECK
+    with contextlib.suppress(OSError):
+        digests[ENGINE_CHECK] = sha256_hex(read_regular(check, MOST_CHECK_BYTES))
+    ending = {"state": COMPLETE, "tables": digests, "journal": store.summary()}
+    return {**manifest, **ending, "sums": checksums.SUMS}
+
+
+def seal_files(folder: Path, earlier: checksums.Earlier | None = None) -> None:
+    """Write SHA256SUMS of a complete campaign's folder, the last file that a run writes. Raises BadInputError."""
+    damaged = {} if earlier is None else dict(earlier.damaged)
+    for name in (MANIFEST, JOURNAL, *TABLE_NAMES):
+        damaged.pop(name, None)  # they have just been held against digests of their own, or written
+    checksums.write_sums(folder, checksums.Earlier(damaged))
+
+
+def refuse_if_not_whole(folder: Path, store: Store, manifest: Mapping[str, Any]) -> None:
+    """DamageError where the journal of a complete campaign is not the one that the manifest lists."""
+    store.finished()
+    if store.summary() != manifest["journal"]:
+        raise DamageError(
+            folder / JOURNAL, "its flights are not those that the manifest lists", folder
+        )
+
+
+def mend_tables(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    spec: CampaignSpec,
+    cases: Sequence[Case],
+    store: Store,
+) -> tuple[str, ...]:
+    """Write the tables of a complete campaign again if one is not as it was written; names of those that were not.
+
+    The journal must be whole. A table of another command (sensitivity.csv) is left as it is.
+    """
+    written = manifest.get("tables", {})
+    damaged = {
+        name for name, digest in table_digests(folder, manifest).items() if digest != written[name]
+    }
+    if not damaged:
+        return ()
+    rounds = Rounds(spec, cases, None)
+    for _ in rounds(store):
+        pass
+    tables = make_tables(spec, cases, store.outcomes(), rounds.decisions)
+    if not damaged & set(tables):
+        return ()
+    # Another version of a library may write other bytes of the same content: then all of them belong together.
+    write_tables(folder, tables)
+    write_manifest(folder, sealed(manifest, store, tables))
+    return tuple(name for name in tables if name in damaged)
+
 
 SHARDS = "shards"
 
@@ -175,3 +262,118 @@ def _merged(
 ) -> Merged:
     names = tuple(path.name for path in folders)
     return Merged(folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten)
+
+
+# How far a campaign is: its own folder, or the shards below it.
+
+
+@dataclass(frozen=True)
+class Status:
+    """``state``: complete, running or interrupted; ``statuses``: number of finished flights by status.
+
+    ``engine`` flies the campaign, ``why`` says for what reasons. ``joint`` says what its intervals hold together, ``joint_level``
+    at which confidence; None where that of the intervals is not known.
+    """
+
+    state: str
+    cases: int
+    statuses: Mapping[str, int]
+    answers: tuple[Answer, ...]
+    command: str
+    engine: str = JSBSIM
+    why: tuple[str, ...] = ()
+    joint: tuple[str, ...] = ()
+    joint_level: float | None = None
+
+    @property
+    def done(self) -> int:
+        """Number of finished flights."""
+        return sum(self.statuses.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The document of ``campaign status --json``."""
+        return {
+            "state": self.state,
+            "cases": self.cases,
+            "done": self.done,
+            "failed": self.done - self.statuses.get("ok", 0),
+            "statuses": dict(self.statuses),
+            "engine": self.engine,
+            "engine_why": list(self.why),
+            "joint_level": self.joint_level,
+            "joint": list(self.joint),
+            "answers": as_json(self.answers),
+        }
+
+
+def read_status(folder: Path) -> Status:
+    """Status of a campaign, running or not. Raises BadInputError."""
+    folders = [folder]
+    if not (folder / MANIFEST).exists() and shard_folders(folder):
+        folders = shard_folders(folder)
+    counted, cases, complete = Counter[str](), 0, True
+    for part in folders:
+        manifest = read_manifest(part)
+        counted.update(_counted(part, manifest))
+        cases += int(manifest["cases"])
+        complete = complete and manifest["state"] == COMPLETE
+    # A killed run could not say so itself; whether somebody holds the folder tells.
+    state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
+    # Answers are of a campaign as a whole.
+    answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
+    engine, why = (
+        manifest["campaign"]["campaign"]["engine"],
+        tuple(manifest.get("engine", {}).get("why", ())),
+    )
+    joint = tuple(joint_words(manifest))
+    counts = dict(sorted(counted.items()))
+    return Status(
+        state,
+        cases,
+        counts,
+        answers,
+        manifest["command"],
+        engine,
+        why,
+        joint,
+        joint_level(manifest),
+    )
+
+
+def _counted(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, int]:
+    if not has_digests(manifest):
+        return _counted_without_digests(folder / JOURNAL)
+    with Store(folder, read_only=True) as store:
+        found = store.statuses()
+    if is_sealed(manifest) and found.total() != manifest["journal"]["rows"]:
+        rows = manifest["journal"]["rows"]
+        raise DamageError(
+            folder / JOURNAL,
+            f"{found.total()} flights are in it, the manifest lists {rows}",
+            folder,
+        )
+    return found
+
+
+def _counted_without_digests(path: Path) -> Mapping[str, int]:
+    """The journal of uqharness 0.1."""
+    if not path.is_file():
+        raise BadInputError(
+            f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole"
+        )
+    try:
+        with closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)
+        ) as database:
+            found = dict(
+                database.execute("select status, count(*) from outcome group by status").fetchall()
+            )
+    except (sqlite3.Error, OverflowError, MemoryError, UnicodeError) as error:
+        raise BadInputError(
+            f"{path}: cannot be read: {error}; the folder was made by uqharness 0.1"
+        ) from None
+    if not all(isinstance(status, str) for status in found):
+        raise BadInputError(
+            f"{path}: damaged: a status is no text; the folder was made by uqharness 0.1"
+        )
+    return found

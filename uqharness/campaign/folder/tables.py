@@ -4,22 +4,180 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 
+from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.cases import Case
-from uqharness.campaign.conditions import CONFIDENCE, in_condition, pboxes
-from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.case_table import CASES, build_table
+from uqharness.campaign.conditions import (
+    CONFIDENCE,
+    ERROR_METRICS,
+    UNCOMMANDED_METRICS,
+    counted_radii,
+    excursion_columns,
+    in_condition,
+    pboxes,
+)
+from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome
+from uqharness.campaign.folder.manifest import (
+    COMPLETE,
+    DamageError,
+    has_digests,
+    read_manifest,
+    write_manifest,
+)
 from uqharness.campaign.rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.statements import STATEMENTS, Statement, number, statements, statements_csv
+from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.parquet_files import table_bytes
+from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT
+from uqharness.parquet_files import parse_table, table_bytes
 from uqharness.statistics import best_and_worst
+from uqharness.text_tables import csv_rows
+
+# cases.parquet: one row per flight, in case order, the same bytes for the same results.
+
+CASES = "cases.parquet"
+_ENGINE = "engine"
+_ALWAYS = (
+    "case_id",
+    "epistemic_id",
+    "aleatory_id",
+    "wind_mps",
+    "turbulence",
+    "seed",
+    "duration_s",
+    "status",
+    "reason",
+)
+
+
+def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Table:
+    """Table of the cases that have an outcome.
+
+    ``duration_s`` is scored time: of a flight that failed, what it flew of it. Such a flight has no error statistics (they
+    would be those of a shorter flight), but keeps its counts so far.
+    """
+    by_id = {outcome.case_id: outcome for outcome in outcomes}
+    radii = cases[0].flight.excursion_radius_m if cases else ()
+    found = {name for outcome in by_id.values() for name in outcome.metrics}
+    more = tuple(name for name in UNCOMMANDED_METRICS if name in found)
+    schema = _schema(radii, more, tuple(cases[0].inputs) if cases else ())
+    columns: dict[str, list[Any]] = {name: [] for name in schema.names}
+    for case in cases:
+        outcome = by_id.get(case.case_id)
+        if outcome is None:
+            continue
+        for name, value in _row(case, outcome, radii, more).items():
+            columns[name].append(value)
+    return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+
+
+def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
+    """The table, if it has every column of ``campaign`` (its settings as plain types) with values such as flights leave.
+
+    Raises BadInputError naming the first column that is missing or of another type.
+    """
+    variables = campaign["aleatory"]["variables"]
+    means = tuple(
+        f"level_{name}" for name, item in variables.items() if isinstance(item.get("mean"), list)
+    )
+    found = {field.name: field.type for field in table.schema}
+    for field in _schema(counted_radii(campaign["metrics"]), (), means):
+        if field.name == _ENGINE and field.name not in found:
+            continue  # a table from before there was another engine than JSBSim
+        if field.name not in found or len(table.schema.get_all_field_indices(field.name)) != 1:
+            raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
+        if found[field.name] != field.type:
+            raise BadInputError(
+                f"{path}: column {field.name} is of type {found[field.name]}, not {field.type}; run the campaign again"
+            )
+    wrong = [name for name in _ALWAYS if table[name].null_count]
+    allowed: dict[str, tuple[str, ...]] = {
+        "status": STATUSES,
+        "turbulence": tuple(TURBULENCE_W20_KT),
+    }
+    for name, known in (allowed | ({_ENGINE: (BATCH, JSBSIM)} if _ENGINE in found else {})).items():
+        wrong += [name] if set(table[name].unique().to_pylist()) - set(known) else []
+    if wrong or not table.num_rows:
+        raise BadInputError(
+            f"{path}: column {(wrong or ['case_id'])[0]} holds what no flight leaves; run the campaign again"
+        )
+    return table
+
+
+def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]) -> pa.Schema:
+    text, real, whole = pa.string(), pa.float64(), pa.int64()
+    fields = [
+        ("case_id", text),
+        ("epistemic_id", text),
+        *((f"level_{name}", real) for name in COEFFICIENTS),
+    ]
+    fields += [
+        ("aleatory_id", whole),
+        ("wind_mps", real),
+        ("turbulence", text),
+        ("seed", whole),
+        (_ENGINE, text),
+        ("duration_s", real),
+    ]
+    fields += [("status", text), ("reason", text), *((name, real) for name in ERROR_METRICS)]
+    fields += [(name, whole) for name in excursion_columns(radii_m)]
+    fields += [
+        ("loss_of_control", whole),
+        ("extrapolated_share", real),
+        *((name, real) for name in (*more, *inputs)),
+    ]
+    return pa.schema(fields)
+
+
+def _row(
+    case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]
+) -> dict[str, Any]:
+    ok = outcome.status == "ok"
+    flight = case.flight
+    scored_s = (
+        flight.duration_s
+        if ok
+        else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
+    )
+    row: dict[str, Any] = {
+        "case_id": case.case_id,
+        "epistemic_id": case.epistemic_id,
+        "aleatory_id": case.aleatory_id,
+        "wind_mps": case.wind_mps,
+        "turbulence": case.turbulence,
+        "seed": case.seed,
+        _ENGINE: case.engine,
+        "duration_s": scored_s,
+        "status": outcome.status,
+        "reason": outcome.reason
+        or "; ".join(f"{name}: {why}" for name, why in sorted(outcome.undefined.items())),
+    }
+    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
+    row |= {
+        name: _finite(outcome, name) if ok else None
+        for name in (*ERROR_METRICS, "extrapolated_share", *more)
+    }
+    for name in (*excursion_columns(radii_m), "loss_of_control"):
+        value = _finite(outcome, name)
+        row[name] = None if value is None else round(value)
+    return row
+
+
+def _finite(outcome: CaseOutcome, name: str) -> float | None:
+    """A metric, or None (null in the table) where it is undefined."""
+    value = outcome.metrics.get(name, math.nan)
+    return value if math.isfinite(value) else None
+
 
 PBOXES = "pbox.parquet"
 EXCURSIONS = "excursions.csv"
@@ -146,3 +304,178 @@ def _excursions_csv(frame: pd.DataFrame, found: Sequence[Statement]) -> bytes:
                 + [number(shares[item.epistemic_id])]
             )
     return buffer.getvalue().encode()
+
+
+# engine-check.csv: flights that were flown in the batch engine and in JSBSim, a row a metric.
+#
+# It is outside the promise of the same bytes: which flights had been compared when a run ended
+# depends on the run.
+
+ENGINE_CHECK = "engine-check.csv"
+START, WHOLE = "start", "whole"
+STATUS = "status"
+"""Stands in the place of a metric in the row that compares how a flight ended."""
+MOST_CHECK_BYTES = 64_000_000
+
+
+@dataclass(frozen=True)
+class CheckRow:
+    """One metric of one flight in both engines, as text. ``part``: start (its first seconds) or whole.
+
+    ``difference`` is over ``spread``; ``verdict`` is alike, excused (with ``remark``) or differs.
+    """
+
+    part: str
+    condition: str
+    case_id: str
+    metric: str
+    batch: str
+    jsbsim: str
+    spread: str
+    difference: str
+    verdict: str
+    remark: str = ""
+
+
+_COLUMNS = tuple(field.name for field in fields(CheckRow))
+
+
+def as_text(value: float) -> str:
+    """A number that comes back bit for bit; empty where it is not defined."""
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def as_number(text: str) -> float:
+    """What `as_text` wrote. ValueError for what is no number."""
+    return float(text) if text else math.nan
+
+
+def write_check(folder: Path, rows: Iterable[CheckRow]) -> None:
+    """Write it whole. Raises BadInputError."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows(astuple(row) for row in rows)
+    write_bytes(folder / ENGINE_CHECK, buffer.getvalue().encode())
+
+
+def read_check(folder: Path) -> list[CheckRow]:
+    """Its rows; none where it is not there or is not what this program wrote: then the flights are flown again."""
+    path = folder / ENGINE_CHECK
+    try:
+        rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
+        found = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
+        for row in found:
+            _ = [as_number(text) for text in (row.batch, row.jsbsim) if row.metric != STATUS]
+    except (OSError, BadInputError, ValueError):
+        return []
+    return found
+
+
+def merge_checks(folder: Path, parts: Sequence[Path]) -> None:
+    """That of a campaign from those of its shards, if they have any."""
+    rows = [row for part in parts for row in read_check(part)]
+    if rows:
+        write_check(folder, dict.fromkeys(rows))
+
+
+# The tables of a campaign's folder: no byte of one is believed before its digest is what the
+# manifest says.
+
+TABLE_NAMES = (
+    CASES,
+    "pbox.parquet",
+    "excursions.csv",
+    "statements.csv",
+    DECISIONS,
+    "sensitivity.csv",
+    "convergence.csv",
+    "area.csv",
+    ENGINE_CHECK,
+)
+"""Names of the tables that a campaign's folder may have."""
+MOST_BYTES = 1_000_000_000
+"""A table of a million flights has a third of it."""
+_MOST_TEXT_BYTES = 64_000_000
+
+
+def is_sealed(manifest: Mapping[str, Any]) -> bool:
+    """Whether the manifest holds the digests of all tables there are: of a complete campaign, not of uqharness 0.1."""
+    return has_digests(manifest) and manifest["state"] == COMPLETE
+
+
+def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | None]:
+    """Digest of each table that the manifest names as it is on the disk now; None for one that is not there.
+
+    Raises BadInputError for one that cannot be read.
+    """
+    found: dict[str, str | None] = {}
+    for name in manifest.get("tables", {}):
+        try:
+            found[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
+        except FileNotFoundError:
+            found[name] = None
+        except OSError as error:
+            raise BadInputError(
+                f"{folder / name}: cannot be read: {error.strerror or error}"
+            ) from None
+    return found
+
+
+def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
+    """Bytes of a table of a campaign. Raises BadInputError where it is not there, DamageError where it is not as it was written."""
+    path = folder / name
+    try:
+        content = read_regular(path, MOST_BYTES if path.suffix == ".parquet" else _MOST_TEXT_BYTES)
+    except FileNotFoundError:
+        raise BadInputError(
+            f"{path}: not there; run the campaign first: uqharness campaign run"
+        ) from None
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if is_sealed(manifest):
+        expected = manifest.get("tables", {}).get(name)
+        if expected is None:
+            raise DamageError(
+                path,
+                "the manifest knows of no such table; the command that wrote it writes it again",
+                folder,
+            )
+        if sha256_hex(content) != expected:
+            raise DamageError(path, "its content does not fit the digest in the manifest", folder)
+    return content
+
+
+def read_cases(folder: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """Flights of a complete campaign, with every column that such a table has. Raises BadInputError."""
+    path = folder / CASES
+    table = parse_table(read_checked(folder, manifest, CASES), path, int(manifest["cases"]))
+    return checked_table(table, path, manifest["campaign"]).to_pandas()
+
+
+def read_decisions(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Rows of decisions.csv, as text; none where the campaign has no such table. Raises BadInputError."""
+    known = is_sealed(manifest)
+    if DECISIONS not in manifest.get("tables", {}) if known else not (folder / DECISIONS).exists():
+        return []
+    return decision_rows(read_checked(folder, manifest, DECISIONS), folder / DECISIONS)
+
+
+def read_engine_check(folder: Path, manifest: Mapping[str, Any]) -> list[CheckRow]:
+    """Rows of engine-check.csv; none where the campaign has no such file.
+
+    Raises BadInputError where it is lost or damaged.
+    """
+    if ENGINE_CHECK in manifest.get("tables", {}):
+        read_checked(folder, manifest, ENGINE_CHECK)
+    return read_check(folder)
+
+
+def record_table(folder: Path, name: str, content: bytes) -> None:
+    """Write a table that a command adds to a complete campaign's folder, and its digest into the manifest. Raises BadInputError."""
+    write_bytes(folder / name, content)
+    manifest = read_manifest(folder)
+    if has_digests(manifest):
+        tables = manifest.get("tables", {}) | {name: sha256_hex(content)}
+        if tables != manifest.get("tables"):
+            write_manifest(folder, manifest | {"tables": tables})

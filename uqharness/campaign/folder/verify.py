@@ -7,22 +7,55 @@ study or a refinement, by the digest in SHA256SUMS.
 from __future__ import annotations
 
 import contextlib
+import itertools
+import json
+import os
+import shutil
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.foreign.regular_files import require_regular
-from uqharness.campaign.folder.digests import DamageError, digest_of_rows
-from uqharness.campaign.folder.files import TABLE_NAMES, is_sealed, table_digests
-from uqharness.campaign.folder.journal_recovery import LEFTOVER, JournalScan, copy_of
-from uqharness.campaign.folder.manifest import MANIFEST, has_digests, read_manifest
-from uqharness.campaign.folder.manifest_content import COMPLETE
-from uqharness.campaign.folder.shards import SHARDS
-from uqharness.campaign.folder.store import JOURNAL, Store, is_running, journal_trap
-from uqharness.checksums import SUMS, SumsError, faults, read_sums, through_a_link
+from sysid.foreign.regular_files import read_regular, require_regular
+from uqharness.campaign.cases import Mission, build_cases
+from uqharness.campaign.cost import Cost
+from uqharness.campaign.engines import Engines, with_default_noise
+from uqharness.campaign.execution.processes import Executor
+from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
+from uqharness.campaign.folder.manifest import (
+    COMPLETE,
+    INTERRUPTED,
+    MANIFEST,
+    SPOILT,
+    DamageError,
+    binding_versions,
+    describe,
+    digest_of_rows,
+    has_digests,
+    read_manifest,
+    refuse_if_different,
+    refuse_without_digests,
+    spec_of,
+    write_manifest,
+)
+from uqharness.campaign.folder.shards import SHARDS, Shard, merge, parse_shard, refuse_if_not_whole
+from uqharness.campaign.folder.store import (
+    JOURNAL,
+    LEFTOVER,
+    JournalScan,
+    Store,
+    copy_of,
+    is_running,
+    journal_trap,
+    outcome_of,
+    run_lock,
+)
+from uqharness.campaign.folder.tables import ENGINE_CHECK, TABLE_NAMES, is_sealed, table_digests
+from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.checksums import SUMS, SumsError, enter, faults, read_sums, through_a_link
 from uqharness.errors import BadInputError
 from uqharness.scratch import scratch_folder
 
@@ -217,3 +250,388 @@ def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
     for name in _there(folder):
         if name not in written:
             yield Item(name, DAMAGED, "the manifest knows of no such table")
+
+
+# Make a damaged campaign folder whole: keep the sound flights, put what is damaged aside, fly
+# the rest again.
+#
+# At every moment the folder is one that ``salvage`` can be called on again: the new journal is
+# made in a folder of its own and put in place at once, after the old one has been given another
+# name and the manifest says that the campaign is not complete.
+
+_WORK = ".salvage"
+_BATCH = 1000
+_OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
+
+
+@dataclass(frozen=True)
+class Salvaged:
+    """What was done in one folder: flights kept and flown again, tables written again, files put aside by their new names.
+
+    ``missing``: flights that no shard has flown yet; ``parts``: the same for the shards that were not whole.
+    """
+
+    folder: Path
+    kept: int
+    flown: int
+    missing: int
+    statuses: Mapping[str, int]
+    rewritten: tuple[str, ...]
+    aside: tuple[str, ...]
+    parts: tuple[Salvaged, ...] = ()
+
+
+@dataclass(frozen=True)
+class Flying:
+    """How the missing flights are flown: see :func:`uqharness.campaign.run.run_campaign`."""
+
+    executor: Executor
+    before_flying: Callable[[Cost], None] = lambda _: None
+    on_progress: Callable[[Any], None] | None = None
+    fly: FlightFunction | Engines | None = None
+
+
+def salvage(
+    folder: Path, flying: Flying, campaign: CampaignSpec | None = None, command: str = ""
+) -> Salvaged:
+    """Make the campaign in ``folder`` whole. ``campaign`` takes the place of a manifest that is damaged or gone, and ``command``
+    that of the command in it.
+
+    Shards are made whole and merged again. Raises BadInputError where that cannot be done: nothing is lost then.
+    """
+    parts = part_folders(folder)
+    if not parts:
+        return _salvage_campaign(folder, flying, campaign, command)
+    done = tuple(
+        _salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part)
+    )
+    aside: list[str] = []
+    if (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
+        with run_lock(folder):
+            aside = _mend_merged(folder)
+    merged = merge(folder)
+    kept = sum(merged.statuses.values()) - sum(part.flown for part in done)
+    return Salvaged(
+        folder, kept, 0, merged.missing, merged.statuses, merged.rewritten, tuple(aside), done
+    )
+
+
+def _is_whole(folder: Path) -> bool:
+    if not (folder / MANIFEST).exists():
+        return False
+    try:
+        manifest = read_manifest(folder)
+        refuse_without_digests(folder, manifest)
+        _refuse_damage(folder, manifest)
+    except DamageError:
+        return False
+    return True
+
+
+def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """DamageError where the journal is not whole; a file whose writer was killed is looked at in a copy."""
+    if is_sealed(manifest) and not (folder / JOURNAL).exists():
+        raise DamageError(folder / JOURNAL, "it is gone", folder)
+    if is_sealed(manifest):
+        # Its flights may be sound where its free pages are not.
+        for fault in faults(folder, within=False):
+            if fault.name == JOURNAL:
+                raise DamageError(folder / JOURNAL, fault.problem, folder)
+    with _work_folder(folder) as work:
+        place = folder
+        if (folder / LEFTOVER).exists():
+            copy_of(folder, work / "look")
+            place = work / "look"
+        with Store(place, read_only=True) as store:
+            if is_sealed(manifest):
+                refuse_if_not_whole(folder, store, manifest)
+            else:
+                store.finished()
+
+
+def _mend_merged(folder: Path) -> list[str]:
+    """Put aside what is damaged in a folder of merged shards: merging makes it again, with the flights it has itself."""
+    aside: list[str] = []
+    try:
+        manifest = read_manifest(folder)
+        refuse_without_digests(folder, manifest)
+    except DamageError:
+        aside.append(_put_aside(folder / MANIFEST))
+        manifest = None
+    except BadInputError:
+        if (folder / MANIFEST).exists():
+            raise
+        manifest = None
+    try:
+        _refuse_damage(
+            folder, {"state": INTERRUPTED, "format": 2} if manifest is None else manifest
+        )
+    except DamageError:
+        if manifest is not None:
+            write_manifest(folder, _not_complete(manifest))
+        aside += _replace_journal(folder, None)
+    return aside + ([] if manifest is None else _put_tables_aside(folder, manifest))
+
+
+def _salvage_campaign(
+    folder: Path, flying: Flying, campaign: CampaignSpec | None, command: str
+) -> Salvaged:
+    if not (folder / MANIFEST).exists() and not (folder / JOURNAL).exists():
+        raise BadInputError(
+            f"{folder}: not a campaign folder (no {MANIFEST}, no {JOURNAL}); nothing to salvage"
+        )
+    with run_lock(folder):
+        spec, manifest, aside = _known_campaign(folder, campaign, command)
+        if manifest["state"] == SPOILT:
+            raise BadInputError(
+                f"{folder}: aircraft or script was edited while this campaign flew; remove it and run again"
+            )
+        wanted = _case_ids(folder, spec, manifest)
+        try:
+            _refuse_damage(folder, manifest)
+        except DamageError:
+            write_manifest(folder, _not_complete(manifest))
+            aside += _replace_journal(folder, wanted)
+        if not (folder / MANIFEST).exists():
+            write_manifest(folder, _not_complete(manifest))
+        aside += _put_tables_aside(folder, manifest)
+        with Store(folder) as store:
+            kept = store.statuses().total()
+    shard = None if "shard" not in manifest else parse_shard(manifest["shard"])
+    summary = run_campaign(
+        spec,
+        _out_of(folder, shard),
+        executor=flying.executor,
+        on_progress=flying.on_progress,
+        fly=flying.fly,
+        command=manifest["command"],
+        shard=shard,
+        before_flying=flying.before_flying,
+    )
+    flown = sum(summary.statuses.values()) - kept
+    return Salvaged(folder, kept, flown, 0, summary.statuses, summary.rewritten, tuple(aside))
+
+
+def _known_campaign(
+    folder: Path, campaign: CampaignSpec | None, command: str
+) -> tuple[CampaignSpec, dict[str, Any], list[str]]:
+    """The campaign of the folder and its manifest, rebuilt from ``campaign`` where it is damaged; what was put aside."""
+    try:
+        manifest = read_manifest(folder)
+    except BadInputError as error:
+        if campaign is None:
+            raise BadInputError(
+                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage {folder} --campaign CAMPAIGN.toml"
+            ) from None
+        _refuse_other_versions(folder)
+        shard = _shard_of(folder)
+        mission = find_mission(campaign, folder)
+        campaign = with_default_noise(campaign, mission)
+        campaign = _in_the_engine_flown(folder, campaign, mission)
+        cases = build_cases(campaign, mission)
+        if shard is None:
+            made = describe(campaign, mission, len(cases), command)
+        else:
+            share = len(cases[shard.number - 1 :: shard.count])
+            made = describe(campaign, mission, share, f"{command} --shard {shard}") | {
+                "shard": str(shard)
+            }
+        _refuse_foreign_flights(folder, campaign, made)
+        aside = [_put_aside(folder / MANIFEST)] if (folder / MANIFEST).exists() else []
+        return campaign, made | {"state": INTERRUPTED}, aside
+    refuse_without_digests(folder, manifest)
+    return spec_of(manifest), manifest, []
+
+
+def _refuse_other_versions(folder: Path) -> None:
+    """A damaged manifest can often still be read for the versions that flew; flights of two are not mixed."""
+    with contextlib.suppress(OSError, ValueError, RecursionError, AttributeError):
+        said = json.loads(read_regular(folder / MANIFEST)).get("versions")
+        differences = [
+            f"{name} {said[name]} then, {now} now"
+            for name, now in binding_versions()
+            if said.get(name, now) != now
+        ]
+        if differences:
+            raise BadInputError(
+                f"{folder}: this folder holds flights of other versions: {'; '.join(differences)}"
+            )
+
+
+def _refuse_foreign_flights(
+    folder: Path, campaign: CampaignSpec, manifest: Mapping[str, Any]
+) -> None:
+    wanted = _case_ids(folder, campaign, manifest)
+    found = _sound_ids(folder, wanted)
+    foreign = len(found - wanted)
+    if foreign:
+        raise BadInputError(
+            f"{folder}: {foreign} of its {len(found)} sound flights are no part of {campaign.path}; give the campaign file, the "
+            "aircraft and the --hours or --samples that it was flown with"
+        )
+
+
+def _sound_ids(folder: Path, wanted: Collection[str]) -> set[str]:
+    with _work_folder(folder) as work:
+        return {
+            row[0]
+            for source in _sources(folder)
+            for row in JournalScan(source, work / "scan").rows(wanted)
+        }
+
+
+def _in_the_engine_flown(folder: Path, campaign: CampaignSpec, mission: Mission) -> CampaignSpec:
+    """The campaign in the engine whose flights the journal holds: ids tell, where the file leaves it to the first run."""
+    if campaign.campaign.engine != "auto":
+        return campaign
+    both = {
+        engine: {case.case_id for case in build_cases(campaign.with_engine(engine), mission)}
+        for engine in (JSBSIM, BATCH)
+    }
+    found = _sound_ids(folder, set().union(*both.values()))
+    hits = {engine: len(found & ids) for engine, ids in both.items()}
+    return (
+        campaign.with_engine(max(hits, key=lambda engine: hits[engine]))
+        if any(hits.values())
+        else campaign
+    )
+
+
+def _case_ids(folder: Path, spec: CampaignSpec, manifest: Mapping[str, Any]) -> set[str]:
+    """Ids of the campaign's flights. Raises BadInputError where aircraft, script or versions are not what they were."""
+    mission = find_mission(spec, folder)
+    refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
+    return {case.case_id for case in build_cases(spec, mission)}
+
+
+def _not_complete(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in manifest.items() if name != "journal"} | {
+        "state": INTERRUPTED
+    }
+
+
+def _replace_journal(folder: Path, wanted: Collection[str] | None) -> list[str]:
+    """A new journal with every sound flight that can be found, in the place of the damaged one; the name that this has now."""
+    with _work_folder(folder) as work:
+        with Store(work) as store:
+            for source in _sources(folder):
+                rows = JournalScan(source, work / "scan").rows(wanted or ())
+                for batch in _batches(
+                    outcome_of(row) for row in rows if wanted is None or row[0] in wanted
+                ):
+                    store.add(batch)
+        moved = _keep_copy(folder)
+        # Beside a new journal it would be taken for what is to be taken back of that one.
+        (folder / LEFTOVER).unlink(missing_ok=True)
+        os.replace(work / JOURNAL, folder / JOURNAL)
+    return moved
+
+
+def _sources(folder: Path) -> Iterator[Path]:
+    """Folders to read a ``journal.sqlite`` from: those put aside by an earlier salvage first, for the last one counts."""
+    for number in itertools.count(1):
+        aside = folder / f"journal.damaged-{number}.sqlite"
+        if not aside.exists():
+            break
+        with _work_folder(folder, f"{_WORK}-{number}") as work:
+            shutil.copyfile(aside, work / JOURNAL)
+            if (leftover := Path(f"{aside}-journal")).exists():
+                shutil.copyfile(leftover, work / LEFTOVER)
+            yield work
+    if (folder / JOURNAL).exists():
+        yield folder
+
+
+def _batches(outcomes: Iterator[CaseOutcome]) -> Iterator[list[CaseOutcome]]:
+    while batch := list(itertools.islice(outcomes, _BATCH)):
+        yield batch
+
+
+def _keep_copy(folder: Path) -> list[str]:
+    """Give the damaged journal, and what lies beside it, a second name."""
+    if not (folder / JOURNAL).exists():
+        return []
+    aside = _free_name(folder / JOURNAL)
+    for source, target in (
+        (folder / LEFTOVER, Path(f"{aside}-journal")),
+        (folder / JOURNAL, aside),
+    ):
+        if source.exists():
+            try:
+                os.link(source, target)
+            except OSError:  # a file system without second names
+                part = target.with_name(f".{target.name}.part")
+                part.unlink(missing_ok=True)  # it may be a link
+                shutil.copyfile(source, part)
+                os.replace(part, target)
+    return [aside.name]
+
+
+def _put_tables_aside(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Tables of other commands that are not as written cannot be made again here, and must not be taken for whole."""
+    written = manifest.get("tables", {})
+    found = table_digests(folder, manifest)
+    damaged = [name for name in _OWN_TABLES if name in found and found[name] != written[name]]
+    unknown = [name for name in _OWN_TABLES if name not in written and (folder / name).exists()]
+    aside = [_put_aside(folder / name) for name in (*damaged, *unknown) if (folder / name).exists()]
+    if damaged and (folder / MANIFEST).exists():
+        now = read_manifest(folder)
+        write_manifest(
+            folder, now | {"tables": {k: v for k, v in now["tables"].items() if k not in damaged}}
+        )
+    return aside
+
+
+def _put_aside(path: Path) -> str:
+    aside = _free_name(path)
+    os.replace(path, aside)
+    enter(path)
+    return aside.name
+
+
+def _free_name(path: Path) -> Path:
+    names = (
+        path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")
+        for number in itertools.count(1)
+    )
+    return next(name for name in names if not name.exists())
+
+
+@contextlib.contextmanager
+def _work_folder(folder: Path, name: str = _WORK) -> Iterator[Path]:
+    """An empty folder within ``folder``; what a killed salvage left there goes."""
+    work = folder / name
+    _remove(work)
+    try:
+        work.mkdir()
+    except OSError as error:
+        raise BadInputError(f"{work}: cannot be made: {error.strerror or error}") from None
+    try:
+        yield work
+    finally:
+        _remove(work)
+
+
+def _remove(work: Path) -> None:
+    if work.is_symlink() or work.is_file():
+        work.unlink()
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _shard_of(folder: Path) -> Shard | None:
+    """What a folder's place says of the shard in it."""
+    if folder.resolve().parent.name != SHARDS:
+        return None
+    return parse_shard(folder.resolve().name.replace("-of-", "/"))
+
+
+def _out_of(folder: Path, shard: Shard | None) -> Path:
+    """The folder to give to a run so that it flies into ``folder``."""
+    if shard is None:
+        return folder
+    place = folder.resolve()
+    if (place.parent.name, place.name) != (SHARDS, shard.folder):
+        raise BadInputError(
+            f"{folder}: holds shard {shard} and must lie in {SHARDS}/{shard.folder} of the campaign's folder"
+        )
+    return place.parent.parent

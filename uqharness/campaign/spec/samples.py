@@ -5,26 +5,107 @@ Draws of parameters and the levels of uncertain means belong to them.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from sysid.arrays import FloatArray
-from uqharness.campaign.inputs import Estimates
-from uqharness.campaign.spec import ellipsoid
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.epistemic import SAMPLED, ParametersSection
+from uqharness.campaign.spec.campaign import (
+    MOST_SAMPLES,
+    SAMPLED,
+    AleatorySection,
+    CampaignSpec,
+    Document,
+    Estimates,
+    ParametersSection,
+    read_inputs,
+    without_flights,
+)
+from uqharness.errors import BadInputError
 from uqharness.flight import (
+    BELOW_CEILING,
     COEFFICIENTS,
+    TURBULENCE_CEILING_M,
     LevelDriver,
-    exact,
     named_stream,
     normals,
     numbered_stream,
 )
+from uqharness.toml import as_toml, explain, line_of, read_toml
+
+# Levels of a joint confidence set: an ellipsoid in place of the box of intervals that each hold
+# for one coefficient.
+#
+# Coefficients are taken as independent, their errors as normal, each interval's half-width as
+# its quantile: the joint set is then a ball in the intervals' half-widths, of the chi
+# distribution's quantile over the normal one. Its ends may lie outside 0..1.
+
+_MOST_SIGMA = 40.0
+_TERMS = 2000
+
+
+def joint_radius(dof: int, confidence: float) -> float:
+    """Radius [standard deviations] within which ``dof`` independent normals lie together: the root of chi-square's quantile.
+
+    3.548 for six at 0.95. The same bits on every processor. ValueError for no dof, or a confidence not between 0 and 1 - 1e-9.
+    """
+    if dof < 1 or not 0.0 < confidence <= 1.0 - 1e-9:
+        raise ValueError(
+            f"dof = {dof}, confidence = {confidence}: at least 1, and a number above 0 and below 1 are needed"
+        )
+    low, high = 0.0, _MOST_SIGMA
+    while True:
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            return middle
+        low, high = (middle, high) if _chi_distribution(middle, dof) < confidence else (low, middle)
+
+
+def marginal_radius(confidence: float) -> float:
+    """Half-width of one interval, in standard deviations: 1.960 at 0.95."""
+    return normals.normal_quantile(0.5 + 0.5 * confidence)
+
+
+@lru_cache(maxsize=16)
+def reach(dof: int, confidence: float) -> float:
+    """Radius of the ball in half-widths of the intervals; 1 for one coefficient."""
+    return 1.0 if dof == 1 else joint_radius(dof, confidence) / marginal_radius(confidence)
+
+
+def at(direction: Sequence[float], radius: float) -> tuple[float, ...]:
+    """Levels ``radius`` half-widths from the intervals' middles, component by component of ``direction``."""
+    return tuple(0.5 + 0.5 * component * radius for component in direction)
+
+
+def in_ball(levels: Sequence[float]) -> tuple[float, ...]:
+    """A point of the box of levels 0..1 as a point of the unit ball: the box's shells become the ball's, directions stay."""
+    cube = [2.0 * level - 1.0 for level in levels]
+    length = math.sqrt(math.fsum(c * c for c in cube))
+    return tuple(c * max(map(abs, cube)) / length if length > 0.0 else 0.0 for c in cube)
+
+
+def _chi_distribution(r: float, dof: int) -> float:
+    """Probability that the length of ``dof`` standard normals is at most r, by the series of the incomplete gamma function."""
+    factor = normals.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
+    for n in range(dof, 0, -2):
+        factor *= r * r / n if n > 1 else r
+    term = total = 1.0
+    for n in range(1, _TERMS):
+        term *= r * r / (dof + 2 * n)
+        total += term
+        if term < 1e-18 * total:
+            break
+    return factor * total
+
 
 INTERIOR_MARK = "lhs-"
 """How ids of points of a Latin hypercube begin."""
@@ -117,7 +198,7 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
     moved = spec.inputs.coefficients
     radius, share = _reach(spec), 1.0 / math.sqrt(len(moved))
     for corner in _product((0.0, 1.0), len(moved)):
-        levels = ellipsoid.at([share * (2.0 * end - 1.0) for end in corner], radius)
+        levels = at([share * (2.0 * end - 1.0) for end in corner], radius)
         yield (
             f"e{_marked(dict(zip(moved, corner, strict=True)))}",
             dict(zip(moved, levels, strict=True)),
@@ -128,15 +209,13 @@ def _on_ellipsoid(spec: CampaignSpec) -> Iterator[tuple[str, dict[str, float]]]:
         marks = "".join(
             str(end) if name == axis else "." if name in moved else "-" for name in COEFFICIENTS
         )
-        levels = ellipsoid.at(
-            [(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius
-        )
+        levels = at([(2.0 * end - 1.0) if name == axis else 0.0 for name in moved], radius)
         yield f"a{marks}", dict(zip(moved, levels, strict=True))
 
 
 def _reach(spec: CampaignSpec) -> float:
     assert spec.inputs.confidence is not None
-    return ellipsoid.reach(len(spec.inputs.coefficients), spec.inputs.confidence)
+    return reach(len(spec.inputs.coefficients), spec.inputs.confidence)
 
 
 def _interior(spec: CampaignSpec, means: Sequence[str]) -> Iterator[Epistemic]:
@@ -159,7 +238,7 @@ def _inside(spec: CampaignSpec, columns: Mapping[str, FloatArray], number: int) 
     """Levels of one point of a Latin hypercube, brought into the ellipsoid where that is the set."""
     levels = [float(columns[name][number]) for name in spec.inputs.coefficients]
     if spec.epistemic.set == "ellipsoid":
-        levels = list(ellipsoid.at(ellipsoid.in_ball(levels), _reach(spec)))
+        levels = list(at(in_ball(levels), _reach(spec)))
     return dict(zip(spec.inputs.coefficients, levels, strict=True))
 
 
@@ -219,9 +298,155 @@ def parameter_draws(
             found += column[:, None] * weights
         return found
     # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
-    reach = exact.normal_quantile(
+    reach = normals.normal_quantile(
         1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))
     )
     columns = [latin_column(root_seed, f"parameter {name}", samples) for name in estimates.names]
     unit = 2.0 * np.column_stack(columns) - 1.0
     return np.asarray(estimates.values + unit * reach * np.sqrt(np.diag(estimates.covariance)))
+
+
+# campaign.toml read: every mistake named with its line, and the number of flights that its rule
+# asks for.
+
+
+def read_campaign(path: str | Path) -> CampaignSpec:
+    """Read and validate a campaign file. Raises BadInputError that lists every mistake as ``file:line: ...``."""
+    path = Path(path)
+    data, text = read_toml(path)
+    return campaign_from(data, path, text)
+
+
+def checked_settings(data: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a campaign as a manifest holds them, defaults filled in. Looks at no file; raises pydantic's ValidationError."""
+    document = Document.model_validate(without_flights(data))
+    return document.model_dump(mode="json", exclude_none=True)
+
+
+def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignSpec:
+    """Validate the content of a campaign file, as TOML or a manifest holds it. ``path`` is where files it names are looked for."""
+    try:
+        document = Document.model_validate(without_flights(data))
+    except ValidationError as error:
+        problems = [explain(Document, text, data, dict(item)) for item in error.errors()]
+        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        raise BadInputError(*dict.fromkeys(lines)) from None
+    sections = {name: getattr(document, name) for name in Document.model_fields}
+    inputs = read_inputs(document.epistemic, path.resolve().parent)
+    spec = CampaignSpec(path, text, **sections, inputs=inputs)
+    return settled(spec, stated="flights" in data["aleatory"])
+
+
+def settled(spec: CampaignSpec, stated: bool) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for; ``stated``: the file gives a number as well.
+
+    Raises BadInputError, with the line, where the two differ, where [stop] and [metrics] do not belong together, and where
+    [epistemic] asks for what its bounds do not hold.
+    """
+    _agree_with_turbulence_model(spec)
+    _agree_with_metrics(spec)
+    _agree_with_form(spec)
+    found, said = _planned(spec)
+    if stated and found.aleatory.flights != spec.aleatory.flights:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights = {spec.aleatory.flights}, but "
+            f"[stop] {said} asks for {found.aleatory.flights}; leave [aleatory] flights out"
+        )
+    return found
+
+
+def planned(spec: CampaignSpec) -> CampaignSpec:
+    """The campaign with the number of flights its rule asks for, after something that bears on it has been changed."""
+    return _planned(spec)[0]
+
+
+def _agree_with_metrics(spec: CampaignSpec) -> None:
+    stop, metrics = spec.stop, spec.metrics
+    if stop.radius_m is not None and stop.radius_m not in metrics.excursion_radius_m:
+        known = ", ".join(f"{radius:g}" for radius in metrics.excursion_radius_m)
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('stop', 'radius_m'))}: [stop] radius_m = {stop.radius_m:g}: must be among "
+            f"[metrics] excursion_radius_m ({known})"
+        )
+    zone = stop.indifference_per_h
+    if zone is not None and not zone[0] <= metrics.acceptable_per_h <= zone[1]:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('stop', 'indifference_per_h'))}: [stop] indifference_per_h = [{zone[0]:g}, "
+            f"{zone[1]:g}]: must hold [metrics] acceptable_per_h = {metrics.acceptable_per_h:g}"
+        )
+
+
+def _agree_with_turbulence_model(spec: CampaignSpec) -> None:
+    """Refuse a [start] above the turbulence model; the height of a script's start is found out by flying it."""
+    air, start = spec.aleatory, spec.start
+    turbulent = [name for name in air.turbulence if name != "none"]
+    if start is None or not turbulent or air.turbulence_source != "spec":
+        return
+    if start.altitude_m > TURBULENCE_CEILING_M:
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('start', 'altitude_m'))}: [start] altitude_m = {start.altitude_m:g}: "
+            f"[aleatory] turbulence = {as_toml(turbulent)} is the low-altitude model of MIL-F-8785C, which "
+            f"reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+        )
+
+
+@contextlib.contextmanager
+def naming_keys(spec: CampaignSpec) -> Iterator[None]:
+    """Put file, line and section before a flight's refusal that begins with the name of a key of [aleatory]."""
+    try:
+        yield
+    except BadInputError as error:
+        key = str(error).partition(" = ")[0]
+        if type(error) is not BadInputError or key not in AleatorySection.model_fields:
+            raise
+        # A campaign from a Python dictionary has no lines.
+        place = f"{spec.path}:{line_of(spec.source, ('aleatory', key))}: " if spec.source else ""
+        raise BadInputError(f"{place}[aleatory] {error}") from None
+
+
+def _agree_with_form(spec: CampaignSpec) -> None:
+    section, form = spec.epistemic, spec.inputs.model_form
+    if section.transient and not spec.inputs.has_parts:
+        lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
+        raise BadInputError(
+            f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient = true: {lacks}; make a "
+            "model-form.json with `uqharness bounds`, or leave transient out"
+        )
+    if section.set == "ellipsoid" and form is None:
+        raise BadInputError(
+            f'{spec.path}:{line_of(spec.source, ("epistemic", "set"))}: [epistemic] set = "ellipsoid": it needs intervals whose '
+            'confidence is known, bounds = "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
+        )
+
+
+def _planned(spec: CampaignSpec) -> tuple[CampaignSpec, str]:
+    """The campaign with the flights its rule asks for, and what asks for them."""
+    stop = spec.stop
+    if stop.rule == "hours" and stop.hours is not None:
+        said = f"hours = {stop.hours:g} of flights of {spec.aleatory.duration_s:g} s"
+        return spec.with_hours(stop.hours), said
+    if stop.rule == "band-width":
+        # Imported here: pandas and scipy are for this rule alone.
+        from uqharness.campaign.conditions import CONFIDENCE
+        from uqharness.statistics import flights_for_band
+
+        assert stop.band_width is not None
+        samples = len(epistemic_samples(spec))
+        wanted = flights_for_band(stop.band_width, samples, CONFIDENCE)
+        said = f"band_width = {stop.band_width:g} over {samples} epistemic samples"
+        return spec.with_flights(wanted), said
+    return spec, ""
+
+
+def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
+    """The same campaign with another number of drawn epistemic samples. Raises BadInputError where none are drawn."""
+    if spec.epistemic.samples is None:
+        raise BadInputError(
+            f'--samples {samples}: {spec.path} draws no epistemic samples (method = "{spec.epistemic.method}"), '
+            "so their number cannot be changed"
+        )
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise BadInputError(f"--samples {samples}: must be from 1 to {MOST_SAMPLES}")
+    return planned(
+        dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples}))
+    )

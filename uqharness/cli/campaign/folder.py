@@ -4,24 +4,57 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from uqharness.campaign import engine_words, lines
+from uqharness.campaign import (
+    CONVERGENCE,
+    area_document,
+    convergence_document,
+    engine_words,
+    lines,
+    read_flights,
+    sentences,
+    write_area,
+    write_convergence,
+)
+from uqharness.campaign.execution import ProcessExecutor
 from uqharness.campaign.folder import (
     RERUN,
+    Flying,
+    Salvaged,
+    Verified,
     merge,
     read_cases,
     read_manifest,
     read_status,
     rerun_case,
 )
-from uqharness.cli.campaign.run import failures, say_rewritten
-from uqharness.cli.options import describe
+from uqharness.campaign.folder.verify import salvage, verify
+from uqharness.cli.campaign.run import (
+    add_size,
+    add_yes,
+    asked_campaign,
+    failures,
+    flying_command,
+    say_rewritten,
+    tell_cost,
+)
+from uqharness.cli.options import add_workers, describe, whole
+from uqharness.cli.progress import ProgressView
 from uqharness.cli.report import note_damage
 from uqharness.errors import BadInputError
-from uqharness.report import draw_rerun, shown_cases, write_campaign_report
+from uqharness.parallel import usable_cores
+from uqharness.report import (
+    convergence_section,
+    draw_rerun,
+    shown_cases,
+    write_campaign_report,
+    write_figures,
+)
 
 _STATUS_EXAMPLE = """
   uqharness campaign status campaigns/demo/results
@@ -193,3 +226,254 @@ def _rerun(args: argparse.Namespace) -> int:
         for difference in found.differences:
             print(f"  {difference}")
     return 1 if found.same is False else 0
+
+
+# ``uqharness campaign convergence | area``: what a flown campaign says of its own size, and of
+# real flights.
+
+_CONVERGENCE_EXAMPLE = """
+  uqharness campaign convergence campaigns/demo/results --repeats 4
+  uqharness campaign run campaigns/convergence/campaign.toml --out fig35; uqharness campaign convergence fig35
+
+Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is flown."""
+_AREA_EXAMPLE = """
+  uqharness campaign area campaigns/demo/results --value cross_track_median_m_measured=9.41
+  uqharness campaign area results --flight flights.csv       one row per flight, columns as in cases.parquet
+
+Writes DIR/area.csv: the area by which the flights lie outside the p-box, in the metric's unit."""
+
+
+def add_convergence(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``convergence``."""
+    text = "Convergence over flights and epistemic samples."
+    describe(
+        parser,
+        _convergence,
+        text,
+        _CONVERGENCE_EXAMPLE,
+        done="done (too few flights or samples are bad input)",
+    )
+    add_folder(parser)
+    parser.add_argument(
+        "--repeats",
+        type=whole("--repeats", 2),
+        default=10,
+        metavar="N",
+        help="number of parts into which the flights are divided (default %(default)s)",
+    )
+    parser.add_argument(
+        "--metric",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="column of cases.parquet; repeatable",
+    )
+
+
+def add_area(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``area``."""
+    text, no = (
+        "Area metric of real flights against the p-boxes.",
+        "flights lie outside by more than sampling error",
+    )
+    describe(parser, _area, text, _AREA_EXAMPLE, done="no contradiction", no=no)
+    add_folder(parser)
+    parser.add_argument(
+        "--flight", type=Path, metavar="FILE", help="table of flights, .csv or .parquet"
+    )
+    parser.add_argument(
+        "--value",
+        action="append",
+        default=[],
+        metavar="METRIC=NUMBER",
+        help="metric of a single flight; repeatable",
+    )
+
+
+def _convergence(args: argparse.Namespace) -> int:
+    result = write_convergence(args.folder, args.metric, args.repeats)
+    sections = [
+        convergence_section(item) for item in result if item.repeats is not None or item.growth
+    ]
+    paths = write_figures(args.folder, sections, "Convergence")
+    if args.json:
+        print(json.dumps(convergence_document(args.folder, result, paths)))
+    else:
+        print(
+            "\n".join(
+                [
+                    *sentences(result),
+                    f"{args.folder / CONVERGENCE}: written, with {len(paths)} figures",
+                ]
+            )
+        )
+    return 0
+
+
+def _area(args: argparse.Namespace) -> int:
+    flights = read_flights(args.flight, dict(map(_value, args.value)))
+    result = write_area(args.folder, flights)
+    document = area_document(args.folder, result)
+    if args.json:
+        print(json.dumps(document))
+    else:
+        for row in document["rows"]:
+            print(
+                f"{row['metric']}, {row['condition']}: {row['flights']} flights, area {row['area']:.3g} outside the p-box, "
+                f"{row['beyond_chance']:.3g} beyond chance: {row['verdict']}"
+            )
+    return int(any(item.verdict == "outside" for item in result))
+
+
+def _value(text: str) -> tuple[str, float]:
+    name, _, number = text.partition("=")
+    try:
+        return name.strip(), float(number)
+    except ValueError:
+        raise BadInputError(
+            f"--value {text}: must be METRIC=NUMBER, such as cross_track_median_m_measured=9.41"
+        ) from None
+
+
+# ``uqharness campaign verify | salvage``: is a folder as it was written, and how it becomes so
+# again.
+
+_VERIFY_EXAMPLE = """
+  uqharness campaign verify campaigns/demo/results
+
+Compares manifest, journal and tables, also of shards, with their stored digests. Changes nothing."""
+_SALVAGE_EXAMPLE = """
+  uqharness campaign salvage campaigns/demo/results
+  uqharness campaign salvage results --campaign campaigns/demo/campaign.toml      where manifest.json is damaged too
+
+Keeps every flight that fits its digest, gives damaged files another name (journal.damaged-1.sqlite), flies the rest again and
+writes the tables: the bytes of an undamaged run. Nothing is deleted; the same command resumes after an interruption.
+Give --hours and --samples with --campaign if the campaign was flown with them."""
+_REMADE = {
+    "sensitivity": "sensitivity",
+    "convergence": "campaign convergence",
+    "area": "campaign area",
+}
+"""Tables that other commands write: the command by the table's name."""
+
+
+def add_verify(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``verify``."""
+    no = "something is damaged or has no digests (made by uqharness 0.1)"
+    describe(
+        parser,
+        _verify,
+        "Check a folder against its digests.",
+        _VERIFY_EXAMPLE,
+        done="all whole",
+        no=no,
+    )
+    add_folder(parser)
+
+
+def add_salvage(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``salvage``."""
+    text, no = (
+        "Repair a damaged campaign: keep sound flights, fly the rest again.",
+        "flights of shards that were never flown are missing",
+    )
+    describe(parser, _salvage, text, _SALVAGE_EXAMPLE, no=no)
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="campaign folder, or that of a shard"
+    )
+    parser.add_argument(
+        "--campaign",
+        type=Path,
+        metavar="CAMPAIGN.toml",
+        help="the campaign file, where manifest.json is damaged or missing",
+    )
+    add_size(parser)
+    add_workers(parser)
+    add_yes(parser)
+
+
+def _verify(args: argparse.Namespace) -> int:
+    found = verify(args.folder)
+    print(json.dumps(_verified_json(found)) if args.json else "\n".join(_verified_lines(found)))
+    return 0 if found.whole else 1
+
+
+def _verified_json(found: Verified) -> dict[str, Any]:
+    items = [
+        {
+            "name": item.name,
+            "state": item.state,
+            "remark": item.remark,
+            "digest": item.digest or None,
+        }
+        for item in found.items
+    ]
+    document: dict[str, Any] = {
+        "folder": str(found.folder),
+        "whole": found.whole,
+        "complete": found.complete,
+        "items": items,
+    }
+    return document | {"shards": [_verified_json(part) for part in found.shards]}
+
+
+def _verified_lines(found: Verified) -> Iterator[str]:
+    state = "whole" if found.whole else "NOT whole"
+    running = (
+        ""
+        if found.complete in (True, None)
+        else "; the campaign is not complete; existing files were checked"
+    )
+    yield f"{found.folder}: {state}{running}"
+    for item in found.items:
+        said = "; ".join(
+            text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text
+        )
+        yield f"  {item.name}: {item.state}" + (f" ({said})" if said else "")
+    for part in found.shards:
+        yield from _verified_lines(part)
+
+
+def _salvage(args: argparse.Namespace) -> int:
+    if args.campaign is None and (args.hours is not None or args.samples is not None):
+        raise BadInputError(
+            "--hours and --samples belong to --campaign, the file they were given with"
+        )
+    spec = None if args.campaign is None else asked_campaign(args)
+    command = "" if spec is None else shlex.join(flying_command(args, args.folder))
+    with ProgressView() as view:
+        flying = Flying(
+            ProcessExecutor(args.workers or usable_cores()),
+            tell_cost(args.yes, args.folder),
+            view.update,
+        )
+        found = salvage(args.folder, flying, spec, command)
+    print(json.dumps(_salvaged_json(found)) if args.json else "\n".join(_salvaged_lines(found)))
+    return 1 if found.missing else 0
+
+
+def _salvaged_json(found: Salvaged) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "folder": str(found.folder),
+        "kept": found.kept,
+        "flown": found.flown,
+        "missing": found.missing,
+    }
+    document |= {
+        "statuses": dict(found.statuses),
+        "rewritten": list(found.rewritten),
+        "aside": list(found.aside),
+    }
+    return document | {"shards": [_salvaged_json(part) for part in found.parts]}
+
+
+def _salvaged_lines(found: Salvaged) -> Iterator[str]:
+    for part in found.parts:
+        yield from _salvaged_lines(part)
+    text = f"{found.folder}: {found.kept} flights kept, {found.flown} flown again"
+    text += f", {found.missing} are in no shard" if found.missing else ""
+    text += f"; written again: {', '.join(found.rewritten)}" if found.rewritten else ""
+    yield text + (f"; damaged, under another name: {', '.join(found.aside)}" if found.aside else "")
+    for name, command in _REMADE.items():
+        if any(item.startswith(f"{name}.damaged-") for item in found.aside):
+            yield f"  {name}.csv is written again by: uqharness {command} {shlex.quote(str(found.folder))}"

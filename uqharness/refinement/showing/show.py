@@ -31,7 +31,7 @@ from uqharness.identification.linearised import (
     unfiltered,
     with_sensors_of,
 )
-from uqharness.refinement.types import Side
+from uqharness.refinement.round import Side
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, command_later, spread_over
 from uqharness.simulator import Aircraft
 

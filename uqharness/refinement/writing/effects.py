@@ -13,18 +13,30 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+import numpy as np
+
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import Effect
-from uqharness.identification.linearised import Carrier, in_dynamics
-from uqharness.plugin import Estimate, coefficient_reference, put_values
-from uqharness.refinement.writing.numbers import servo_of, write_mass, write_servo
-from uqharness.refinement.writing.terms import subsystem_terms, term_xml
-from uqharness.simulator import Aircraft, copy_folder, servo_number
+from sysid.effects import SPANS, V_REFERENCE_MPS, Effect, Selection, Smooth, SmoothFit, Term
+from sysid.units import FT_M, IN_M, LBF_N, SLUG_FT2_KGM2
+from uqharness.errors import BadInputError
+from uqharness.identification.linearised import STALL, Carrier, Fit, Probe, in_dynamics
+from uqharness.plugin import Estimate, coefficient_reference, put_values, state_source
+from uqharness.simulator import (
+    Actuator,
+    Aircraft,
+    copy_folder,
+    engine,
+    open_aircraft,
+    sensors_from_cg,
+    servo_number,
+)
+from uqharness.simulator.actuators import actuators
 from uqharness.xml import (
     BODY,
     AeroSection,
     Document,
     Expression,
+    Insertion,
     Node,
     SectionEdit,
     add_deltas,
@@ -32,17 +44,325 @@ from uqharness.xml import (
     add_to_axis,
     after,
     append_child,
+    apply,
     attribute,
+    before,
+    call,
+    comment,
     computes,
     declaration,
     declarations,
     declare,
     folder_declares,
     function_lines,
+    number,
     prop,
+    read_document,
     read_section,
+    remarked,
     value,
+    with_attribute,
+    with_text,
 )
+
+# Effects that change numbers an author wrote: <mass_balance> and <actuator>.
+#
+# A servo's lag and rate limit become properties, whose old values restore the servo as it was.
+# JSBSim reads mass, and the width of a dead zone, as numbers alone.
+
+_METRES = {"M": 1.0, "FT": FT_M, "IN": IN_M, "": IN_M}
+"""Units of <location>; JSBSim takes inches where none stands."""
+_TAGS = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}
+
+
+def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
+    """The servo, as given, whose lag or rate limit an effect is; None for any other effect."""
+    part, _, surface = (effect.subsystem or "").partition(".")
+    if part != "actuator" or effect.term not in ("lag", "rate_limit"):
+        return None
+    return actuators(aircraft, [surface])[surface]
+
+
+def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
+    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x [m], with
+    the sensors' places from it. Raises BadInputError."""
+    path = folder / aircraft.xml.name
+    document = read_document(path)
+    block = document.root.find("mass_balance")
+    if block is None:
+        raise BadInputError(f"{path}: no <mass_balance> to put effect {effect.term} into")
+    if effect.term == "Ixz":
+        sign = 1.0 if attribute(block, "negated_crossproduct_inertia").lower() == "false" else -1.0
+        ixz = block.find("ixz")
+        if ixz is None:
+            _write(
+                document,
+                [
+                    append_child(
+                        document,
+                        block,
+                        [f'<ixz unit="KG*M2">{sign * value:.8g}</ixz>  {comment(remark)}'],
+                    )
+                ],
+            )
+        else:
+            _shift(
+                document,
+                ixz,
+                sign * value / (1.0 if "KG" in attribute(ixz, "unit") else SLUG_FT2_KGM2),
+                remark,
+            )
+        return
+    place = next((p for p in block.all("location") if attribute(p, "name") == "CG"), None)
+    x = None if place is None else place.find("x")
+    if place is None or x is None:
+        raise BadInputError(f'{path}: no <location name="CG"> to move')
+    unit = attribute(place, "unit")
+    if unit not in _METRES:
+        raise BadInputError(
+            f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN'
+        )
+    # Structural x points aft; the number is the empty aircraft's, and what it carries stays where it is.
+    _shift(document, x, -value * _over_empty(aircraft) / _METRES[unit], remark)
+    sensors_from_cg(folder / "airframe.toml", value, remark)
+
+
+def _over_empty(aircraft: Aircraft) -> float:
+    """Weight of the aircraft, fuel and loads on board included, over that of it empty. Raises BadInputError where that is none."""
+    fdm = open_aircraft(aircraft)
+    engine.run_ic(fdm)
+    whole, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
+    if not empty > 0.0:
+        raise BadInputError(
+            f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the empty weight"
+        )
+    return whole / empty
+
+
+def write_servo(
+    folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str
+) -> None:
+    """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width. Raises BadInputError."""
+    surface = (effect.subsystem or "").partition(".")[2]
+    position = aircraft.card.inputs[surface].position
+    found = _actuator(folder, position)
+    if found is None:
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}"
+        )
+    document, actuator = found
+    # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
+    servo, name = servo_of(effect, aircraft), effect.property_name
+    tag = _TAGS[effect.term]
+    own = actuator.find(tag)
+    if servo is None and own is not None:
+        _shift(document, own, value, remark)
+    elif servo is None:
+        _write(
+            document,
+            [append_child(document, actuator, [f"<{tag}>{value:.8g}</{tag}>  {comment(remark)}"])],
+        )
+    else:
+        text = f"{servo_number(servo, effect.term, value):.8g}"
+        declared = declaration(document, name)
+        if declared is not None and own is not None and own.text.strip() == name:
+            # The aircraft carries this effect already.
+            edits = [
+                with_attribute(document, declared, "value", text),
+                remarked(document, declared, remark),
+            ]
+        else:
+            named = (
+                append_child(document, actuator, [f"<{tag}>{name}</{tag}>"])
+                if own is None
+                else with_text(document, own, name)
+            )
+            edits = [before(document, _channel(actuator), [declare(name, text, remark)]), named]
+        _write(document, edits)
+
+
+def _shift(document: Document, node: Node, by: float, remark: str) -> None:
+    """The number in an element moved, with a remark behind it."""
+    edits = [
+        with_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"),
+        remarked(document, node, remark),
+    ]
+    _write(document, edits)
+
+
+def _write(document: Document, edits: list[Insertion]) -> None:
+    document.path.write_bytes(apply(document, edits))
+
+
+def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
+    documents = (read_document(path) for path in sorted(folder.rglob("*.xml")))
+    every = ((d, n) for d in documents for n in d.root.walk())
+    return next(
+        ((d, n) for d, n in every if n.tag == "actuator" and attribute(n, "name") == name), None
+    )
+
+
+def _channel(node: Node) -> Node:
+    """The channel around a component, or the component where there is none."""
+    above = node.parent
+    while above is not None and above.tag != "channel":
+        above = above.parent
+    return node if above is None else above
+
+
+# JSBSim's words for what effects are made of: variables of coefficient terms, the terms, and
+# subsystems' effects.
+
+INFLOW_POWERS = 4
+"""Numbers of the polynomial over CT that inflow is written as."""
+_CONTROLS = {
+    "de": "elevator_pos_deg",
+    "da": "aileron_pos_deg",
+    "dr": "rudder_pos_deg",
+    "dt": "throttle_pct",
+}
+_QBAR_S = (prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
+
+
+def _computes(section: AeroSection, name: str) -> bool:
+    return any(computes(document, name) for document in section.documents)
+
+
+def _per_rate(length: str, section: AeroSection) -> Expression:
+    """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an effect's function."""
+    if _computes(section, f"aero/{length}_2V"):
+        return prop(f"aero/{length}_2V")
+    metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
+    speed = call("max", prop("velocities/vt-fps"), value(0.1))
+    return call("quotient", prop(metric), call("product", value(2, "g"), speed))
+
+
+def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Expression:
+    """A term's variable in this aircraft. Raises BadInputError where nothing gives it."""
+    if variable in ("alpha", "beta"):
+        return prop(f"aero/{variable}-rad")
+    if variable.endswith("_hat"):
+        rate = variable.removesuffix("_hat")
+        of_body = rate in ("p", "q", "r")
+        if of_body and _computes(section, f"aero/{variable}"):
+            return prop(f"aero/{variable}")
+        per_rate = _per_rate("c" if rate in ("q", "alphadot") else "b", section)
+        return call(
+            "product",
+            per_rate,
+            prop(f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"),
+        )
+    if variable in _CONTROLS:
+        source, factor = state_source(_CONTROLS[variable], aircraft)
+        factor *= 0.01 if variable == "dt" else 1.0
+        return (
+            prop(source) if factor == 1.0 else call("product", value(factor, ".10g"), prop(source))
+        )
+    if variable == "CT":
+        thrust = aircraft.card.outputs.get("thrust_N")
+        force = (
+            call("product", value(1.0 / LBF_N, ".10g"), prop(thrust))
+            if thrust
+            else prop("forces/fbx-prop-lbs")
+        )
+        return call("quotient", force, call("product", *_QBAR_S))
+    if variable == "V_rel":
+        return call("product", value(FT_M / V_REFERENCE_MPS, ".10g"), prop("velocities/vt-fps"))
+    if variable == "h_over_b":
+        return call(
+            "max", value(0.1), call("quotient", prop("position/h-agl-ft"), prop("metrics/bw-ft"))
+        )
+    raise BadInputError(f"variable '{variable}' has no JSBSim form")
+
+
+def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expression]:
+    """Factors of a term."""
+    out: list[Expression] = []
+    for f in term.factors:
+        one = variable_xml(f.variable, section, aircraft)
+        one = call("abs", one) if f.absolute else one
+        if f.power < 0:
+            out.append(
+                call(
+                    "quotient",
+                    value(1, "g"),
+                    one if f.power == -1 else call("pow", one, value(-f.power, "g")),
+                )
+            )
+        elif f.power <= 3:
+            out += [one] * f.power
+        else:
+            out.append(call("pow", one, value(f.power, "g")))
+    return out
+
+
+def subsystem_terms(
+    effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
+) -> list[tuple[str, float, list[Expression]]]:
+    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of `writing.effects.Written`."""
+
+    def x(name: str) -> Expression:
+        return variable_xml(name, section, aircraft)
+
+    match effect.subsystem, effect.term:
+        case "propulsion", "thrust_scale":
+            return [("CX", 1.0, [x("CT")])]
+        case "propulsion", "airspeed":
+            return [("CX", 1.0, [x("CT"), call("difference", x("V_rel"), value(1, "g"))])]
+        case "propulsion", "inflow":
+            # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of CT: a cubic of it.
+            CT, numbers = x("CT"), [slopes.get(f"inflow_{k}", 0.0) for k in range(INFLOW_POWERS)]
+            curve = value(numbers[-1], ".8g")
+            for number in reversed(numbers[:-1]):
+                curve = call("sum", value(number, ".8g"), call("product", CT, curve))
+            return [("CX", 1.0, [curve])]
+        case "propulsion", "torque":
+            return [("Cl", 1.0, [x("CT")])]
+        case "propulsion", "p_factor":
+            return [("Cn", -1.0, [x("CT"), x("alpha")]), ("Cm", -1.0, [x("CT"), x("beta")])]
+        case "propulsion", "slipstream":
+            rows = [(c, slopes.get(f"{c}_de", 0.0), [x("de"), x("CT")]) for c in ("CZ", "Cm")]
+            rows += [
+                (c, slopes.get(f"{c}_dr", 0.0), [x("dr"), x("CT")]) for c in ("CY", "Cl", "Cn")
+            ]
+            return [r for r in rows if r[1] != 0.0]
+        case "stall", _:
+            return [
+                ("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])
+            ]
+        case "ground", _:
+            near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
+            # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
+            with_effect = call(
+                "sum", value(1, "g"), call("product", prop(effect.property_name), near)
+            )
+            force = call("product", *_QBAR_S, with_effect)
+            return [("CZ", 1.0, [near, call("quotient", prop("forces/fbz-aero-lbs"), force)])]
+    raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
+
+
+def _lift_lost(term: str, section: AeroSection) -> Expression:
+    """Share of the lift that separation takes, 0 or less: ((1 + sqrt X)/2)^2 - 1."""
+    lag = value(0, "g")
+    if term == "dynamic":
+        lag = call(
+            "product",
+            value(2, "g"),
+            _per_rate("c", section),
+            call("todegrees", prop("aero/alphadot-rad_sec")),
+        )
+    angle = call("difference", prop("aero/alpha-deg"), lag)
+    a1 = 2.0 * STALL["a1_per_deg"]
+
+    def side(sign: int, at: float) -> Expression:
+        exponent = call("product", value(sign * a1, "g"), call("difference", angle, value(at, "g")))
+        return call("sum", value(1, "g"), call("exp", exponent))
+
+    both = call("product", side(1, STALL["alpha1_deg"]), side(-1, STALL["alpha2_deg"]))
+    X = call("quotient", value(1, "g"), both)
+    square = call("pow", call("sum", value(1, "g"), call("sqrt", X)), value(2, "g"))
+    return call("difference", call("product", value(0.25), square), value(1, "g"))
+
 
 THRUST_SCALE = "propulsion/thrust-scale"
 
@@ -175,8 +495,8 @@ def _add(
             slot, lines = in_axis
             return add_to_axis(add_functions(edit, declared), slot, lines)
     part = name.rpartition("/")[2]
-    for coefficient, number, factors in terms:
-        parts = [prop(name), *([] if number == 1.0 else [value(number, ".8g")]), *factors]
+    for coefficient, scale, factors in terms:
+        parts = [prop(name), *([] if scale == 1.0 else [value(scale, ".8g")]), *factors]
         function = (
             f"aero/effect/{part if part.startswith(coefficient) else f'{coefficient}-{part}'}"
         )
@@ -237,3 +557,109 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
                 if len(children) == 1 and children[0].tag == "sum":
                     return document, children[0]
     return None
+
+
+# Numbers that effects of stall and propulsion are written with: slopes of the model they are
+# written into.
+
+
+def control_slopes(fit: Fit) -> dict[str, float]:
+    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
+    by = np.concatenate([p.by_control for p in fit.probes])
+    out = {
+        f"{c}_{u}": float(by[:, k, j].mean())
+        for u, j in (("de", 0), ("dr", 2))
+        for k, c in enumerate(COEFFICIENTS)
+    }
+    slope = np.concatenate(
+        [p.reference.slopes[:, 2, 1] / (p.reference.qbar * p.mass.S) for p in fit.probes]
+    )
+    return {**out, "CZ_alpha": float(slope.mean()), **inflow_numbers(fit.probes)}
+
+
+def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
+    """Polynomial over CT of what an inflow twice the model's does to CX."""
+    known = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
+    if not known:
+        return {}
+    CT, change = (np.concatenate(columns) for columns in zip(*known, strict=True))
+    numbers, *_ = np.linalg.lstsq(np.vander(CT, INFLOW_POWERS, increasing=True), change, rcond=None)
+    return {f"inflow_{k}": float(number) for k, number in enumerate(numbers)}
+
+
+def of_lift_slope(
+    selection: Selection, before: Fit, after: Fit
+) -> tuple[Selection, dict[str, float]]:
+    """Lift lost by separation as a share of the lift slope that is estimated beside it, and the numbers to write effects with.
+
+    Flights that stall say of a model without stall that its lift slope is small: of that slope the share would be too large.
+    """
+    slopes = control_slopes(before)
+    own = after.flown.point.values.get("aero/CZ_alpha", 0.0)
+    if not own * slopes["CZ_alpha"] > 0.0:
+        return selection, slopes
+    ratio = slopes["CZ_alpha"] / own
+    chosen = tuple(
+        replace(c, value=ratio * c.value, std=ratio * c.std)
+        if c.key.startswith("effect/stall/")
+        else c
+        for c in selection.chosen
+    )
+    return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": own}
+
+
+# A smooth term written as a JSBSim table, under a name that nobody takes for physics.
+
+GRID = 4 * SPANS + 1
+"""Breakpoints: straight lines between four to a span miss a cubic by less than a hundredth of how far it bends in the span."""
+PREFIX = "uq/unnamed"
+
+
+def property_of_table(term: Smooth) -> str:
+    """Property that holds the term's value in flight."""
+    return f"{PREFIX}/{term.label}"
+
+
+def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
+    """The term added to an aircraft's aerodynamics, in its own folder. Raises BadInputError."""
+    term, name = fit.term, property_of_table(fit.term)
+    section = read_section(aircraft.folder, aircraft.xml.name)
+    edit = SectionEdit(section)
+    state = variable_xml(term.state, section, aircraft)
+    key = state.text
+    if state.tag != "property":
+        # A table looks up a property and no expression.
+        key = f"{name}_at"
+        edit = add_functions(edit, [f'<function name="{key}">', f"  {state.line()}", "</function>"])
+    at = np.linspace(*term.ends, GRID)
+    rows = [f"    {x:.8g}  {y:.8g}" for x, y in zip(at, fit.curve(at)[0], strict=True)]
+    table = [
+        "<table>",
+        f'  <independentVar lookup="row">{key}</independentVar>',
+        "  <tableData>",
+        *rows,
+        "  </tableData>",
+        "</table>",
+    ]
+    if term.times:
+        factor = variable_xml(term.times, section, aircraft)
+        table = ["<product>", *(f"  {line}" for line in table), f"  {factor.line()}", "</product>"]
+    remark = (
+        f"No physics: a {term.name}, fitted to what no effect of the catalogue explains. Held constant outside "
+        f"{at[0]:.4g} to {at[-1]:.4g}, where there were no data. Name it or leave it out."
+    )
+    lines = [
+        f'<function name="{name}">',
+        f"  {comment(remark)}",
+        *(f"  {line}" for line in table),
+        "</function>",
+    ]
+    edit = add_deltas(
+        add_functions(edit, lines),
+        {term.coefficient: [name]},
+        PREFIX,
+        coefficient_reference(aircraft, section),
+        "unnamed: no physics",
+    )
+    for path, content in edit.files().items():
+        path.write_bytes(content)

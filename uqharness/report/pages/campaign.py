@@ -17,10 +17,19 @@ from uqharness.campaign import (
     corners_only_words,
 )
 from uqharness.campaign.conditions import conditions
-from uqharness.report import statements as report_statements
-from uqharness.report.campaign import CampaignFound, Finding, answer_level, hardest_first, span
-from uqharness.report.campaign_track import track_section
-from uqharness.report.engine_check import engine_section
+from uqharness.report import campaign as report_statements
+from uqharness.report.campaign import (
+    CampaignFound,
+    Finding,
+    answer_level,
+    called,
+    engine_section,
+    hardest_first,
+    kind_of,
+    sensitivity_section,
+    span,
+    track_section,
+)
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -37,8 +46,6 @@ from uqharness.report.parts import (
     shown,
 )
 from uqharness.report.pbox import DrawnBox, corner_words, pbox_figure
-from uqharness.report.sample_words import called, kind_of
-from uqharness.report.sensitivity import sensitivity_section
 from uqharness.statistics import ExcursionRate, best_and_worst, poisson_upper
 
 CONDITIONS_DRAWN = 4

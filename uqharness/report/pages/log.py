@@ -7,8 +7,14 @@ from collections.abc import Mapping, Sequence
 from sysid.errors import Finding
 from sysid.logs import LogInfo
 from sysid.record import FlightRecord
-from uqharness.report.channels import Shade, channel_sections, named_stretches
-from uqharness.report.flags import channels_of, flags_of, spans_of
+from uqharness.report.channels import (
+    Shade,
+    channel_sections,
+    channels_of,
+    flags_of,
+    named_stretches,
+    spans_of,
+)
 from uqharness.report.ground_track import Circle
 from uqharness.report.pages.flight import (
     MOST_LISTED,

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.refinement_document import Refinement
+from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, have, read_histories, shown_channel
 from uqharness.report.history import Z95, Model, end_to_end, history_section
 from uqharness.report.pages.compare import in_shown_unit, ratio_figure
-from uqharness.report.pages.refine_effects import capital, effect_section, headline
-from uqharness.report.pages.refine_shown import interval_section, mission_section
-from uqharness.report.pages.refine_unnamed import RMS, smooth_lines, smooth_sections
-from uqharness.report.pages.refine_words import (
-    carried_by,
-    left_over,
-    nowhere,
-    place_says,
-    test_says,
-)
 from uqharness.report.parts import (
     Block,
     Bullets,
@@ -31,6 +23,7 @@ from uqharness.report.parts import (
     Facts,
     Figure,
     Figures,
+    Level,
     Page,
     Say,
     Section,
@@ -42,7 +35,595 @@ from uqharness.report.parts import (
     remarks,
     shown,
 )
-from uqharness.result_documents import read_document
+from uqharness.report.svg import Chart, Scale, rows_chart, scale
+from uqharness.result_documents import Refinement, read_document
+
+# The chart of a refinement's candidates: every one that the page names, and the likeliest of
+# the others.
+
+MOST_OTHERS = 8
+"""Candidates in the chart that the page does not name."""
+LEGEND = (("wide", "alone, beside the parameters"), ("thick", "the same of a chosen effect"))
+_MARKS = {
+    "chosen": "\N{BLACK CIRCLE}",
+    "withdrawn": "\N{MULTIPLICATION X}",
+    "alternative": "\N{ALMOST EQUAL TO}",
+    "left": "?",
+}
+
+
+@dataclass(frozen=True)
+class Named:
+    """A candidate that the page names: as what (chosen, withdrawn, alternative, left), and its |t| there; None where unknown."""
+
+    part: str
+    t: float | None
+
+
+def named_candidates(done: Mapping[str, Any]) -> dict[str, Named]:
+    """Candidates that a refinement names, by coefficient or subsystem and term; one that is named twice as the first of `Named`.
+
+    An alternative's |t| is that in the effect's place, the root of what it gains in twice the log likelihood.
+    """
+    rows: list[tuple[str, Mapping[str, Any], float | None]] = []
+    for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
+        rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
+    for e in (*done["effects"], *done.get("withdrawn", ())):
+        for a in e.get("alternatives", ()):
+            gain = a.get("evidence", {}).get("twice_log_likelihood")
+            rows.append(("alternative", a, None if gain is None else math.sqrt(max(gain, 0.0))))
+    remaining = done["remaining"]
+    rows += [("left", w, w["t"]) for w in remaining["where"] if w.get("term") and "t" in w]
+    rows += [("left", c, c["t"]) for c in (remaining.get("place") or {}).get("candidates", ())]
+    out: dict[str, Named] = {}
+    for part, e, t in rows:
+        if e.get("term"):
+            out.setdefault(_short(e), Named(part, None if t is None else abs(t)))
+    refused = done.get("best_refused")
+    if refused:
+        out.setdefault(
+            _as_scored(refused["effect"]),
+            Named("left", None if refused.get("t") is None else abs(refused["t"])),
+        )
+    return out
+
+
+def _short(e: Mapping[str, Any]) -> str:
+    return f"{e.get('coefficient') or e.get('subsystem') or ''} {e['term']}".strip()
+
+
+def _as_scored(key: str) -> str:
+    """An effect's key, as a refused candidate has it, as the scores name it."""
+    return key.replace("/", " ", 1)
+
+
+def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
+    """|t| of the candidates; None where a refinement names and scores none."""
+    board = done.get("candidates", {})
+    alone = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
+    named = named_candidates(done)
+    others = [n for n in alone if n not in named][:MOST_OTHERS]
+    sizes = {
+        n: max(alone.get(n, 0.0), (named[n].t or 0.0) if n in named else 0.0)
+        for n in (*named, *others)
+    }
+    if not sizes:
+        return None
+    order = sorted(sizes, key=lambda n: -sizes[n])
+    limit = board.get("limit")
+    label = "Candidate effects by |t| [-]: " + ", ".join(f"{n} {sizes[n]:.1f}" for n in order) + "."
+    x = Scale("|t| of the score test [-]", 0.0, 1.08 * max(*sizes.values(), limit or 0.0, 1e-9))
+    titles = [f"{n} {_MARKS[named[n].part]}" if n in named else n for n in order]
+    chart = rows_chart(f"{prefix}candidates", label, x, titles)
+    for k, n in enumerate(order):
+        if n in alone:
+            chart.across(
+                0.0, alone[n], k, "thick" if n in named and named[n].part == "chosen" else "wide"
+            )
+        if n in named and named[n].t is not None:
+            chart.marker(named[n].t or 0.0, float(k), "first", "disc")
+    if limit is not None:
+        chart.upright(limit, "limit", "reached by chance by the best of all")
+    caption = (
+        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the chosen effects (alternatives: "
+        "in the effect's place). \N{BLACK CIRCLE} chosen, \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
+    )
+    return Figure(chart.name, chart.svg(), caption)
+
+
+# refinement.json in sentences: what the test flights say of an effect, what is left, and where.
+
+_AWAY = 1e9
+"""Change of twice a log likelihood that is no measure of noise any more: replays of one of the two models diverge."""
+
+
+def place_says(place: Mapping[str, Any]) -> list[str]:
+    """Where the strongest of what is left sits, in at most three lines; none where nothing is left."""
+    if place["channel"] is None:
+        return []
+    name, _, _ = shown_channel(place["channel"])
+    side = "hold-out" if place["flights"] == "test" else "train"
+    if place["from_s"] is None:
+        first = f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise: {place['reason']}"
+    else:
+        share = place["share_of_excess"]
+        held = "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
+        when = f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s ({place['manoeuvre']})"
+        band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
+        first = f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times its noise{held}"
+    goes = place["state"]
+    if goes is not None:
+        state, unit, factor = shown_channel(goes["state"])
+        first += (
+            f"; its {goes['of']} goes with {state}, most at {factor * goes['low']:.3g} to {factor * goes['high']:.3g} {unit} "
+            f"({100.0 * goes['share']:.0f} % of its variance)"
+        )
+    near = ", ".join(
+        f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
+    )
+    now = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    second = f"{now}; with the nearest candidates it would be: {near}"
+    return [first, second, f"the flight that would tell: {place['would_tell']}"]
+
+
+def smooth_says(smooth: Mapping[str, Any]) -> str:
+    """What is said of a smooth term that is offered for naming, in a line."""
+    channel, _, _ = shown_channel(smooth["channel"])
+    instead = (
+        f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
+    )
+    return (
+        f"not named, no physics: a {smooth['name']} ({smooth['property']}){instead} brings {channel} on the train flights from "
+        f"{smooth['channel_on_train']:.2f} to {smooth['leaves']:.2f} times its noise; {test_says(smooth)}"
+    )
+
+
+def nowhere(document: Mapping[str, Any]) -> str:
+    """What is said where no region stands out: nothing at all is missing, or what is missing shows over whole flights alone."""
+    named = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
+    named += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
+    if named:
+        return (
+            "in no single region beyond what noise allows a sample; over all samples together the flights disagree with the "
+            f"model all the same (|t| up to {max(named):.0f})"
+        )
+    if document["remaining"]["unexplained"]:
+        return "in no single region beyond what noise allows a sample, but the flights as a whole: see what is left"
+    return "nowhere beyond what noise allows"
+
+
+def left_over(remaining: Mapping[str, Any]) -> list[str]:
+    """What is left, in sentences; none where nothing is."""
+    if not remaining["unexplained"]:
+        return [w["words"] for w in remaining["where"] if "words" in w]
+    out = []
+    above = remaining["channels_above_noise"]
+    if above:
+        out.append(
+            "above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items())
+        )
+    if remaining["coloured_channels"]:
+        out.append(f"residuals not white: {', '.join(remaining['coloured_channels'])}")
+    for w in remaining["where"]:
+        if "words" in w:
+            out.append(w["words"])
+        elif "rms_over_noise" in w:
+            depends = (
+                w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
+            )
+            out.append(
+                f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}"
+            )
+    return out
+
+
+def test_says(effect: Mapping[str, Any]) -> str:
+    """What the test flights say of one effect."""
+    test = effect["test"]
+    change, std = test["change_of_twice_log_likelihood"], test["std"]
+    number = f"twice the log likelihood {_with_error(change, std)} with it"
+    if abs(change) >= _AWAY:
+        more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
+        number = f"twice the log likelihood over a billion {more} with it, for {leaves} it the model leaves the flights altogether"
+    share, wide = test.get("share_of_estimate"), test.get("share_std")
+    # A standard error of half the way between none and all tells neither from the other.
+    if share is not None and wide is not None and math.isfinite(share) and wide < 0.5:
+        number += f", {share:.2f} ± {wide:.2f} of the estimate fits them best"
+    if test["gap"] == "shrank":
+        return f"on the test flights the gap shrank: {number}"
+    if test["gap"] == "grew":
+        return f"on the test flights the gap grew: {number}; withdrawn"
+    if test["gap"] == "too far":
+        far = f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train flights"
+        return f"the test flights do not tell: they lie {far}; look for what is wrong with them"
+    gone = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
+    return f"the test flights do not tell whether the gap shrank: {number}{gone}"
+
+
+def _with_error(value: float, std: float) -> str:
+    """``value ± std`` with three significant figures of the standard error, and as many places of the value."""
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
+        return f"{value:+.4g} ± {std:.3g}"
+    places = 2 - math.floor(math.log10(std))
+    return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
+
+
+def carried_by(effect: Mapping[str, Any]) -> str:
+    """Where an effect of refinement.json stands: its property, a number of the XML, or a sensor."""
+    sensor = str(effect.get("subsystem", "")).startswith("sensor.")
+    return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))
+
+
+# The effects of a refinement as a section of its page: value and error bar, change of the XML,
+# what else it may be, evidence.
+
+
+def headline(e: Mapping[str, Any]) -> str:
+    """Name, value and standard error of an effect."""
+    return f"{capital(e['name'])}: {shown(e['value'], '.5g')} ± {shown(e['std'], '.2g')}{_unit(e)}"
+
+
+def _unit(e: Mapping[str, Any]) -> str:
+    return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
+
+
+def capital(text: str) -> str:
+    """The text with a capital first letter; the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") -> Section:
+    """The effects: value with its error bar, what changed in the XML, alternatives, evidence; and who else was asked.
+
+    diff: the text of model.diff
+    """
+    off = {s["property"]: s["off"] for s in done.get("switch", ())}
+    parts = [
+        Section(
+            headline(e),
+            (*_value(e, off, f"{prefix}effect{k}"), *_change(e, diff), *_others(e), *_evidence(e)),
+        )
+        for k, e in enumerate(done["effects"])
+    ]
+    first: list[Block] = [] if parts else [Words("None.")]
+    refused = done.get("best_refused")
+    if refused:
+        t = shown(_abs(refused.get("t")), ".1f")
+        first.append(
+            Words(
+                f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."
+            )
+        )
+    figure = candidate_figure(done, prefix)
+    if figure:
+        first.append(Figures((figure,), LEGEND, file="candidates"))
+    return Section("Effects", tuple(first), tuple(parts))
+
+
+def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
+    """What the hold-out flights say, and the 95 % interval beside the value without the effect."""
+    out: list[Block] = [Words(f"{capital(test_says(e))}.")] if e.get("test") else []
+    low, high = e.get("evidence", {}).get("interval_95") or (None, None)
+    if low is None or high is None or e["value"] is None:
+        return out
+    without = float(off.get(e.get("property") or "", 0.0))
+    ends = [float(v) for v in (low, high, without)]
+    margin = 0.08 * (max(ends) - min(ends)) or 1.0
+    label = f"{capital(e['name'])}: 95 % interval {shown(low, '.5g')} to {shown(high, '.5g')}{_unit(e)}, without it {without:g}."
+    unit = e.get("unit") or "-"
+    axis = f"value [{'-' if unit == '1' else unit}]"
+    chart = rows_chart(
+        name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24
+    )
+    chart.upright(without, "zero", "without the effect")
+    chart.across(low, high, 0.0, "first")
+    chart.marker(e["value"], 0.0, "first", "disc")
+    return [
+        *out,
+        Figures(
+            (
+                Figure(
+                    chart.name,
+                    chart.svg(),
+                    "Value with its 95 % interval; the line is the model without it.",
+                ),
+            )
+        ),
+    ]
+
+
+def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
+    """The lines of model.diff that name the effect or its property, with what stands around them."""
+    text = lines_naming(diff, [w for w in (e.get("property"), e["name"]) if w])
+    return [Code(f"Change of the XML for {e['name']}", text)] if text else []
+
+
+def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
+    """Changed lines of a unified difference in which one of the words stands, with ``around`` lines on either side."""
+    lines = [line for line in diff.splitlines() if not line.startswith(("--- ", "+++ ", "@@"))]
+    own = [k for k, line in enumerate(lines) if line[:1] in "+-" and any(w in line for w in words)]
+    near = sorted(
+        {k for c in own for k in range(max(c - around, 0), min(c + around + 1, len(lines)))}
+    )
+    out: list[str] = []
+    for last, k in zip([-1, *near], near, strict=False):
+        out += ["..."] * (last >= 0 and k > last + 1) + [lines[k]]
+    return "\n".join(out)
+
+
+def _others(e: Mapping[str, Any]) -> list[Block]:
+    """What the effect is confounded with, and which alternatives the flights exclude."""
+    told = [
+        f"Distinguished from {a['name']}."
+        if a["separable"]
+        else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+        for a in e.get("alternatives", ())
+    ]
+    return [Bullets(tuple(told))] if told else []
+
+
+def _evidence(e: Mapping[str, Any]) -> list[Block]:
+    evidence = e.get("evidence", {})
+    low, high = evidence.get("interval_95") or (None, None)
+    rows = [
+        ("Value", f"{shown(e['value'], '.5g')}{_unit(e)}"),
+        ("Standard error", shown(e["std"], ".2g")),
+        ("95 % interval", f"{shown(low, '.5g')} to {shown(high, '.5g')}"),
+        ("|t|", shown(_abs(evidence.get("t")), ".1f")),
+        ("Twice the log-likelihood gained", shown(evidence.get("twice_log_likelihood"), ".4g")),
+        (
+            "Gained on held-out manoeuvres",
+            shown(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
+        ),
+        (
+            "Held-out estimate differs by",
+            f"{shown(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard errors",
+        ),
+        ("Property", carried_by(e)),
+    ]
+    why = Words(f"{capital(e['why']).rstrip('.')}.")
+    return [why, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
+
+
+def _abs(value: float | None) -> float | None:
+    return None if value is None else abs(value)
+
+
+# What a refinement did to the model's intervals and to a mission, as sections of its page.
+
+
+def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
+    """Width and coverage of the model-form intervals on the test flights, before and after."""
+    title = "Model-form intervals on the test flights"
+    intervals = gap.get("intervals") or {
+        "reason": "this folder was written before they were computed"
+    }
+    if intervals["reason"] is not None:
+        return Section(title, (Words(f"Not shown: {intervals['reason']}."),))
+    rows = []
+    for name, r in intervals["coefficients"].items():
+        before, after = r["width_before"], r["width_after"]
+        level: Level = "warn" if before is not None and after is not None and after > before else ""
+        rows.append(
+            (
+                name,
+                shown(before),
+                Cell(shown(after), level),
+                *(_share(r, when) for when in ("before", "after")),
+            )
+        )
+    head = (
+        "Coefficient [-]",
+        "Mean width before",
+        "After",
+        "Test samples inside before [%]",
+        "After [%]",
+    )
+    caption = f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train flights."
+    text = "As uqharness bounds fits them, one set for each model; ± is one standard error, neighbouring samples being alike."
+    figures = Figures(
+        _interval_figures(intervals, prefix),
+        (("second", "before"), ("first", "after")),
+        file="intervals",
+    )
+    return Section(
+        title, (Words(text, note=True), figures, Table(caption, head, tuple(rows), key=True))
+    )
+
+
+def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
+    """Mean width after over before, and the share of the test samples inside with its 95 % limits."""
+    rows = intervals["coefficients"]
+    widths = {
+        c: r["width_after"] / r["width_before"]
+        for c, r in rows.items()
+        if r["width_after"] and r["width_before"]
+    }
+    out = []
+    if widths:
+        label = (
+            "Mean width after over before [-]: "
+            + ", ".join(f"{c} {v:.2f}" for c, v in widths.items())
+            + "."
+        )
+        x = Scale("mean width after over before [-]", 0.0, 1.1 * max(1.0, *widths.values()))
+        chart = rows_chart(f"{prefix}interval-widths", label, x, tuple(rows), 24)
+        chart.upright(1.0, "zero")
+        for k, c in enumerate(rows):
+            if c in widths:
+                chart.marker(widths[c], float(k), "first", "disc")
+        out.append(
+            Figure(chart.name, chart.svg(), "Mean width of the intervals after, over before [-].")
+        )
+    sides = (("before", "second", "ring", -0.15), ("after", "first", "disc", 0.15))
+    known = [
+        (
+            k + aside,
+            kind,
+            shape,
+            100.0 * r[f"coverage_{when}"],
+            196.0 * (r[f"coverage_std_{when}"] or 0.0),
+        )
+        for k, r in enumerate(rows.values())
+        for when, kind, shape, aside in sides
+        if r[f"coverage_{when}"] is not None
+    ]
+    if known:
+        label = f"Test samples inside the intervals [%], {min(row[3] for row in known):.1f} at the least."
+        least = min(share - half for *_, share, half in known)
+        x = Scale("test samples inside [%], with 95 % limits", max(0.0, least - 2.0), 101.0)
+        chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
+        chart.upright(100.0 * intervals["confidence"], "limit")
+        for at, kind, shape, share, half in known:
+            chart.across(share - half, share + half, at, kind)
+            chart.marker(share, at, kind, shape)
+        out.append(
+            Figure(
+                chart.name,
+                chart.svg(),
+                "Share of the test samples inside; the dashed line is what is asked for.",
+            )
+        )
+    return tuple(out)
+
+
+def _share(row: Mapping[str, Any], when: str) -> str:
+    share, std = row[f"coverage_{when}"], row[f"coverage_std_{when}"]
+    return "undefined" if share is None else f"{percent(share, '.1f')} ± {percent(std, '.1f')}"
+
+
+def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
+    """P-boxes of the mission flown with both models inside their own intervals."""
+    title = "The mission before and after"
+    mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
+    if mission.get("reason") is not None:
+        return Section(title, (Words(f"Not shown: {mission['reason']}."),))
+    # With these pandas is loaded, and not every refinement flies a mission.
+    from uqharness.report.campaign import overlay_section, read_found
+
+    folders = mission["folders"]
+    said = (
+        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']} flights of "
+        f"{mission['duration_s']:g} s each, the same air for both models. Failed flights: {mission['before']['failed']} before, "
+        f"{mission['after']['failed']} after."
+    )
+    if len(folders) < 2:
+        return Section(
+            title, (Words(f"{said} Without an effect there is one model, and nothing to compare."),)
+        )
+    try:
+        pair = [read_found(folder / name) for name in folders]
+    except BadInputError as error:
+        return Section(title, (Words(f"{said} The campaigns cannot be read: {error}"),))
+    drawn = overlay_section(
+        pair[0],
+        pair[1],
+        dict(zip(("before", "after"), folders, strict=True)),
+        f"{prefix}mission-",
+        title,
+    )
+    blocks: list[Block] = [Words(said, note=True)]
+    for block in drawn.blocks:
+        if isinstance(block, Figures):
+            blocks.append(replace(block, file="pbox"))
+        else:
+            blocks.append(replace(block, key=True) if isinstance(block, Table) else block)
+    return Section(title, tuple(blocks))
+
+
+# A smooth term that is offered for naming, as a section of a refinement's page.
+
+RMS = ("rms_before", "rms_after", "noise_rms")
+"""What a refinement says of a channel or a coefficient."""
+
+
+def smooth_lines(done: Mapping[str, Any]) -> tuple[Say, ...]:
+    """The line of the page's head, where a term is offered."""
+    smooth = done["remaining"].get("smooth")
+    return (Say(f"{capital(smooth_says(smooth))}.", "warn"),) if smooth else ()
+
+
+def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
+    """The term with its curve, what it does to the flights, and the forms that it resembles; none where none is offered."""
+    smooth = done["remaining"].get("smooth")
+    if not smooth:
+        return []
+    text = (
+        f"Nothing of the catalogue explains what is left. {capital(smooth_says(smooth))}. The term has "
+        f"{smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a description and no effect: find the "
+        "physics that would make this shape, or fly what tells more. Nothing is known outside the range drawn; the table holds its "
+        f"ends there. The model with it: {smooth['model']}."
+    )
+    figures = Figures((_curve_figure(smooth, prefix),), file="unnamed")
+    return [
+        Section(
+            "A smooth term, not an effect",
+            (Words(text), figures, _gap_table(smooth), _shape_table(smooth)),
+        )
+    ]
+
+
+def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
+    at, value, low, high, samples = (
+        np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
+    )
+    what = f"{smooth['coefficient']} [-]" + (f" over {smooth['times']}" if smooth["times"] else "")
+    y = scale(what, [value, low, high])
+    foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
+    label = f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']} {at[0]:.3g} to {at[-1]:.3g}."
+    chart = Chart(
+        f"{prefix}unnamed", label, scale(f"{smooth['state']} [{smooth['unit']}]", [at]), y
+    )
+    half = 0.5 * float(at[1] - at[0])
+    chart.band(
+        at - half,
+        np.full_like(at, y.low),
+        foot,
+        "fillrange",
+        "samples of the train flights",
+        steps=True,
+    )
+    chart.level(0.0, "zero")
+    chart.band(at, low, high, "fill1", "95 % band")
+    chart.line(at, value, "first", "smooth term")
+    caption = (
+        "A smooth term, not an effect: which physics would make this shape? It is less the best straight line where the model "
+        "has one. Grey: where the data lie."
+    )
+    return Figure(chart.name, chart.svg(), caption)
+
+
+def _gap_table(smooth: Mapping[str, Any]) -> Table:
+    rows = []
+    for side, flights in (("train", "Train"), ("test", "Test")):
+        gap = smooth["gap"][side]
+        channels = gap.get("predictions") or gap["channels"]
+        for name, found in (
+            (smooth["channel"], channels),
+            (smooth["coefficient"], gap["coefficients"]),
+        ):
+            label, values = in_shown_unit(name, found[name], *RMS)
+            rows.append((f"{flights}: {label}", *(shown(v) for v in values)))
+    head = ("Flights and quantity", "Without the term", "With it", "Noise")
+    return Table(
+        "Rms of log minus model without and with the term, beside the effects that stand.",
+        head,
+        tuple(rows),
+        True,
+    )
+
+
+def _shape_table(smooth: Mapping[str, Any]) -> Table:
+    name, _, _ = shown_channel(smooth["channel"])
+    rows = tuple(
+        (capital(s["form"]), shown(s["correlation"], ".3f"), shown(s["leaves"], ".3f"))
+        for s in smooth["shapes"]
+    )
+    caption = f"Forms that it resembles, and what each leaves of {name} on the train flights in its place ({smooth['leaves']:.3f})."
+    return Table(
+        caption, (f"Form in {smooth['state']}", "Correlation [-]", "Rms over noise left [-]"), rows
+    )
+
 
 REFINEMENT = "refinement.json"
 _DIFF_LINES = 400

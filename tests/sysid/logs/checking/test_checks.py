@@ -12,10 +12,10 @@ from sysid.foreign.raw import MessageTable, RawLog
 from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard
 from sysid.logs.checking.checks import check_again, check_record
-from sysid.logs.checking.lever_arm import lever_arm
+from sysid.logs.checking.kinematics import lever_arm
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.load import import_log
-from sysid.logs.phase import find
+from sysid.logs.manoeuvres import find
 from sysid.logs.signal_map import Entry, SignalMap
 from sysid.logs.time_base import clean, hold, interpolate
 from sysid.record import FlightRecord, Metadata

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from sysid.logs.checking.estimates import check_estimates
 from sysid.logs.checking.kinematics import ATTITUDE, GROUND, body_rates_of_attitude, to_body
-from sysid.logs.phase import moving_mean
+from sysid.logs.checking.signals import check_estimates
+from sysid.logs.manoeuvres import moving_mean
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
 from tests.sysid.logs.checking.test_seeded_faults import noisy

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from sysid.logs import surely_late
-from sysid.logs.checking.kinematics import all_laws, judged, stretches
-from sysid.logs.checking.lateness import UNKNOWN, Late, Part, channel_lateness, lateness
+from sysid.logs.checking.kinematics import all_laws, groups_of, judged, spectrum, stretches
 from sysid.logs.checking.physics import check_physics
-from sysid.logs.checking.spectra import groups_of, spectrum
+from sysid.logs.checking.timing import UNKNOWN, Late, Part, channel_lateness, lateness
 from sysid.record import FlightRecord
 from tests.helpers.sixdof import Airframe
 from tests.helpers.synthetic import flight
@@ -105,7 +104,7 @@ def test_a_short_flight_has_no_false_minimum(monkeypatch: pytest.MonkeyPatch):
         )
 
     assert false() == 0
-    monkeypatch.setattr("sysid.logs.checking.lateness._variance_by_likelihood", lambda *_: 0.0)
+    monkeypatch.setattr("sysid.logs.checking.timing._variance_by_likelihood", lambda *_: 0.0)
     assert false() >= 2
 
 

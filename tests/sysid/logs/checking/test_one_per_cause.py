@@ -10,9 +10,9 @@ import pytest
 
 from sysid.errors import Finding
 from sysid.logs.checking.checks import check_again, one_per_cause
-from sysid.logs.checking.held import stuck
-from sysid.logs.checking.lever_arm import lever_arm_finding
+from sysid.logs.checking.kinematics import lever_arm_finding
 from sysid.logs.checking.physics import degrees_by_size
+from sysid.logs.checking.signals import stuck
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata

@@ -9,11 +9,18 @@ import pytest
 
 from sysid.errors import Finding
 from sysid.logs.checking.checks import check_again, check_motion
-from sysid.logs.checking.held import held, interpolated, stuck, wraps
-from sysid.logs.checking.kinematics import LAWS, judged, stretches, to_body, to_earth
-from sysid.logs.checking.mending import mend
-from sysid.logs.checking.physics import Heard, check_physics
-from sysid.logs.checking.spectra import Relation, relate, relate_means
+from sysid.logs.checking.kinematics import (
+    LAWS,
+    Relation,
+    judged,
+    relate,
+    relate_means,
+    stretches,
+    to_body,
+    to_earth,
+)
+from sysid.logs.checking.physics import Heard, check_physics, mend
+from sysid.logs.checking.signals import held, interpolated, stuck, wraps
 from sysid.logs.checking.surface_signs import AXES, effect
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata

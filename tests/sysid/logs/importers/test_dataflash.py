@@ -12,8 +12,8 @@ from sysid.errors import LogError
 from sysid.foreign.raw import RawLog
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.dataflash_writer import pwm_of, write_dataflash
+from sysid.logs.importers import dataflash
 from sysid.logs.importers import dataflash as dataflash_binary
-from sysid.logs.importers import dataflash_text
 from sysid.logs.load import import_log
 from sysid.logs.servo import deflection
 from sysid.record import FlightRecord
@@ -86,8 +86,8 @@ def test_text_log_is_read_alike_by_pymavlink(tmp_path: Path, flown: FlightRecord
     theirs = pymavlink_tables(DFReader.DFReader_text(str(path)))
     # pymavlink cuts a text at its comma; ours keeps it.
     theirs.pop("MSG", None)
-    assert assert_equal_to_pymavlink(dataflash_text.read(path), theirs) > 10
-    assert dataflash_text.read(path).texts[0][1] == "ArduPlane V4.6.0, with a comma"
+    assert assert_equal_to_pymavlink(dataflash.read_text(path), theirs) > 10
+    assert dataflash.read_text(path).texts[0][1] == "ArduPlane V4.6.0, with a comma"
 
 
 def test_round_trip_within_the_stated_quantisation(

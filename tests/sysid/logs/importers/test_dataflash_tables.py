@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.dataflash_format import make_format
-from sysid.logs.importers.dataflash_tables import MOST_INSTANCES, assemble
+from sysid.logs.importers.dataflash import MOST_INSTANCES, assemble, make_format
 from sysid.logs.info import no_aeroplane
 from sysid.logs.load import import_log
 

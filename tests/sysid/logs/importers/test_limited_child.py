@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.foreign.data_file import load
+from sysid.foreign.typed_files import load
 from sysid.logs.importers import limited_child
 
 

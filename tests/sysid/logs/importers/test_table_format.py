@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.table_format import sniff
+from sysid.logs.importers.tables import sniff
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.batch.form.angles import COSINE, SINE, without_angles
-from uqharness.batch.form.flying import begun, slot
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
+from uqharness.batch.form.maths import COSINE, SINE, without_angles
 from uqharness.batch.form.passes import optimised
-from uqharness.batch.form.program import Program, Section, Stream, When
+from uqharness.batch.form.program import Program, Section, Stream, When, begun, slot
 
 ANGLES = np.linspace(-3.0, 3.0, 16)
 

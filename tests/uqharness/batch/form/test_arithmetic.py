@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form import arithmetic as a
+from uqharness.batch.form import maths as a
 from uqharness.batch.form.ir import Builder, Value, evaluate
 
 RNG = np.random.default_rng(6)

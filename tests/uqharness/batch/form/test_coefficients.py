@@ -5,7 +5,7 @@ from __future__ import annotations
 import mpmath as mp
 import pytest
 
-from uqharness.batch.form import coefficients as c
+from uqharness.batch.form import maths as c
 
 mp.mp.prec = 300
 

@@ -17,11 +17,9 @@ from tests.helpers.batch_accuracy import POINTS, errors, lowered, values
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_digest import digest, function, points
 from tests.helpers.few import few
-from uqharness.batch.form.ir import Builder, evaluate
+from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.semantics import TRANSCENDENTAL
-from uqharness.batch.machine.llvm import compiled
-from uqharness.batch.machine.target import targets
+from uqharness.batch.machine.llvm import compiled, targets
 
 COUNT = int(os.environ.get("BATCH_POINTS", "20000"))
 INF, NAN = math.inf, math.nan

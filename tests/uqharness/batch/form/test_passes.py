@@ -10,11 +10,10 @@ import pytest
 
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
-from uqharness.batch.form.flying import begun, slot
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
 from uqharness.batch.form.passes import alive, hoisted, joined, lowered, optimised, trimmed
-from uqharness.batch.form.program import Program, Section, Stream, When
+from uqharness.batch.form.program import Program, Section, Stream, When, begun, slot
 
 LANES, FRAMES = 11, 40
 PASSES = {

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.batch.form.flying import begun
 from uqharness.batch.form.interpret import Interpreter
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.program import Program, Section, Stream, When
-from uqharness.batch.form.settled import settled
+from uqharness.batch.form.passes import settled
+from uqharness.batch.form.program import Program, Section, Stream, When, begun
 
 
 def section(name: str, when: When, **stores: object) -> Section:

@@ -9,12 +9,10 @@ import pytest
 
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
-from uqharness.batch.form.flying import begun, slot
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import alive, joined, lowered, optimised
-from uqharness.batch.form.program import Program, Section, When
-from uqharness.batch.form.sinking import PASSED, sunk
+from uqharness.batch.form.passes import PASSED, alive, joined, lowered, optimised, sunk
+from uqharness.batch.form.program import Program, Section, When, begun, slot
 
 LANES, FRAMES = 11, 40
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.batch.form.flying import Feed, begun
 from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import Builder, evaluate
+from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.program import Program, Section, Stream, When
-from uqharness.batch.form.semantics import TRANSCENDENTAL
+from uqharness.batch.form.program import Feed, Program, Section, Stream, When, begun
 from uqharness.batch.form.tangent import rate_name, tangent, tangent_program
 
 UNARY = [

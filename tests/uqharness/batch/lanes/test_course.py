@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
-from uqharness.batch.lanes.course import Branch, Course
-from uqharness.batch.lanes.fly import ready
+from uqharness.batch.lanes.course import Branch, Course, ready
 
 ACTIVE = {"uq/active": 1.0}
 

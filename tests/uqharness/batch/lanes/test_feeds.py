@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import WALK, spec
-from uqharness.batch.form.flying import begun
-from uqharness.batch.lanes.begin import begin
-from uqharness.batch.lanes.feeds import Feeder, airs_of
-from uqharness.batch.lanes.fly import ready
+from uqharness.batch.form.program import begun
+from uqharness.batch.lanes.course import Feeder, airs_of, begin, ready
 from uqharness.batch.lanes.streams import GUSTS, LEVELS
 from uqharness.batch.models.winds import COUNTER, NORMALS
 

@@ -7,10 +7,9 @@ import pytest
 
 from tests.helpers.batch_flights import START, aircraft, craft
 from tests.helpers.batch_whole import copied, spec
-from uqharness.batch.lanes.begin import begin
-from uqharness.batch.lanes.fly import fly_many, ready
+from uqharness.batch.lanes.course import begin, fly_many, ready
 from uqharness.batch.lanes.mission import constant_properties, initial_values, load_start
-from uqharness.batch.models.start import CONDITIONS
+from uqharness.batch.models.motion import CONDITIONS
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission, staged_mission
 from uqharness.simulator import (

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle
-from uqharness.batch.lanes.jsbsim_random import JsbsimNormals
 from uqharness.batch.lanes.streams import (
     GUSTS,
     LEVELS,
     TRANSIENTS,
     HostGusts,
+    JsbsimNormals,
     MovingLevels,
     Noise,
     Turbulence,
@@ -22,8 +22,8 @@ from uqharness.batch.lanes.streams import (
 from uqharness.batch.models.winds import NORMALS
 from uqharness.flight import Split, stepping
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters
-from uqharness.flight.levels import level_blocks
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
+from uqharness.flight.stepping import level_blocks
 
 AIR = (22.2, 100.0, 30.0, 3.66)
 DRAWS = (("a", 3), ("b", 1), ("c", 3), ("d", 2), ("e", 1))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, copied, same_end, spec
-from uqharness.batch.lanes.fly import fly_many
-from uqharness.batch.lanes.understood import refusals
+from uqharness.batch.lanes.course import fly_many, refusals
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly
 

@@ -10,13 +10,21 @@ import pytest
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
 from tests.helpers.few import few
-from uqharness.batch.form.flying import BLOCK, Feed, begun, carried, chosen
 from uqharness.batch.form.interpret import run_program
 from uqharness.batch.form.ir import Builder
 from uqharness.batch.form.passes import optimised
-from uqharness.batch.form.program import Program, Section, Stream
+from uqharness.batch.form.program import (
+    BLOCK,
+    Feed,
+    Program,
+    Section,
+    Stream,
+    begun,
+    carried,
+    chosen,
+)
 from uqharness.batch.machine.flight import FlightKernel, compile_program
-from uqharness.batch.machine.target import targets
+from uqharness.batch.machine.llvm import targets
 
 LANES, FRAMES = 21, 60
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.batch.machine.gusts import compiled_recursion
-from uqharness.batch.machine.target import targets
-from uqharness.flight.gust_filters import numpy_recursion
+from uqharness.batch.machine.llvm import targets
+from uqharness.batch.machine.random import compiled_recursion
+from uqharness.flight.dryden import numpy_recursion
 
 
 @pytest.mark.parametrize("name", list(targets()))

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form.flying import BLOCK, blocked, unblocked
-from uqharness.batch.form.ir import Builder, Function, evaluate
+from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.form.semantics import TRANSCENDENTAL
-from uqharness.batch.machine.llvm import compiled, printed
-from uqharness.batch.machine.target import Target, targets
+from uqharness.batch.form.program import BLOCK, blocked, unblocked
+from uqharness.batch.machine.llvm import Target, compiled, printed, targets
 
 
 def _function() -> Function:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uqharness.batch.form.ir import Builder, Function
-from uqharness.batch.machine.printer import FunctionPrinter, Vectors
+from uqharness.batch.machine.llvm import FunctionPrinter, Vectors
 
 
 def _lines(function: Function, vectors: Vectors, mask: str | None = None) -> list[str]:

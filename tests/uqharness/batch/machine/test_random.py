@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uqharness.batch.machine.llvm import targets
 from uqharness.batch.machine.random import compiled_pairs
-from uqharness.batch.machine.target import targets
 from uqharness.flight.normals import Normals, numpy_pairs
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.batch_flights import START, aircraft, compared, worst
-from uqharness.batch.models import air_data
+from uqharness.batch.models import atmosphere
 
 RECORDS = (
     *(f"velocities/{name}" for name in ("vc-fps", "vc-kts", "ve-kts", "vtrue-kts")),
@@ -47,5 +47,5 @@ def test_on_another_day():
     "name", ["_RAYLEIGH", "_SUPERSONIC", "_A0_FPS", "_VISCOSITY", "_SUTHERLAND_R"]
 )
 def test_a_constant_a_little_off_is_noticed(monkeypatch, name):
-    monkeypatch.setattr(air_data, name, getattr(air_data, name) * (1.0 + 1e-9))
+    monkeypatch.setattr(atmosphere, name, getattr(atmosphere, name) * (1.0 + 1e-9))
     assert worst(compared(aircraft("<aerodynamics/>"), RECORDS, frames=2, start=FAST)) > 5e-11

@@ -12,11 +12,11 @@ import pytest
 from tests.helpers import batch_flights
 from tests.helpers.batch_flights import aircraft, craft, started, translated
 from tests.helpers.batch_whole import SECOND_ORDER
-from uqharness.batch.form.flying import begun
+from uqharness.batch.form.program import begun
 from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.target import chosen_target
+from uqharness.batch.machine.llvm import chosen_target
 from uqharness.batch.models import earth
-from uqharness.batch.models.start import CONDITIONS
+from uqharness.batch.models.motion import CONDITIONS
 
 DT_S = 0.002
 SPIN_DPS = np.degrees(7.292115e-5)

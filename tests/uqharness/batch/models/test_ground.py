@@ -8,11 +8,11 @@ import pytest
 from tests.helpers.batch_flights import DT_S, START, aircraft, craft, flown, started
 from tests.helpers.few import few
 from uqharness.batch.lanes.mission import constant_properties, initial_values
-from uqharness.batch.models.ground import POINT, TOUCHED
-from uqharness.batch.models.start import CONDITIONS
+from uqharness.batch.models.auxiliary import POINT, TOUCHED
+from uqharness.batch.models.motion import CONDITIONS
 from uqharness.batch.translate.frame import Values
 from uqharness.batch.translate.whole import Asked, trace_flight
-from uqharness.flight.contact import contact_points
+from uqharness.flight.fly import contact_points
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.batch_flights import aircraft, compared, craft, worst
 from tests.helpers.batch_states import attitude
-from uqharness.batch.models.start import CONDITIONS, rounded, start_state
+from uqharness.batch.models.motion import CONDITIONS, rounded, start_state
 from uqharness.simulator import engine
 
 RECORDS = (

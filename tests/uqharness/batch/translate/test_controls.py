@@ -6,7 +6,7 @@ import pytest
 
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_systems import judged, random_inputs
-from uqharness.batch.translate.controls import HOOKS, read_only
+from uqharness.batch.translate.frame import HOOKS, read_only
 
 
 @pytest.mark.parametrize("name", HOOKS)

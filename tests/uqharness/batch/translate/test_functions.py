@@ -19,10 +19,9 @@ from tests.helpers.batch_against import (
     ulps,
 )
 from uqharness.batch.form.ir import Builder, evaluate
-from uqharness.batch.machine.llvm import compiled
-from uqharness.batch.machine.target import targets
+from uqharness.batch.machine.llvm import compiled, targets
+from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import RULES, function_value
-from uqharness.batch.translate.scope import Scope
 from uqharness.errors import BadInputError
 from uqharness.xml.document import parse_document
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers import batch_oracle as oracle
-from uqharness.batch.translate.properties import REQUIRED, fixed, own, settable, writable
+from uqharness.batch.translate.frame import REQUIRED, fixed, own, settable, writable
 from uqharness.simulator import engine
 
 # Levers and surfaces, which any aircraft's XML moves.

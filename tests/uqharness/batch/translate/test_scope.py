@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.batch.form.ir import Builder
-from uqharness.batch.translate.scope import Scope, canonical, is_number, property_of
+from uqharness.batch.translate.frame import Scope, canonical, is_number, property_of
 from uqharness.errors import BadInputError
 from uqharness.xml.document import parse_document
 

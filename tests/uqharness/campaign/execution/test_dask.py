@@ -13,12 +13,12 @@ from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution import dask as dask_executor
 from uqharness.campaign.execution import dask_task
 from uqharness.campaign.execution.dask import DaskExecutor
-from uqharness.campaign.execution.dask_orders import OWN_FLIGHT, Order, order_text
+from uqharness.campaign.execution.dask_task import OWN_FLIGHT, Order, order_text
 from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.execution.worker import Group, OneByOne
-from uqharness.campaign.folder.case_table import CASES
+from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution import dask_task
-from uqharness.campaign.execution.dask_orders import (
+from uqharness.campaign.execution.dask_task import (
     MODULES_VARIABLE,
     OWN_FLIGHT,
     OWN_GROUP,
@@ -27,12 +27,11 @@ from uqharness.campaign.execution.dask_orders import (
     answer_text,
     flight_function,
     flight_name,
+    fly_order,
     order_from,
     order_text,
 )
-from uqharness.campaign.execution.dask_task import fly_order
-from uqharness.campaign.execution.flying import fly_group
-from uqharness.campaign.execution.worker import CaseOutcome, Group, attempt
+from uqharness.campaign.execution.worker import CaseOutcome, Group, attempt, fly_group
 from uqharness.campaign.folder.rerun import RecordedFlight
 from uqharness.errors import BadInputError
 from uqharness.flight import fly as flight

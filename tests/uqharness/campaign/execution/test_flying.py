@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness import batch
-from uqharness.campaign.execution import flying
+from uqharness.campaign.execution import worker
 from uqharness.flight.fly import fly, fly_one_ulp_off
 from uqharness.flight.spec import FlightResult, FlightSpec
 
@@ -24,24 +24,24 @@ def test_each_name_flies_what_it_says():
     alone, moved = fly(SPEC), fly_one_ulp_off(SPEC)
     assert signals(alone) != signals(moved)
     for name, expected in (
-        (flying.JSBSIM, alone),
-        (flying.JUDGE, alone),
-        (flying.ONE_ULP_OFF, moved),
+        (worker.JSBSIM, alone),
+        (worker.JUDGE, alone),
+        (worker.ONE_ULP_OFF, moved),
     ):
-        (found,) = flying.fly_group(name, [SPEC])
+        (found,) = worker.fly_group(name, [SPEC])
         assert signals(found) == signals(expected)
         assert expected.metrics.items() <= found.metrics.items()
 
 
 def test_the_judge_tells_how_near_a_radius_a_flight_came():
-    (found,) = flying.fly_group(
-        flying.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
+    (found,) = worker.fly_group(
+        worker.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
     )
     distance = np.abs(found.signals["cross_track"])
     expected = min(np.abs(distance - 1.0).min(), np.abs(distance - 0.75).min())
     assert found.metrics["nearest_excursions_1m"] == expected
     without = replace(fakes.steady(SPEC), signals={})
-    assert np.isnan(flying.with_distances(without, SPEC).metrics["nearest_excursions_15m"])
+    assert np.isnan(worker.with_distances(without, SPEC).metrics["nearest_excursions_15m"])
 
 
 def test_the_batch_engine_is_asked_for_its_own(monkeypatch):
@@ -52,7 +52,7 @@ def test_the_batch_engine_is_asked_for_its_own(monkeypatch):
         batch, "refusals", lambda spec, varying: (spec.aircraft.name, *varying), raising=False
     )
     monkeypatch.setattr(batch, "available", lambda: "llvmlite is not installed", raising=False)
-    assert flying.fly_group("batch", [SPEC, SPEC]) == [fakes.steady(SPEC)] * 2
-    assert flying.OwnBatch().refusals(SPEC, ("x",)) == ("espaaro", "x")
-    assert flying.OwnBatch().available() == flying.why_not("batch") == "llvmlite is not installed"
-    assert flying.why_not("jsbsim") is None
+    assert worker.fly_group("batch", [SPEC, SPEC]) == [fakes.steady(SPEC)] * 2
+    assert worker.OwnBatch().refusals(SPEC, ("x",)) == ("espaaro", "x")
+    assert worker.OwnBatch().available() == worker.why_not("batch") == "llvmlite is not installed"
+    assert worker.why_not("jsbsim") is None

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from uqharness.campaign.folder.engine_file import (
+from uqharness.campaign.folder.tables import (
     ENGINE_CHECK,
     CheckRow,
     as_number,

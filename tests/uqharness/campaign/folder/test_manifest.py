@@ -16,10 +16,9 @@ from sysid.digests import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import TESTS
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.digests import digest_of_text
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.folder.manifest import digest_of_text, read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.next_flight.mission_states import open_campaign
 

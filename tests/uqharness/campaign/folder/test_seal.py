@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from sysid.digests import sha256_hex
-from uqharness.campaign.folder import seal
-from uqharness.campaign.folder.digests import DamageError
-from uqharness.campaign.folder.seal import mend_tables, refuse_if_not_whole, sealed
+from uqharness.campaign.folder import shards
+from uqharness.campaign.folder.manifest import DamageError
+from uqharness.campaign.folder.shards import mend_tables, refuse_if_not_whole, sealed
 
 SUMMARY = {"rows": 2, "digest": "a" * 64}
 
@@ -43,8 +43,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A table of the campaign's own and one of another command; what flew would give the first again."""
     for name in ("pbox.parquet", "area.csv"):
         (tmp_path / name).write_bytes(b"x")
-    monkeypatch.setattr(seal, "Rounds", _NoRounds)
-    monkeypatch.setattr(seal, "make_tables", lambda *given: {"pbox.parquet": b"x"})
+    monkeypatch.setattr(shards, "Rounds", _NoRounds)
+    monkeypatch.setattr(shards, "make_tables", lambda *given: {"pbox.parquet": b"x"})
     return tmp_path
 
 

@@ -11,12 +11,12 @@ from lxml import etree
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.case_table import CASES
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.shards import Shard, merge, parse_shard, shard_folders
 from uqharness.campaign.folder.store import Store, run_lock
+from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

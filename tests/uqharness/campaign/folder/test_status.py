@@ -10,12 +10,11 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.digests import DamageError
-from uqharness.campaign.folder.manifest import MANIFEST, read_manifest, write_manifest
-from uqharness.campaign.folder.status import read_status
+from uqharness.campaign.folder.manifest import MANIFEST, DamageError, read_manifest, write_manifest
+from uqharness.campaign.folder.shards import read_status
 from uqharness.campaign.folder.store import JOURNAL
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import read_campaign
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.usefixtures("flights_here")

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.campaign.inputs import Estimates
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.epistemic import EpistemicSection, ParametersSection
+from uqharness.campaign.spec.campaign import (
+    CampaignSpec,
+    EpistemicSection,
+    Estimates,
+    ParametersSection,
+    VariableSection,
+)
 from uqharness.campaign.spec.samples import epistemic_samples, latin_column, parameter_draws
-from uqharness.campaign.spec.variables import VariableSection
 
 LOAD = {"load/kg": VariableSection(distribution="normal", mean=(19.0, 22.0), std=0.5)}
 ESTIMATES = Estimates(

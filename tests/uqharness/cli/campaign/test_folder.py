@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from uqharness.campaign.folder.files import read_cases
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.store import run_lock
+from uqharness.campaign.folder.tables import read_cases
 from uqharness.cli.campaign import folder as verbs
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError

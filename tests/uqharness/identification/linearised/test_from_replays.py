@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from uqharness.identification.linearised.from_replays import begun_at, point_of
+from uqharness.identification.linearised.fit import begun_at, point_of
 from uqharness.identification.linearised.types import Point
 
 

@@ -11,13 +11,13 @@ import pytest
 from scipy.linalg import expm
 
 from sysid.aerodynamics import rates, whole_states
+from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.gust_states import GustStates
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES, Reference, Steps, linearise
 from sysid.effects import turbulence
-from sysid.effects.gust_score import Score
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import subsystem_effects
+from sysid.effects.turbulence import Score
 from sysid.parallel import ALONE
 from tests.helpers.flown import fly as flown
 from uqharness.identification.linearised import gusts as refine_gusts
@@ -26,8 +26,7 @@ from uqharness.identification.linearised.fit import positions, step_from, steppe
 from uqharness.identification.linearised.gusts import as_measured, in_step, moved, rows_late
 from uqharness.identification.linearised.reference import Probe
 from uqharness.identification.linearised.sensed import as_sensed
-from uqharness.identification.linearised.setup import make_setup
-from uqharness.identification.linearised.types import Point
+from uqharness.identification.linearised.types import Point, make_setup
 from uqharness.refinement import rounds as refine_rounds
 from uqharness.refinement.showing import show as refine_show
 from uqharness.replay.flights import prepare

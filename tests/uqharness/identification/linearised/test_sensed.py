@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import subsystem_effects
 from uqharness.identification.linearised.columns import at_vane
 from uqharness.identification.linearised.sensed import placed, sensor_late_s
 from uqharness.identification.linearised.types import Point
-from uqharness.refinement.setup import candidates_for
+from uqharness.refinement.round import candidates_for
 from uqharness.replay import Segment
 
 RATES = ("p_radps", "q_radps", "r_radps")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.identification.linearised.setup import (
+from uqharness.identification.linearised.types import (
     estimated_channels,
     known_noise,
     noise_left,
@@ -54,7 +54,7 @@ def test_noise_is_known_by_samples_and_card():
 
 def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
     monkeypatch.setattr(
-        "uqharness.identification.linearised.setup.replace", lambda setup, noise: noise
+        "uqharness.identification.linearised.types.replace", lambda setup, noise: noise
     )
     card = SimpleNamespace(
         sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.showing.remains import NOTHING, Series, no_place, where_loudest
-from uqharness.refinement.showing.words import would_tell
-from uqharness.refinement_document import Place
-from uqharness.report.pages.refine_words import place_says
+from uqharness.refinement.showing.document import (
+    NOTHING,
+    Series,
+    no_place,
+    where_loudest,
+    would_tell,
+)
+from uqharness.report.pages.refinement import place_says
+from uqharness.result_documents import Place
 
 RATE = 50.0
 TIME = np.arange(1500) / RATE

@@ -8,8 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from sysid.effects.catalogue import coefficient_effect
-from sysid.effects.subsystem_effects import subsystem_effects
+from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import Carrier, servo_change
 from uqharness.plugin.estimates import Estimate

@@ -9,11 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.selection import Choice, Selection
-from sysid.effects.subsystem_effects import subsystem_effects
 from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
-from uqharness.refinement.writing.effects import Written, write_effects
-from uqharness.refinement.writing.slopes import control_slopes, inflow_numbers, of_lift_slope
+from uqharness.refinement.writing.effects import (
+    Written,
+    control_slopes,
+    inflow_numbers,
+    of_lift_slope,
+    write_effects,
+)
 from uqharness.replay import ReplayFolder
 from uqharness.replay.model import CONTROLS
 from uqharness.replay.segments import Segment

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lxml import html
 
-from sysid.model_form.variation import STEP_S, Variation
+from sysid.model_form.components import STEP_S, Variation
 from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form, with_parts
 from tests.helpers.page_checks import page_of, words_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from sysid.model_form.worth import parameter_variance
+from sysid.model_form.information_gain import parameter_variance
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems, words_of
 from uqharness.next_flight.points import Condition, Steps, TestPoint

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refine_candidates import (
-    MOST_OTHERS,
-    Named,
-    candidate_figure,
-    named_candidates,
-)
+from uqharness.report.pages.refinement import MOST_OTHERS, Named, candidate_figure, named_candidates
 
 
 def effect(coefficient: str, term: str, t: float, alternatives=()) -> dict:

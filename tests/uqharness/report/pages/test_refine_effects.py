@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.helpers.report_folders import refinement
-from uqharness.report.pages.refine_effects import effect_section, lines_naming
+from uqharness.report.pages.refinement import effect_section, lines_naming
 from uqharness.report.parts import Code, Figures
 
 DIFF = """--- a/plane.xml

@@ -7,7 +7,7 @@ import re
 from lxml import etree
 
 from tests.helpers import report_folders as folders
-from uqharness.report.pages.refine_shown import interval_section, mission_section
+from uqharness.report.pages.refinement import interval_section, mission_section
 from uqharness.report.parts import Figures, Table, Words
 
 KNOWN = {"width_before": 0.04, "width_after": 0.03, "coverage_before": 0.97, "coverage_after": 0.9}

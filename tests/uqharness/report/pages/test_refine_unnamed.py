@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement_document import Smooth
-from uqharness.report.pages.refine_unnamed import smooth_lines, smooth_sections
+from uqharness.report.pages.refinement import smooth_lines, smooth_sections
 from uqharness.report.parts import Figures, Table, Words
+from uqharness.result_documents import Smooth
 
 AT = np.linspace(-0.05, 0.1, 41)
 

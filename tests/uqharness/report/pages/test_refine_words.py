@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refine_words import test_says as says
+from uqharness.report.pages.refinement import test_says as says
 
 
 @pytest.mark.parametrize(

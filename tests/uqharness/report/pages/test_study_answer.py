@@ -13,9 +13,9 @@ from lxml import html
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from tests.helpers.report_folders import stage, study, written
-from uqharness.campaign.aborted import KINDS
+from uqharness.campaign.rounds import KINDS
 from uqharness.report.campaign import read_found
-from uqharness.report.pages.study_answer import cells_section
+from uqharness.report.pages.study import cells_section
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

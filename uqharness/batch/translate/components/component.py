@@ -12,9 +12,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Builder, Value
-from uqharness.batch.translate.controls import read_only
-from uqharness.batch.translate.frame import Frame
-from uqharness.batch.translate.scope import Scope, canonical, property_of
+from uqharness.batch.translate.frame import Frame, Scope, canonical, property_of, read_only
 from uqharness.xml import Node
 
 REMARKS = ("description", "documentation")

@@ -5,15 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from uqharness.batch.translate.components import (
-    actuators,
-    filters,
-    gains,
-    kinematic,
-    pid,
-    sensors,
-    switches,
-)
+from uqharness.batch.translate.components import filters, gains
 from uqharness.batch.translate.components.component import Component
 
 _COEFFICIENTS = tuple(f"c{k}" for k in range(1, 7))
@@ -45,21 +37,21 @@ KINDS: Mapping[str, Kind] = {
     "lead_lag_filter": Kind(filters.lead_lag_filter, _COEFFICIENTS),
     "second_order_filter": Kind(filters.second_order_filter, _COEFFICIENTS),
     "washout_filter": Kind(filters.washout_filter, _COEFFICIENTS),
-    "pid": Kind(pid.pid, (*_CONTROL, "ki"), attributes=("type",)),
-    "integrator": Kind(pid.integrator, (*_CONTROL, "c1")),
-    "kinematic": Kind(kinematic.kinematic, ("traverse", "noscale")),
-    "switch": Kind(switches.switch, ("default",), ("test",)),
-    "distributor": Kind(switches.distributor, (), ("case",), ("type",)),
+    "pid": Kind(filters.pid, (*_CONTROL, "ki"), attributes=("type",)),
+    "integrator": Kind(filters.integrator, (*_CONTROL, "c1")),
+    "kinematic": Kind(gains.kinematic, ("traverse", "noscale")),
+    "switch": Kind(gains.switch, ("default",), ("test",)),
+    "distributor": Kind(gains.distributor, (), ("case",), ("type",)),
     "actuator": Kind(
-        actuators.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)
+        filters.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)
     ),
     "linear_actuator": Kind(
-        actuators.linear_actuator,
+        filters.linear_actuator,
         ("set", "reset", "versus", "bias", "module", "hysteresis", "lag", "rate", "gain"),
     ),
-    "sensor": Kind(sensors.sensor, _MEASURED),
-    "gyro": Kind(sensors.gyro, (*_MEASURED, "axis", "orientation")),
-    "accelerometer": Kind(sensors.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
+    "sensor": Kind(filters.sensor, _MEASURED),
+    "gyro": Kind(filters.gyro, (*_MEASURED, "axis", "orientation")),
+    "accelerometer": Kind(filters.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
 }
 """Components that are understood."""
 

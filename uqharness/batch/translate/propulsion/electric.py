@@ -9,11 +9,9 @@ import math
 from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Value
-from uqharness.batch.translate.frame import Frame
-from uqharness.batch.translate.propulsion.propeller import Propeller
-from uqharness.batch.translate.propulsion.read import Part, known, needed, number
-from uqharness.batch.translate.propulsion.thruster import Jet
-from uqharness.batch.translate.scope import Scope
+from uqharness.batch.translate.frame import Frame, Scope
+from uqharness.batch.translate.propulsion.engine_files import Part, known, needed, number
+from uqharness.batch.translate.propulsion.propeller import Jet, Propeller
 
 _HP_WATTS = 745.7
 _HP_FTLBPS = 550.0

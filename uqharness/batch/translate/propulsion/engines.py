@@ -15,23 +15,28 @@ from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
 from uqharness.batch.translate.channels import compute_where_read, refuse_inner_names
-from uqharness.batch.translate.frame import INITIALISED, Frame, Values
+from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, Values, canonical
 from uqharness.batch.translate.propulsion.electric import Brushless, Electric, read_electric
-from uqharness.batch.translate.propulsion.mass import dry_aircraft, trace_mass
+from uqharness.batch.translate.propulsion.engine_files import Part, base, known, numbered
 from uqharness.batch.translate.propulsion.piston import Piston, read_piston
-from uqharness.batch.translate.propulsion.propeller import Propeller, read_propeller
-from uqharness.batch.translate.propulsion.read import Part, base, known, numbered
+from uqharness.batch.translate.propulsion.propeller import (
+    Jet,
+    Propeller,
+    read_jet,
+    read_mount,
+    read_propeller,
+)
 from uqharness.batch.translate.propulsion.tanks import (
     Tank,
+    dry_aircraft,
     feeding,
     read_tank,
     set_contents,
     set_whole,
+    trace_mass,
     trace_tanks,
 )
-from uqharness.batch.translate.propulsion.thruster import Jet, read_jet, read_mount
 from uqharness.batch.translate.propulsion.turbine import FUNCTIONS, Turbine, read_turbine
-from uqharness.batch.translate.scope import Scope, canonical
 from uqharness.batch.translate.sources import Sources
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node

@@ -1,0 +1,785 @@
+"""Does a value have the type that an annotation asks for?"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+import json
+import re
+import struct
+import types
+import typing
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+
+from sysid.digests import sha256_of_parts
+from sysid.errors import in_a_line
+
+_NUMBERS: dict[Any, tuple[type, ...]] = {
+    float: (float, int, np.floating, np.integer),
+    int: (int, np.integer),
+    bool: (bool, np.bool_),
+    complex: (complex, float, int, np.number),
+}
+_SEQUENCES = (list, tuple, Sequence, Collection, Iterable, set, frozenset, Set)
+_MAPPINGS = (dict, Mapping, types.MappingProxyType)
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether the value is what the annotation says, items and all; an int serves as a float, a list as a tuple.
+
+    Values of other classes count by their class alone. A callable is no data and fits nothing.
+    """
+    if hint is Any or hint is object or isinstance(hint, TypeVar):
+        return True
+    if hint is None or hint is type(None):
+        return value is None
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, arg) for arg in args)
+    if origin is Literal:
+        return any(type(value) is type(arg) and value == arg for arg in args)
+    kind = origin or hint
+    if kind in (Callable, Iterator):
+        return False
+    if kind is np.ndarray:
+        return isinstance(value, np.ndarray)
+    if kind in _NUMBERS:
+        return isinstance(value, _NUMBERS[kind])
+    if kind in _MAPPINGS:
+        return isinstance(value, Mapping) and _mapping_fits(value, args)
+    if kind in _SEQUENCES:
+        return isinstance(value, list | tuple | set | frozenset) and _items_fit(value, kind, args)
+    return isinstance(kind, type) and not _is_protocol(kind) and isinstance(value, kind)
+
+
+def _mapping_fits(value: Mapping[Any, Any], args: tuple[Any, ...]) -> bool:
+    if not args:
+        return True
+    key, item = args
+    return all(fits(k, key) and fits(v, item) for k, v in value.items())
+
+
+def _items_fit(value: Collection[Any], kind: Any, args: tuple[Any, ...]) -> bool:
+    if (kind in (set, frozenset, Set)) != isinstance(value, set | frozenset) and kind not in (
+        Collection,
+        Iterable,
+    ):
+        return False
+    if kind is tuple and not (len(args) == 2 and args[1] is Ellipsis):
+        # A plain tuple is any; one with types listed has one item for each.
+        return not args or (len(value) == len(args) and all(map(fits, value, args)))
+    return not args or all(fits(item, args[0]) for item in value)
+
+
+def _is_protocol(kind: type) -> bool:
+    """Whether it says what methods a value has: data has none."""
+    return bool(getattr(kind, "_is_protocol", False))
+
+
+# The classes whose values a data file may hold: dataclasses and named tuples of this project's
+# own packages.
+
+PACKAGES = ("sysid", "uqharness")
+_NAME = re.compile(rf"({'|'.join(PACKAGES)})((?:\.[a-z][a-z0-9_]*)+):([A-Za-z_][A-Za-z0-9_]*)")
+
+
+@dataclass(frozen=True)
+class OwnClass:
+    """A class, its name ("module:class"), its fields in order and their annotations."""
+
+    kind: type
+    name: str
+    fields: tuple[str, ...]
+    hints: tuple[Any, ...]
+
+    def values(self, value: Any) -> list[Any]:
+        """What the fields hold."""
+        return [getattr(value, name) for name in self.fields]
+
+    def misfit(self, values: Sequence[Any]) -> str:
+        """Which field's value is not of the type that is annotated, in words; "" if none."""
+        if len(values) != len(self.fields):
+            return f"{self.name} has {len(self.fields)} fields, not {len(values)}"
+        for name, value, hint in zip(self.fields, values, self.hints, strict=True):
+            if not fits(value, hint):
+                return f"{name} of {self.name} holds a {type(value).__name__} that its annotation does not allow"
+        return ""
+
+    def made(self, values: Sequence[Any]) -> Any:
+        """An object with these values, of which no code has run."""
+        if issubclass(self.kind, tuple):
+            return tuple.__new__(self.kind, values)
+        given = dict(zip(self.fields, values, strict=True))
+        found: Any = object.__new__(self.kind)
+        for name, value in given.items():
+            object.__setattr__(found, name, value)
+        return found
+
+
+def find_class(name: Any, fields: Any) -> OwnClass:
+    """The class of that name with exactly these fields. Only modules of this project are imported. Raises ValueError."""
+    parts = _NAME.fullmatch(name) if isinstance(name, str) else None
+    if parts is None:
+        raise ValueError(f"no class of this program: {str(name)[:80]!r}")
+    module = parts[1] + parts[2]
+    above = module.rpartition(".")[0]
+    # A folder without __init__.py is data, such as the campaigns and what reproduces them.
+    if any(
+        not _is_package(".".join(above.split(".")[: n + 1])) for n in range(above.count(".") + 1)
+    ):
+        raise ValueError(f"no class of this program: {name}")
+    found = vars(importlib.import_module(module)).get(parts[3])
+    own = own_class(found) if isinstance(found, type) else None
+    if own is None or own.name != name:
+        raise ValueError(f"no class of this program whose values are data: {name}")
+    if fields != list(own.fields):
+        raise ValueError(f"{name} has other fields in this version of the program")
+    return own
+
+
+def _is_package(name: str) -> bool:
+    spec = importlib.util.find_spec(name)
+    return (
+        spec is not None and spec.origin is not None and spec.submodule_search_locations is not None
+    )
+
+
+@cache
+def own_class(kind: type) -> OwnClass | None:
+    """What is to be known of a class to store its values; None for any but a dataclass or named tuple of this project."""
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if not _NAME.fullmatch(name):
+        return None
+    # A dataclass that is a list or an error as well holds more than its fields.
+    plain = dataclasses.is_dataclass(kind) and kind.__new__ is object.__new__
+    if not plain and not _is_named_tuple(kind):
+        return None
+    try:
+        hints = typing.get_type_hints(kind)
+    except NameError:
+        # Annotated with what is imported for type checkers alone.
+        return None
+    named: Any = kind
+    fields = (
+        tuple(field.name for field in dataclasses.fields(named)) if plain else tuple(named._fields)
+    )
+    return OwnClass(kind, name, fields, tuple(hints[field] for field in fields))
+
+
+def _is_named_tuple(kind: type) -> bool:
+    fields = getattr(kind, "_fields", None)
+    return (
+        kind.__bases__ == (tuple,)
+        and isinstance(fields, tuple)
+        and all(name in kind.__annotations__ for name in fields)
+    )
+
+
+# Types of array items as plain lists of text, and back.
+
+_PLAIN = re.compile(r"[<>|][biufcmMSUV][0-9]{0,9}(\[[0-9]{0,9}[a-zA-Zμ]{1,2}\])?")
+_DEEPEST = 8
+
+
+def described(dtype: np.dtype[Any]) -> Any:
+    """A dtype as text or, if it has fields, lists of text. Raises ValueError for what has no such description."""
+    if dtype.kind not in "biufcmMSUV" or dtype.metadata is not None:
+        raise ValueError(f"items of the type {dtype}")
+    found = _listed(np.lib.format.dtype_to_descr(dtype))
+    try:
+        same = dtype_from(found) == dtype
+    except ValueError:
+        same = False
+    if not same:
+        raise ValueError(f"items of the type {dtype}")
+    return found
+
+
+def dtype_from(description: Any) -> np.dtype[Any]:
+    """The dtype that `described` wrote. Raises ValueError or TypeError."""
+    found: np.dtype[Any] = np.lib.format.descr_to_dtype(_checked(description, 0))
+    if found.hasobject or found.subdtype is not None:
+        raise ValueError("an array's items are not plain")
+    return found
+
+
+def _listed(description: Any) -> Any:
+    return (
+        [_listed(item) for item in description]
+        if isinstance(description, list | tuple)
+        else description
+    )
+
+
+def _checked(description: Any, depth: int) -> Any:
+    """The same with tuples where numpy wants them; only texts that name one plain type ever reach numpy."""
+    if isinstance(description, str):
+        if not _PLAIN.fullmatch(description):
+            raise ValueError(f"no type of items: {description[:40]!r}")
+        return description
+    if depth > _DEEPEST:
+        raise ValueError("types of items are nested too deep")
+    fields = []
+    for name, kind, *shape in description:
+        if not isinstance(name, str) or not all(
+            type(n) is int and n > 0 for part in shape for n in part
+        ):
+            raise ValueError("a field of an array's items has no name or no shape")
+        fields.append((name, _checked(kind, depth + 1), *(tuple(part) for part in shape)))
+    return fields
+
+
+# What bounds the values of a data file, whoever wrote it: how deep they are, how many, how long
+# it takes to look at them.
+
+DEEPEST = 100
+"""Levels of values inside values."""
+# Values may be shared; this many, each counted as often as it is met, is more than any result holds.
+_MOST_VALUES = 50_000_000
+# A key's hash is computed by every part of it, recursively.
+_KEY_PARTS = 1000
+# Parts looked at for hashes and for types, each as often as it is.
+_MOST_LOOKS = 20_000_000
+MALFORMED = (
+    ArithmeticError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+"""What content that `dump` did not write may raise while it is read."""
+
+
+class DataFileError(ValueError):
+    """Bytes that are no such file, a damaged one, or a value that such a file cannot hold."""
+
+
+class Sizes:
+    """How deep and how large each value is, counted with all inside it."""
+
+    def __init__(self) -> None:
+        self.height: list[int] = []
+        self.parts: list[int] = []
+        self._looks = 0
+
+    def note(self, children: Iterable[int]) -> None:
+        """One more value, of these earlier ones."""
+        height, parts = 0, 1
+        for child in children:
+            height = max(height, self.height[child])
+            parts += self.parts[child]
+        if height >= DEEPEST:
+            raise DataFileError(
+                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+            )
+        if parts > _MOST_VALUES:
+            raise DataFileError(f"it holds more than {_MOST_VALUES} values")
+        self.height.append(height + 1)
+        self.parts.append(parts)
+
+    def check_keys(self, keys: Iterable[int]) -> None:
+        """Refuse keys whose hashing would take long."""
+        keys = list(keys)
+        if any(self.parts[key] > _KEY_PARTS for key in keys):
+            raise DataFileError(f"a key has more than {_KEY_PARTS} parts")
+        self.look_at(keys)
+
+    def look_at(self, values: Iterable[int]) -> None:
+        """Count what it takes to go through these once more."""
+        self._looks += sum(self.parts[value] for value in values)
+        if self._looks > _MOST_LOOKS:
+            raise DataFileError(f"looking at its values takes more than {_MOST_LOOKS} steps")
+
+
+# The nodes of a data file's header made into values. Nothing is run, and nothing grows beyond
+# what the file holds.
+
+# Keys of one hash are compared one by one.
+_ALIKE_HASHES = 64
+
+
+class Reader:
+    """Values by the numbers of their nodes; ``buffers`` are the bytes behind the header, each of one node."""
+
+    def __init__(self, classes: Any, buffers: list[memoryview]) -> None:
+        self._classes = [find_class(name, fields) for name, fields in classes]
+        self._buffers: list[memoryview | None] = list(buffers)
+        self._sizes = Sizes()
+        self._values: list[Any] = []
+
+    def values(self, nodes: Any) -> Any:
+        """The last of the values, which all others belong to."""
+        for number, (kind, *content) in enumerate(nodes):
+            try:
+                value, children = _READERS[kind](self, *content)
+            except MALFORMED as error:
+                raise DataFileError(f"malformed: value {number}: {in_a_line(error)}") from None
+            self._sizes.note(children)
+            self._values.append(value)
+        return self._values[-1]
+
+    def _at(self, numbers: Any) -> list[Any]:
+        if type(numbers) is not list or not all(
+            type(n) is int and 0 <= n < len(self._values) for n in numbers
+        ):
+            raise ValueError("it refers to values that do not come before it")
+        return [self._values[n] for n in numbers]
+
+    def _keys(self, numbers: Any) -> list[Any]:
+        found = self._at(numbers)
+        self._sizes.check_keys(numbers)
+        hashes = sorted(hash(key) for key in found)
+        if any(a == b for a, b in zip(hashes, hashes[_ALIKE_HASHES:], strict=False)):
+            raise ValueError("its keys would take long to tell apart")
+        return found
+
+    def _none(self) -> tuple[Any, Sequence[int]]:
+        return None, ()
+
+    def _bool(self, value: Any) -> tuple[Any, Sequence[int]]:
+        return _of(bool, value), ()
+
+    def _int(self, value: Any) -> tuple[Any, Sequence[int]]:
+        return (int(value, 16) if type(value) is str else _of(int, value)), ()
+
+    def _float(self, value: Any) -> tuple[Any, Sequence[int]]:
+        return (
+            struct.unpack(">d", bytes.fromhex(value))[0]
+            if type(value) is str
+            else _of(float, value)
+        ), ()
+
+    def _str(self, value: Any) -> tuple[Any, Sequence[int]]:
+        return _untext(value), ()
+
+    def _path(self, value: Any) -> tuple[Any, Sequence[int]]:
+        return Path(_untext(value)), ()
+
+    def _bytes(self, number: Any) -> tuple[Any, Sequence[int]]:
+        return bytes(self._buffer(number)), ()
+
+    def _list(self, numbers: Any) -> tuple[Any, Sequence[int]]:
+        return self._at(numbers), numbers
+
+    def _tuple(self, numbers: Any) -> tuple[Any, Sequence[int]]:
+        return tuple(self._at(numbers)), numbers
+
+    def _slice(self, numbers: Any) -> tuple[Any, Sequence[int]]:
+        start, stop, step = self._at(numbers)
+        return slice(start, stop, step), numbers
+
+    def _set(self, numbers: Any) -> tuple[Any, Sequence[int]]:
+        return _all_of(set(self._keys(numbers)), numbers), numbers
+
+    def _frozenset(self, numbers: Any) -> tuple[Any, Sequence[int]]:
+        return _all_of(frozenset(self._keys(numbers)), numbers), numbers
+
+    def _dict(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
+        found = dict(zip(self._keys(keys), self._at(values), strict=True))
+        return _all_of(found, keys), keys + values
+
+    def _mappingproxy(self, keys: Any, values: Any) -> tuple[Any, Sequence[int]]:
+        found, children = self._dict(keys, values)
+        return MappingProxyType(found), children
+
+    def _scalar(self, dtype: Any, value: Any) -> tuple[Any, Sequence[int]]:
+        kind, content = dtype_from(dtype), bytes.fromhex(value)
+        if len(content) != kind.itemsize:
+            raise ValueError("a scalar's bytes are not those of its type")
+        return np.ndarray((), kind, content or b"\0")[()], ()
+
+    def _object(self, number: Any, numbers: Any) -> tuple[Any, Sequence[int]]:
+        if type(number) is not int or number < 0:
+            raise ValueError("it has no class")
+        own, values = self._classes[number], self._at(numbers)
+        self._sizes.look_at(numbers)
+        wrong = own.misfit(values)
+        if wrong:
+            raise ValueError(wrong)
+        return own.made(values), numbers
+
+    def _array(
+        self, shape: Any, order: Any, writeable: Any, dtype: Any, number: Any
+    ) -> tuple[Any, Sequence[int]]:
+        kind, content = dtype_from(dtype), self._buffer(number)
+        if _count(shape) * kind.itemsize != len(content) or (kind.itemsize == 0 and _count(shape)):
+            raise ValueError("an array's bytes are not those of its shape and type")
+        flat = np.frombuffer(content, np.uint8).view(kind) if len(content) else np.empty(0, kind)
+        # Copied, as it lies in the file at any address: sums of unaligned numbers are slower and may differ in the last digit.
+        return _shaped(flat.copy(), shape, order, writeable), ()
+
+    def _texts(
+        self, shape: Any, order: Any, writeable: Any, lengths: Any, joined: Any
+    ) -> tuple[Any, Sequence[int]]:
+        sizes, content = np.frombuffer(self._buffer(lengths), "<i8"), self._buffer(joined)
+        if (
+            _count(shape) != len(sizes)
+            or (sizes < -1).any()
+            or int(np.maximum(sizes, 0).sum()) != len(content)
+        ):
+            raise ValueError("an array's texts are not as long as it says")
+        flat = np.empty(len(sizes), dtype=object)
+        # Labels repeat: the same text is one object.
+        known: dict[bytes, str] = {}
+        begin = 0
+        for i, size in enumerate(sizes.tolist()):
+            if size >= 0:
+                raw = bytes(content[begin : begin + size])
+                text = known.get(raw)
+                flat[i] = (
+                    known.setdefault(raw, raw.decode("utf-8", "surrogatepass"))
+                    if text is None
+                    else text
+                )
+                begin += size
+        return _shaped(flat, shape, order, writeable), ()
+
+    def _objects(
+        self, shape: Any, order: Any, writeable: Any, numbers: Any
+    ) -> tuple[Any, Sequence[int]]:
+        values = self._at(numbers)
+        if _count(shape) != len(values):
+            raise ValueError("an array has not as many values as its shape says")
+        flat = np.empty(len(values), dtype=object)
+        for i, value in enumerate(values):
+            flat[i] = value
+        return _shaped(flat, shape, order, writeable), numbers
+
+    def _buffer(self, number: Any) -> memoryview:
+        found = self._buffers[number] if type(number) is int and number >= 0 else None
+        if found is None:
+            raise ValueError("it has no buffer, or that of another value")
+        # Copies of one by many values would fill the memory.
+        self._buffers[number] = None
+        return found
+
+
+_READERS: dict[str, Callable[..., tuple[Any, Sequence[int]]]] = {
+    "none": Reader._none,
+    "bool": Reader._bool,
+    "int": Reader._int,
+    "float": Reader._float,
+    "str": Reader._str,
+    "path": Reader._path,
+    "bytes": Reader._bytes,
+    "list": Reader._list,
+    "tuple": Reader._tuple,
+    "slice": Reader._slice,
+    "set": Reader._set,
+    "frozenset": Reader._frozenset,
+    "dict": Reader._dict,
+    "mappingproxy": Reader._mappingproxy,
+    "scalar": Reader._scalar,
+    "object": Reader._object,
+    "array": Reader._array,
+    "texts": Reader._texts,
+    "objects": Reader._objects,
+}
+
+
+def _of(kind: type, value: Any) -> Any:
+    if type(value) is not kind:
+        raise TypeError(f"a {kind.__name__} is written as a {type(value).__name__}")
+    return value
+
+
+def _untext(value: Any) -> str:
+    if type(value) is list:
+        (value,) = value
+        return bytes.fromhex(value).decode("utf-8", "surrogatepass")
+    found: str = _of(str, value)
+    return found
+
+
+def _all_of(found: Any, numbers: Any) -> Any:
+    if len(found) != len(numbers):
+        raise ValueError("two of its keys are equal")
+    return found
+
+
+def _count(shape: Any) -> int:
+    """Items of an array of this shape."""
+    if (
+        type(shape) is not list
+        or len(shape) > 32
+        or not all(type(n) is int and 0 <= n < 2**48 for n in shape)
+    ):
+        raise ValueError("an array has no shape")
+    count = 1
+    for n in shape:
+        count *= n
+    return count
+
+
+def _shaped(flat: Any, shape: Any, order: Any, writeable: Any) -> Any:
+    if order not in ("C", "F"):
+        raise ValueError("an array has no order")
+    found = flat.reshape(shape, order=order)
+    found.flags.writeable = _of(bool, writeable)
+    return found
+
+
+# Results as bytes and back, exactly, without running what the bytes say: for files and pipes
+# that others may have written to.
+#
+# A file is: 8 bytes of magic and version, the SHA-256 of all that follows, the length of the
+# header (8 bytes, little-endian), the header in JSON, then raw buffers, each beginning at a
+# multiple of 64 bytes from the end of the header. The header lists every value as a node that
+# refers to earlier nodes by number, so that reading neither recurses nor copies what is shared.
+# Only plain values, numpy arrays and the dataclasses of this project's own packages can be
+# written or read.
+
+MAGIC = b"UQDATA\x00\x01"
+"""The last byte is the version of the format."""
+HEADER_MOST = 16 * 1024 * 1024
+"""Bytes of JSON that a file may begin with; parsed they take up to 30 times as many."""
+_DIGEST = 32
+_ALIGNMENT = 64
+
+
+def dump(value: Any) -> bytes:
+    """The value as bytes.
+
+    None, bool, int, float (every bit of it), str, bytes, list, tuple, dict, set, frozenset, slice, mapping proxy, Path, numpy
+    scalars and arrays, and dataclasses of ``sysid`` and ``uqharness``. What is met twice is written once. Raises
+    DataFileError for anything else, for a value inside itself, and for one of more than HEADER_MOST bytes beside its arrays.
+    """
+    return b"".join(dump_parts(value))
+
+
+def dump_parts(value: Any) -> list[bytes | memoryview]:
+    """The same bytes in parts, one after the other: arrays are not copied."""
+    writer = _Writer()
+    writer.add(value)
+    return writer.parts()
+
+
+def load(data: bytes, kind: Any = Any) -> Any:
+    """The value that `dump` wrote, equal to it bit for bit, with the same parts shared; an array is read-only if it was.
+
+    A read-only array is a view of ``data``. Dataclasses are restored without their ``__init__`` and ``__post_init__``: the fields
+    are what those had left, and no code runs on values that nobody looked at yet. The type of every field is held against its
+    annotation, and the whole against ``kind``. Raises DataFileError.
+    """
+    begin = len(MAGIC) + _DIGEST
+    if len(data) < begin + 8 or data[: len(MAGIC)] != MAGIC:
+        raise DataFileError("not a data file of this version of the program")
+    content = memoryview(data)[begin:]
+    if bytes.fromhex(sha256_of_parts([content])) != data[len(MAGIC) : begin]:
+        raise DataFileError("damaged: its content is not what its digest says")
+    length = int.from_bytes(content[:8], "little")
+    if length > min(HEADER_MOST, len(content) - 8):
+        raise DataFileError("malformed: its header is longer than allowed")
+    try:
+        header = json.loads(bytes(content[8 : 8 + length]))
+        found = Reader(
+            header["classes"], _buffers(header["buffers"], content[8 + length :])
+        ).values(header["nodes"])
+    except DataFileError:
+        raise
+    except MALFORMED as error:
+        raise DataFileError(f"malformed: {in_a_line(error)}") from None
+    if not fits(found, kind):
+        raise DataFileError(f"it holds a {type(found).__name__} that is not what is asked for")
+    return found
+
+
+def _padding(length: int) -> int:
+    return -length % _ALIGNMENT
+
+
+def _buffers(lengths: Any, content: memoryview) -> list[memoryview]:
+    found, begin = [], 0
+    for length in lengths:
+        if type(length) is not int or length < 0:
+            raise ValueError("a buffer has no length")
+        found.append(content[begin : begin + length])
+        begin += length + _padding(length)
+    if begin != len(content):
+        raise ValueError("the buffers do not fill the file")
+    return found
+
+
+class _Writer:
+    def __init__(self) -> None:
+        self._nodes: list[str] = []
+        self._classes: dict[type, int] = {}
+        self._class_nodes: list[list[Any]] = []
+        self._buffers: list[Any] = []
+        self._sizes = Sizes()
+        # The values are held here too, for the number of one that is gone may be another's.
+        self._known: dict[Any, tuple[int, Any]] = {}
+        self._trail: list[str] = []
+
+    def parts(self) -> list[bytes | memoryview]:
+        lengths = [len(buffer) for buffer in self._buffers]
+        header = (
+            f'{{"classes":{_json(self._class_nodes)},"buffers":{_json(lengths)},"nodes":[{",".join(self._nodes)}]}}'
+        ).encode()
+        if len(header) > HEADER_MOST:
+            raise DataFileError(
+                f"the value takes {len(header)} bytes beside its arrays; a data file allows {HEADER_MOST}"
+            )
+        parts = [len(header).to_bytes(8, "little"), header]
+        for buffer in self._buffers:
+            parts += [buffer, bytes(_padding(len(buffer)))]
+        return [MAGIC, bytes.fromhex(sha256_of_parts(parts)), *parts]
+
+    def add(self, value: Any) -> int:
+        """The value's number, its own node written if there is none yet."""
+        key = _identity(value)
+        if key in self._known:
+            return self._known[key][0]
+        if len(self._trail) > DEEPEST:
+            raise DataFileError(
+                f"values are nested more than {DEEPEST} deep, or one is inside itself"
+            )
+        node, children = self._node(value)
+        self._sizes.note(children)
+        self._nodes.append(_json(node))
+        number = len(self._nodes) - 1
+        self._known[key] = number, value
+        return number
+
+    def _node(self, value: Any) -> tuple[list[Any], list[int]]:
+        kind: Any = type(value)
+        if kind in _SCALARS:
+            return [kind.__name__, _SCALARS[kind](value)], []
+        if value is None:
+            return ["none"], []
+        if kind is bytes:
+            return ["bytes", self._buffer(value)], []
+        if kind in (list, tuple, set, frozenset):
+            items = self._all(enumerate(value))
+            if kind in (set, frozenset):
+                self._sizes.check_keys(items)
+            return [kind.__name__, items], items
+        if kind in (dict, MappingProxyType):
+            keys = self._all(("key", key) for key in value)
+            self._sizes.check_keys(keys)
+            values = self._all(value.items())
+            return ["dict" if kind is dict else "mappingproxy", keys, values], keys + values
+        if kind is slice:
+            items = self._all((name, getattr(value, name)) for name in ("start", "stop", "step"))
+            return ["slice", items], items
+        if isinstance(value, Path):
+            return ["path", _text(str(value))], []
+        if kind is np.ndarray:
+            return self._array(value)
+        if isinstance(value, np.generic):
+            alone = np.asarray(value)
+            return ["scalar", self._dtype(alone.dtype), alone.tobytes().hex()], []
+        own = own_class(kind)
+        if own is None:
+            raise DataFileError(
+                f"a data file cannot hold a {kind.__module__}.{kind.__qualname__}{self._place()}"
+            )
+        return self._object(own, value)
+
+    def _object(self, own: OwnClass, value: Any) -> tuple[list[Any], list[int]]:
+        if own.kind not in self._classes:
+            self._classes[own.kind] = len(self._class_nodes)
+            self._class_nodes.append([own.name, list(own.fields)])
+        values = own.values(value)
+        wrong = own.misfit(values)
+        if wrong:
+            raise DataFileError(f"{wrong}{self._place()}")
+        items = self._all(zip(own.fields, values, strict=True))
+        self._sizes.look_at(items)
+        return ["object", self._classes[own.kind], items], items
+
+    def _array(self, value: np.ndarray) -> tuple[list[Any], list[int]]:
+        order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
+        flat = value.reshape(-1, order=order)  # type: ignore[call-overload]
+        about = [list(value.shape), order, value.flags.writeable]
+        if not value.dtype.hasobject:
+            dtype = self._dtype(value.dtype)
+            if value.dtype.itemsize == 0 and value.size:
+                raise DataFileError(
+                    f"a data file cannot hold an array of items without bytes{self._place()}"
+                )
+            # Not all types offer their memory as it is; bytes do.
+            raw = np.ascontiguousarray(flat).view(np.uint8).data if value.size else b""
+            return ["array", *about, dtype, self._buffer(raw)], []
+        if value.dtype != object:
+            raise DataFileError(f"a data file cannot hold an array of {value.dtype}{self._place()}")
+        if all(item is None or type(item) is str for item in flat):
+            texts = [None if item is None else _encoded(item) for item in flat]
+            lengths = np.array([-1 if text is None else len(text) for text in texts], dtype="<i8")
+            joined = b"".join(text for text in texts if text)
+            return ["texts", *about, self._buffer(lengths.tobytes()), self._buffer(joined)], []
+        items = self._all(enumerate(flat))
+        return ["objects", *about, items], items
+
+    def _dtype(self, dtype: np.dtype[Any]) -> Any:
+        try:
+            return described(dtype)
+        except ValueError as error:
+            raise DataFileError(f"a data file cannot hold {error}{self._place()}") from None
+
+    def _buffer(self, content: Any) -> int:
+        self._buffers.append(content)
+        return len(self._buffers) - 1
+
+    def _all(self, values: Iterable[tuple[Any, Any]]) -> list[int]:
+        found = []
+        for name, value in values:
+            self._trail.append(str(name))
+            found.append(self.add(value))
+            self._trail.pop()
+        return found
+
+    def _place(self) -> str:
+        return f", at {'.'.join(self._trail)}" if self._trail else ""
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
+
+
+def _identity(value: Any) -> Any:
+    """Equal for what may be one node: the same object, or plain values that nothing can tell apart."""
+    # NaN is not equal to itself: two of them may be keys of one dictionary.
+    if type(value) is float and value == value:
+        return float, struct.pack("<d", value)
+    if type(value) in (bool, int, str):
+        return type(value), value
+    return id(value)
+
+
+def _encoded(text: str) -> bytes:
+    # File names may carry bytes that are no UTF-8, as lone surrogates.
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _text(text: str) -> Any:
+    """As it is, or its bytes in hex where JSON would not give it back."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return [_encoded(text).hex()]
+    return text
+
+
+def _number(value: int) -> Any:
+    # Decimal digits take quadratic time.
+    return value if abs(value) < 2**63 else hex(value)
+
+
+def _real(value: float) -> Any:
+    # NaN carries bits of its own.
+    return value if np.isfinite(value) else struct.pack(">d", value).hex()
+
+
+_SCALARS: dict[type, Callable[[Any], Any]] = {bool: bool, int: _number, float: _real, str: _text}

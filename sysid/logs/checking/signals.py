@@ -1,0 +1,395 @@
+"""What was done to a channel's samples: held, interpolated, quantised, stuck, wrapped. Pure numerics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.arrays import FloatArray
+from sysid.errors import Finding
+from sysid.logs.checking.kinematics import (
+    ACCELERATIONS,
+    AIR,
+    ATTITUDE,
+    GROUND,
+    RATES,
+    body_rates_of_attitude,
+    speed_change,
+    to_body,
+)
+from sysid.logs.manoeuvres import moving_mean
+from sysid.record import FlightRecord
+
+_LEAST = 60  # samples
+_LEAST_CHANGES = 20
+_STANDING = 50  # samples in a row after which a value stands still rather than is held
+_COMMON = 0.9  # share of changes on one beat
+_ALIKE = 1.5  # over the smallest corners, the usual one where all are of one size
+_STUCK_S = 2.0
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+_SIXTH = (
+    924.0**0.5
+)  # sixth differences over white noise: 1 + 36 + 225 + 400 + 225 + 36 + 1 in variance
+_COARSE = 1e-4  # of the usual step, beyond which a channel's own step hides a quiet motion
+_ALONE = 0.25  # of the longest stand-still that any other may last
+_LEAST_NOISE = 0.2  # of the usual step from sample to sample; motion alone stays far below it
+_BITS = (8, 16)
+_ON_LATTICE = 1e-3  # of a step, by which a logged number may miss a whole multiple
+_WRAPS = tuple(
+    (span * unit, f"{bits}-bit" + ("" if unit == 1.0 else f", 1/{1 / unit:.0f}"))
+    for bits, span in ((16, 65536.0), (8, 256.0))
+    for unit in (1.0, 0.1, 0.01, 0.001)
+)
+
+
+@dataclass(frozen=True)
+class Held:
+    """run: samples from one change to the next; quantum: size of the smallest step; held: the value was kept, not merely coarse."""
+
+    run: float
+    quantum: float
+    held: bool
+
+
+def held(values: FloatArray) -> Held | None:
+    """How a channel repeats its values; None where it changes with most samples, or hardly moves.
+
+    A coarse channel repeats its value while it moves by less than a step, and then moves by one step. A held channel moves by what
+    has gathered, or all its changes fall on one beat.
+    """
+    good = values[np.isfinite(values)]
+    if len(good) < _LEAST:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps = np.abs(np.diff(good))
+    changes = np.flatnonzero(steps > 0.0)
+    runs = np.diff(changes)
+    moving = runs[runs <= _STANDING]
+    if len(moving) < _LEAST_CHANGES or float(moving.mean()) < 1.8:
+        return None
+    sizes = steps[changes]
+    quantum = float(np.quantile(sizes, 0.01))
+    # A coarse channel comes back to the values that it has; one that is held meets new ones, however its steps differ.
+    levels = len(np.unique(np.round(good / max(0.1 * quantum, np.finfo(np.float64).tiny))))
+    gathered = float(np.mean(sizes > 1.5 * quantum)) > 0.3 and levels > 0.5 * len(changes)
+    beat = int(np.median(moving))
+    on_beat = beat >= 2 and max(np.bincount(changes % beat)) > _COMMON * len(changes)
+    return Held(float(moving.mean()), quantum, gathered or bool(on_beat))
+
+
+def interpolated(values: FloatArray) -> float | None:
+    """Samples from one measured value to the next where the ones between lie on straight lines; None where they do not."""
+    good = values[np.isfinite(values)]
+    if len(good) < _LEAST:
+        return None
+    slope = np.abs(np.diff(good))
+    bend = np.abs(np.diff(good, 2))
+    usual = float(np.median(slope))
+    tolerance = max(8.0 * float(np.finfo(np.float32).eps) * float(np.abs(good).max()), 1e-4 * usual)
+    kinks = bend > tolerance
+    starts = np.flatnonzero(kinks & ~np.concatenate([[False], kinks[:-1]]))
+    if (
+        usual <= 4.0 * tolerance
+        or len(starts) < _LEAST_CHANGES
+        or float(np.median(bend[kinks])) < 20.0 * tolerance
+    ):
+        return None
+    if float(np.median(bend[kinks])) < _ALIKE * float(np.quantile(bend[kinks], 0.05)):
+        return None  # corners of one size are those of a slow motion in coarse steps
+    spacing = np.diff(starts)
+    middle = float(np.median(spacing))
+    regular = float(np.mean(np.abs(spacing - middle) <= 1.0)) > 0.8
+    return (
+        float(spacing.mean())
+        if middle >= 2.0 and regular and float(kinks.mean()) < 2.2 / middle
+        else None
+    )
+
+
+def stuck(values: FloatArray, step_s: float, noisy: bool = True) -> tuple[int, int] | None:
+    """First and last sample of the longest stand-still of a channel that moves with nearly every sample else.
+
+    noisy  its noise has to move it: for channels that may stand still in flight
+    """
+    if len(values) < _LEAST:
+        return None
+    steps = np.abs(np.diff(values))
+    moving = steps[steps > 0.0]
+    if not len(moving):
+        return None
+    # Samples are equal up to the rounding of what a unit or an interpolation made of them.
+    least = _ROUNDING * float(np.nanmax(np.abs(values)))
+    moving = moving[moving > least]
+    quantum = _step_of_lattice(moving)
+    if quantum > _COARSE * _median(moving) and _noise(values) < quantum:
+        return None  # in coarse steps a quiet motion stands still, where no noise moves it
+    same = np.concatenate([[False], steps <= least, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    if not len(edges):
+        return None
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    first, last = int(begins[longest]), int(ends[longest])
+    around = max(20, round(1.0 / step_s))
+    before, after = values[max(0, first - around) : first + 1], values[last : last + around + 1]
+    sides = [side for side in (before, after) if len(side) > 10]
+    lively = bool(sides) and all(np.mean(np.abs(np.diff(side)) > least) > _COMMON for side in sides)
+    if noisy:
+        lively = lively and all(_noisy(side) for side in sides)
+    if len(sides) == 1:
+        # It stood still to an end of the log. A simulation without noise does so too, in its steady flight.
+        lively = lively and _noise(sides[0]) > _LEAST_NOISE * _median(np.abs(np.diff(sides[0])))
+    others = np.delete(ends - begins, longest)
+    alone = not len(others) or int(others.max()) < _ALONE * (last - first)
+    return (first, last) if lively and alone and (last - first) * step_s > _STUCK_S else None
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the channel's noise, from sixth differences, which motion hardly enters."""
+    return _median(np.abs(np.diff(values[np.isfinite(values)], 6))) / (0.6745 * _SIXTH)
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _step_of_lattice(steps: FloatArray) -> float:
+    """The step of which all steps are whole multiples, 0 where there is none."""
+    if not len(steps):
+        return 0.0
+    smallest = float(steps.min())
+    # The smallest step may be some units; the median of what the small ones say is free of their rounding.
+    for units in range(1, 11):
+        unit = smallest / units
+        small = steps[steps < 20.0 * smallest]
+        unit = float(np.median(small / np.round(small / unit)))
+        counts = steps / unit
+        if float(np.quantile(np.abs(counts - np.round(counts)), 0.9)) < 0.05:
+            return unit
+    return 0.0
+
+
+def _noisy(values: FloatArray) -> bool:
+    """Whether noise rather than motion makes the steps from sample to sample: of white noise each undoes half of the one before."""
+    steps = np.diff(values)
+    steps = steps[np.isfinite(steps)]
+    steps = steps - steps.mean() if len(steps) else steps
+    return len(steps) > 10 and float(steps[1:] @ steps[:-1]) < -0.15 * float(steps @ steps)
+
+
+def _lattice(steps: FloatArray) -> list[tuple[float, str]]:
+    """Ranges of a number of 8 or 16 bits in the unit of the smallest step, where all steps are whole multiples of it."""
+    if not len(steps):
+        return []
+    unit = float(steps.min())
+    counts = steps / unit
+    if counts.max() > 2.0**16 or float(np.abs(counts - np.round(counts)).max()) > _ON_LATTICE * max(
+        1.0, counts.max() / 2**8
+    ):
+        return []
+    return [(2.0**bits * unit, f"{bits}-bit, {unit:.3g}") for bits in _BITS]
+
+
+def wraps(raw: FloatArray) -> tuple[int, float, str] | None:
+    """Jumps of a whole integer range, their number, the range and what it is; None without any.
+
+    A number that wraps leaves its range at one end and comes back at the other, and put together again it moves as it usually does.
+    """
+    values = raw[np.isfinite(raw)]
+    if len(values) < 20:
+        return None
+    steps = np.diff(values)
+    moving = np.abs(steps[steps != 0.0])
+    low, high = float(values.min()), float(values.max())
+    for span, what in (*_WRAPS, *_lattice(moving)):
+        jumps = np.flatnonzero(np.abs(np.abs(steps) - span) < 0.25 * span)
+        if not len(jumps) or high - low > 1.02 * span or len(jumps) > 0.2 * len(steps):
+            continue
+        usual = (
+            float(np.quantile(np.delete(np.abs(steps), jumps), 0.99))
+            if len(moving) > len(jumps)
+            else 0.0
+        )
+        near = max(2.0 * usual, 0.01 * span)
+        ends = np.minimum(values[jumps], values[jumps + 1]) - low < near
+        ends &= high - np.maximum(values[jumps], values[jumps + 1]) < near
+        back = np.abs(np.abs(steps[jumps]) - span) <= near
+        if usual < 0.2 * span and float(np.mean(ends & back)) > _COMMON:
+            return len(jumps), span, what
+    return None
+
+
+# Channels that pass for a sensor's and were computed from other channels. Pure numerics on a
+# record.
+#
+# A sensor has noise that no other channel knows. Rates that equal the attitude's derivative
+# have none; an airspeed whose change from sample to sample is what the accelerometers say,
+# without the steps back that a sensor's white noise makes, has none; and angles of flow that
+# share the attitude's noise were computed from attitude and ground velocity.
+
+_SAME = 0.005  # of a rate's size, by which it may miss the attitude's derivative
+_OWN = 0.5  # of the fast part of an angle of flow, what attitude and ground velocity leave of it
+_SMOOTHED_S = 0.5  # over which a filter takes the mean of a receiver's velocities, about
+_STEPS_BACK = -0.25  # correlation of neighbouring steps: -0.5 for white noise, 0 or more without
+_NOISE = -0.55  # the same of third differences, which motion hardly enters: -0.75 for white noise
+_THIRD = 20.0**0.5  # third differences over white noise, 1 + 9 + 9 + 1 in variance
+_EXPLAINED = 10.0
+"""Steps of an airspeed over those that accelerometer noise makes: 1 to 3 of estimates, 37 or more of ArduPlane's sensor."""
+_LEAST_NOISE_MPS2 = 1e-4
+"""Below any accelerometer's noise (a hundredth of a milligravity), and ten times what a simulation's integrators leave."""
+_MOST_SAMPLES, _ON_ROW = 4, 0.01  # of a channel until one falls on a row of the grid, and how near
+_ESTIMATES_LEAST = 100
+_SPOILS = "standard errors; in gusts an estimate misses the gust, and derivatives from it are wrong"
+
+
+def check_estimates(flight: FlightRecord) -> list[Finding]:
+    """Rates, airspeed and angles of flow that no sensor measured. Nothing is said where no channel shows noise (a simulation)."""
+    told = set(flight.metadata.estimates)
+    if len(flight) < _ESTIMATES_LEAST or not any(
+        _estimates_noisy(flight, n) for n in ACCELERATIONS
+    ):
+        return []
+    found = []
+    for name in _computed_rates(flight):
+        found.append(
+            (name, "equals the derivative of the logged attitude: no gyro's noise is in it")
+        )
+    if "V_mps" not in told and _smooth_speed(flight):
+        found.append(
+            (
+                "V_mps",
+                "changes as the accelerometers say from sample to sample: no airspeed sensor's noise is in it",
+            )
+        )
+    for name in _computed_angles(flight):
+        if name not in told:
+            found.append(
+                (
+                    name,
+                    "has the attitude's noise and none of its own: it was computed from attitude and ground velocity",
+                )
+            )
+    return [
+        Finding(
+            "estimate",
+            name,
+            "warning",
+            f"{name} {why}; it is an estimate (estimate = true in a map)",
+            {},
+            _SPOILS,
+        )
+        for name, why in found
+    ]
+
+
+def _estimates_noisy(flight: FlightRecord, name: str) -> bool:
+    return (
+        name in flight
+        and _fast(flight[name][:: _stride(flight, name)]) > _THIRD * _LEAST_NOISE_MPS2
+        and _steps_back(np.diff(flight[name][:: _stride(flight, name)], 2)) < _NOISE
+    )
+
+
+def _stride(flight: FlightRecord, name: str) -> int:
+    """Rows from one logged sample of a channel to the next."""
+    native = flight.metadata.native_hz.get(name, 1.0 / flight.dt_s)
+    return max(1, int(np.ceil(1.0 / (flight.dt_s * native) - 1e-3)))
+
+
+def _beat(flight: FlightRecord, name: str) -> int:
+    """Rows after which a logged sample of a channel falls on a row again."""
+    ratio = 1.0 / (flight.dt_s * flight.metadata.native_hz.get(name, 1.0 / flight.dt_s))
+    for samples in range(1, _MOST_SAMPLES + 1):
+        if abs(samples * ratio - round(samples * ratio)) < _ON_ROW * samples * ratio:
+            return max(1, round(samples * ratio))
+    return _stride(flight, name)
+
+
+def _steps_back(values: FloatArray) -> float:
+    """Correlation of each step with the one before; NaN where there are too few."""
+    steps = np.diff(values)
+    pairs = np.isfinite(steps[1:]) & np.isfinite(steps[:-1])
+    a, b = steps[1:][pairs], steps[:-1][pairs]
+    if a.size < _ESTIMATES_LEAST:
+        return float("nan")
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else float("nan")
+
+
+def _has(flight: FlightRecord, names: Sequence[str]) -> bool:
+    return all(n in flight and np.isfinite(flight[n]).sum() > _ESTIMATES_LEAST for n in names)
+
+
+def _computed_rates(flight: FlightRecord) -> list[str]:
+    if not _has(flight, ATTITUDE):
+        return []
+    phi, theta, psi = (flight[n] for n in ATTITUDE)
+    derivative = body_rates_of_attitude(phi, theta, psi, flight.dt_s)
+    out = []
+    for name, made in zip(RATES, derivative, strict=True):
+        good = (
+            np.isfinite(made) & np.isfinite(flight[name])
+            if name in flight
+            else np.zeros(0, dtype=bool)
+        )
+        if good.sum() > _ESTIMATES_LEAST:
+            size = float(np.std(flight[name][good]))
+            # The middle of the differences: ends of gaps and the heading's turns differ.
+            if (
+                size > 0.0
+                and float(np.median(np.abs(flight[name][good] - made[good]))) < _SAME * size
+            ):
+                out.append(name)
+    return out
+
+
+def _smooth_speed(flight: FlightRecord) -> bool:
+    names = (*AIR, *ATTITUDE[:2], *ACCELERATIONS)
+    if not _has(flight, names):
+        return False
+    change, _ = speed_change({n: flight[n] for n in names}, flight.dt_s)
+    felt = np.concatenate([[0.0], np.cumsum(0.5 * (change[1:] + change[:-1]) * flight.dt_s)])
+    rows = _stride(flight, "V_mps")
+    left = (flight["V_mps"] - felt)[::rows]
+    if not _steps_back(left) > _STEPS_BACK:
+        return False
+    # A sensor whose noise is filtered takes no steps back either, but it has more of it than the accelerometers explain.
+    means = change[: change.size // rows * rows].reshape(-1, rows).mean(axis=1)
+    explained = _fast(means) / _THIRD * rows * flight.dt_s
+    return _typical(np.diff(left)) < _EXPLAINED * explained
+
+
+def _computed_angles(flight: FlightRecord) -> list[str]:
+    if not _has(flight, (*AIR, *ATTITUDE, *GROUND)):
+        return []
+    made: dict[str, list[FloatArray]] = {"alpha_rad": [], "beta_rad": []}
+    # A filter smooths what a receiver gives: its velocity's noise would pass for the angle's own.
+    for window in (1, max(1, round(_SMOOTHED_S / flight.dt_s))):
+        ground = np.stack([moving_mean(flight[n], window) for n in GROUND])
+        u, v, w = to_body({n: flight[n] for n in ATTITUDE}, ground)
+        made["alpha_rad"].append(np.arctan2(w, u))
+        made["beta_rad"].append(np.arcsin(v / np.maximum(np.sqrt(u**2 + v**2 + w**2), 1.0)))
+    out = []
+    for name, ways in made.items():
+        rows = _beat(flight, name)
+        # Between its own samples an interpolated channel has less noise than at them.
+        first = max(range(rows), key=lambda k: np.nan_to_num(_fast(flight[name][k::rows])))
+        own, *left = (
+            _fast(x[first::rows]) for x in (flight[name], *(flight[name] - way for way in ways))
+        )
+        if min(left) < _OWN * own:
+            out.append(name)
+    return out
+
+
+def _fast(values: FloatArray) -> float:
+    """Size of third differences, which motion hardly enters."""
+    return _typical(np.diff(values, 3))
+
+
+def _typical(steps: FloatArray) -> float:
+    steps = steps[np.isfinite(steps)]
+    return float(np.median(np.abs(steps))) if steps.size > _ESTIMATES_LEAST else float("nan")
