@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from uqharness.sensitivity import MethodResult, PairRange
+from uqharness.sensitivity.result import MethodResult, PairRange
 
 
 @dataclass(frozen=True)
