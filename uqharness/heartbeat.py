@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-from sysid.terminal import drawing, visible
+from sysid.display import drawing, visible
 
 FIRST_S = 5.0
 """Until the first line of a command that shows nothing by itself."""

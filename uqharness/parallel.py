@@ -16,7 +16,7 @@ from typing import Any
 
 from sysid.parallel import ALONE, Processes
 from uqharness.child_process import child_settings, main_not_imported
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 
 _MOST = 8
 _KEPT = 4

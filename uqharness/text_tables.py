@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.notebook_view import frame_table, view
+from sysid.display import frame_table, view
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:

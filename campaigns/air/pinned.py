@@ -14,9 +14,8 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
-from uqharness.files import PROJECT_ROOT
+from uqharness.files import PROJECT_ROOT, scratch_folder
 from uqharness.flight.dryden import COMPONENTS, FT_M, KT_MPS, Component, dryden_gusts
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging
 

@@ -18,7 +18,7 @@ from typing import Any
 from lxml import etree
 
 from uqharness.differences import Asked, by_channel, differences, differing_terms, fly_matched
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import Aircraft, copy_beside, copy_folder, engine, find_aircraft
 
 FAULTS: Any = importlib.import_module("campaigns.diff-faults.faults")

@@ -28,7 +28,7 @@ from uqharness.files import write_text
 from uqharness.identification.compare import LIMIT, Comparison, compare
 from uqharness.identification.identify import identify
 from uqharness.identification.replay_fit import Identification
-from uqharness.plugin.estimates import Estimate, write_estimates
+from uqharness.plugin.apply import Estimate, write_estimates
 from uqharness.replay.flights import read_flights
 from uqharness.report.compare import verdict
 from uqharness.simulator.aircraft import Aircraft, find_aircraft

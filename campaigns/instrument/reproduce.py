@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from uqharness.errors import BadInputError
+from uqharness.files import scratch_folder
 from uqharness.plugin.apply import write
 from uqharness.plugin.check import DURATION_S, Verdict, check_in_child
 from uqharness.plugin.instrument import Bounds, plan
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from sysid.model_form.model_form import ModelForm, read_model_form
 from uqharness.cli.benchmarks.loop import without_plugin
+from uqharness.files import scratch_folder
 from uqharness.flight.fly import set_conditions
 from uqharness.flight.spec import FlightSpec
 from uqharness.plugin.apply import write
 from uqharness.plugin.instrument import Bounds, plan
 from uqharness.plugin.model_form_xml import model_form_xml, state_source
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script

@@ -29,12 +29,12 @@ from sysid.estimation import NoiseSize
 from sysid.model_form.fit import with_noise
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
+from uqharness.files import scratch_folder
 from uqharness.flight.recorded import as_asked, recorded_flight
 from uqharness.flight.spec import FlightSpec
 from uqharness.identification.bounds import noise_sizes
 from uqharness.replay.flights import Flight, measured_surfaces, prepare
 from uqharness.replay.residuals import ReplayPair, flight_residuals, prediction_of, recut
-from uqharness.scratch import scratch_folder
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 from uqharness.simulator.mission import read_script
 from uqharness.simulator.own_mission import PLANS, THREE_TWO_ONE_ONE, Manoeuvre, Plan, script

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import Residuals, together
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.model_form.components import WALK_CUTOFF_HZ
 from sysid.model_form.coverage import coverage

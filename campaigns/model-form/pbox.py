@@ -25,8 +25,7 @@ import pandas as pd
 from sysid.model_form.components import variation
 from sysid.model_form.fit import FittedBounds, fit_bounds
 from uqharness.errors import BadInputError
-from uqharness.files import write_text
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder, write_text
 from uqharness.simulator.mission import find_script
 from uqharness.statistics.pbox import Sample, containment, pbox
 from uqharness.study.answer import area

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from uqharness.files import write_text
 from uqharness.report.svg import Chart, Scale, scale, standalone
 

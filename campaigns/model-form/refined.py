@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from uqharness.errors import BadInputError
-from uqharness.files import write_text
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder, write_text
 from uqharness.text_tables import markdown_table
 
 from .flights import MODEL

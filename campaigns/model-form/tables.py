@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from uqharness.text_tables import markdown_table
 
 from .flights import CASES, SPEEDS

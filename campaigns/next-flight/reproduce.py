@@ -26,7 +26,6 @@ from sysid.model_form.information_gain import Width
 from sysid.model_form.model_form import AircraftReference, Filtering, FlightUsed, ModelForm
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
-from uqharness.next_flight.mission_states import Occupancy, recorded_mission
 from uqharness.next_flight.plan import (
     NextFlight,
     Options,
@@ -36,6 +35,7 @@ from uqharness.next_flight.plan import (
     try_library,
     widths_over,
 )
+from uqharness.next_flight.points import Occupancy, recorded_mission
 from uqharness.next_flight.trials import (
     Refused,
     TestFlight,

@@ -28,7 +28,7 @@ from campaigns.rare_events.reproduce import CELL, CORNER, HOME, default_study
 from campaigns.rare_events.states import LoiterScore
 from campaigns.rare_events.study import GRID, TOP, Study
 from uqharness.campaign.execution.worker import BATCH, fly_group
-from uqharness.campaign.rare.paths import LoiterPaths, Watch
+from uqharness.campaign.rare_events import LoiterPaths, Watch
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec

@@ -13,7 +13,7 @@ from typing import Any
 
 from campaigns.rare_events.states import NAMES
 from campaigns.rare_events.study import Counted, Tuned
-from uqharness.campaign.rare.paths import Hit, Predicted
+from uqharness.campaign.rare_events import Hit, Predicted
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import Split

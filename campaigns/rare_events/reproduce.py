@@ -22,7 +22,7 @@ from campaigns.full_size.plan import Plan, identity
 from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder, Line
 from campaigns.rare_events.rates import Limits, Rate, rates, shown
 from campaigns.rare_events.study import Size, Study, chosen_hits
-from uqharness.campaign.rare.paths import Hit
+from uqharness.campaign.rare_events import Hit
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.text_tables import csv_text

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
-from uqharness.campaign.rare.paths import Predicted
+from uqharness.campaign.rare_events import Predicted
 
 _PLAIN = {
     "airspeed": "nav/V-mps",

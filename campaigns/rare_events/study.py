@@ -17,7 +17,7 @@ from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.worker import BATCH, fly_group
 from uqharness.campaign.folder.manifest import digest_of_rows
-from uqharness.campaign.rare.paths import DISTANCE, Hit, LoiterPaths, Predicted, Watch, fit
+from uqharness.campaign.rare_events import DISTANCE, Hit, LoiterPaths, Predicted, Watch, fit
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from sysid.units import FT_M
 from uqharness.child_process import child_environment, give_answer
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 
 ALTITUDE_M = 200.0

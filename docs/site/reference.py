@@ -26,9 +26,8 @@ from uqharness.campaign.folder import tables
 from uqharness.campaign.folder import tables as campaign_results
 from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
-from uqharness.simulator.aircraft import PROJECT_ROOT
+from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
 from uqharness.simulator.card import Card
-from uqharness.simulator.signals import STANDARD
 
 NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
 
@@ -162,24 +161,24 @@ DOCUMENTS = (
         ),
         words.MANIFEST,
     ),
-    ("fit.json", ("uqharness.report.identify:fit_document",), words.FIT),
+    ("fit.json", ("uqharness.report.pages.identify:fit_document",), words.FIT),
     ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
     (
         "bounds.json",
-        ("uqharness.report.model_form:bounds_document", "+command", "+version"),
+        ("uqharness.report.pages.model_form:bounds_document", "+command", "+version"),
         words.BOUNDS_REPORT,
     ),
     (
         "coverage.json",
-        ("uqharness.report.model_form:validation_document", "+command", "+version"),
+        ("uqharness.report.pages.model_form:validation_document", "+command", "+version"),
         words.COVERAGE,
     ),
     (
         "refinement.json",
-        ("uqharness.refinement.showing.document:document_of", "uqharness.refinement.run:_document"),
+        ("uqharness.refinement.document:document_of", "uqharness.refinement.run:_document"),
         words.REFINEMENT,
     ),
-    ("next-flight.json", ("uqharness.report.next_flight:document",), words.NEXT_FLIGHT),
+    ("next-flight.json", ("uqharness.report.pages.next_flight:document",), words.NEXT_FLIGHT),
     ("study.json", ("uqharness.study.run:begin",), words.STUDY),
 )
 

@@ -47,7 +47,7 @@ from sysid.aerodynamics.residuals import (
 )
 from sysid.aerodynamics.sensor_noise import RATES
 from sysid.arrays import FloatArray
-from sysid.linalg.blocks import first_order
+from sysid.linalg import first_order
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 

@@ -15,8 +15,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics.coefficients import CUTOFF_HZ, MassProperties, demanded, half_width, smooth
-from sysid.aerodynamics.terms import COEFFICIENTS, STATES
+from sysid.aerodynamics.coefficients import (
+    COEFFICIENTS,
+    CUTOFF_HZ,
+    STATES,
+    MassProperties,
+    demanded,
+    half_width,
+    smooth,
+)
 from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.vocabulary import SURFACES

@@ -25,8 +25,8 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
 from sysid.arrays import FloatArray
+from sysid.effects.catalogue import CERTAIN_T, DIFFERENT
 from sysid.effects.prediction import start_fitted
-from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import Process, Seen, carried, gains, slopes
 from sysid.parallel import ALONE, Processes, Shared
 

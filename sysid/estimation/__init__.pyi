@@ -27,8 +27,8 @@ from .kalman_loops import Gains as Gains
 from .kalman_loops import Seen as Seen
 from .noise import NoiseSize as NoiseSize
 from .noise import noise_size as noise_size
+from .output_error import forward_differences as forward_differences
 from .results import OutputErrorFit as OutputErrorFit
 from .results import assess as assess
 from .results import at_bound as at_bound
 from .results import idle_bound as idle_bound
-from .sensitivities import forward_differences as forward_differences

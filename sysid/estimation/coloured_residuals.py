@@ -23,7 +23,7 @@ from scipy import fft
 
 from sysid.arrays import FloatArray
 from sysid.distributions import chi2_tail
-from sysid.linalg.blocks import Blocks
+from sysid.linalg import Blocks
 
 CROSS_LAGS = (
     40  # longest lag, in samples, at which one output's innovation is looked for in another's

@@ -31,8 +31,15 @@ from sysid.arrays import (
     is_many,
 )
 from sysid.estimation.coloured_residuals import colour, colour_warnings, coloured_information
-from sysid.estimation.ekf import Innovations, Model, ModelFunction, Record, make_model, run_filter
 from sysid.estimation.gauss_newton import Linearisation, Minimum, Told, minimise
+from sysid.estimation.kalman import (
+    Innovations,
+    Model,
+    ModelFunction,
+    Record,
+    make_model,
+    run_filter,
+)
 from sysid.estimation.results import (
     FilterErrorFit,
     assess,

@@ -12,9 +12,10 @@ innovations and their sensitivities. The gains do not depend on what was measure
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,3 +150,257 @@ def _through(
     path: FloatArray,
 ) -> None:
     _loops().carry(seen, by.gain, 1.0 / np.sqrt(by.spread), X, acting, out, path)
+
+
+# Extended Kalman filter over many lanes at once: perturbed parameters and segments run side by
+# side.
+#
+# Prediction by Runge-Kutta 4 at the data rate; its transition matrix is exp(A dt) to fourth
+# order (which for a linear f is Runge-Kutta's own), A = df/dx and the measurement's dg/dx by
+# differences. Jategaonkar (2015), ch. 5, time-varying filter.
+
+ModelFunction = Callable[[FloatArray, FloatArray, FloatArray], Any]
+
+
+@dataclass(frozen=True)
+class Model:
+    """dx/dt = f(x, u, theta), y = g(x, u, theta) in lanes: x (nx, L), u (nu, L), theta (k, L).
+
+    broadcasts: f and g take the lane axis as it is; else they are called lane by lane with vectors.
+    """
+
+    f: ModelFunction
+    g: ModelFunction
+    states: int
+    outputs: int
+    broadcasts: bool
+
+    def rate(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
+        """f in lanes, (nx, L)."""
+        return self._call(self.f, x, u, theta, self.states)
+
+    def output(self, x: FloatArray, u: FloatArray, theta: FloatArray) -> FloatArray:
+        """g in lanes, (m, L)."""
+        return self._call(self.g, x, u, theta, self.outputs)
+
+    def _call(
+        self, function: ModelFunction, x: FloatArray, u: FloatArray, theta: FloatArray, rows: int
+    ) -> FloatArray:
+        if self.broadcasts:
+            return np.asarray(function(x, u, theta), dtype=float)
+        out = np.empty((rows, x.shape[1]))
+        for lane in range(x.shape[1]):
+            out[:, lane] = np.asarray(
+                function(x[:, lane], u[:, lane], theta[:, lane]), dtype=float
+            ).ravel()
+        return out
+
+    def step(
+        self,
+        x: FloatArray,
+        k1: FloatArray,
+        middle: FloatArray,
+        u1: FloatArray,
+        theta: FloatArray,
+        dt: FloatArray,
+    ) -> FloatArray:
+        """Runge-Kutta 4 from x, whose rate is k1, through inputs `middle`, half a step later, to u1."""
+        k2 = self.rate(x + 0.5 * dt * k1, middle, theta)
+        k3 = self.rate(x + 0.5 * dt * k2, middle, theta)
+        k4 = self.rate(x + dt * k3, u1, theta)
+        return np.asarray(x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+def make_model(
+    f: ModelFunction,
+    g: ModelFunction,
+    x: FloatArray,
+    u: FloatArray,
+    theta: FloatArray,
+    outputs: int,
+) -> Model:
+    """The Model of f and g around x (nx,), u (nu,), theta (k,); finds out whether they broadcast over a lane axis.
+
+    Raises ValueError when f or g fail on single vectors, or return the wrong length or values that are not finite.
+    """
+    for name, function, rows in (("f", f, x.size), ("g", g, outputs)):
+        try:
+            value = np.asarray(function(x.copy(), u.copy(), theta.copy()), dtype=float)
+        except Exception as error:
+            raise ValueError(
+                f"{name}(x, u, theta) raised {type(error).__name__}: {error}, for x of {x.size}, u of {u.size}, "
+                f"theta of {theta.size} elements at the first sample; it must accept these"
+            ) from error
+        if value.size != rows:
+            raise ValueError(
+                f"{name}(x, u, theta) returned {value.size} value(s); it must return {rows}"
+            )
+        if not np.isfinite(value).all():
+            raise ValueError(
+                f"{name}(x, u, theta) is not finite at x0, theta0: {value.ravel().tolist()}; choose another start"
+            )
+    lanes = next(
+        size for size in (7, 11, 13, 17, 19) if size not in (x.size, u.size, theta.size, outputs)
+    )
+    shift = 1.0 + 1e-3 * np.arange(lanes)
+    xs, us, thetas = (
+        x[:, None] * shift + 1e-4 * np.arange(lanes),
+        u[:, None] * shift,
+        theta[:, None] * shift,
+    )
+    looped = Model(f, g, x.size, outputs, False)
+    together = Model(f, g, x.size, outputs, True)
+    try:
+        with np.errstate(all="ignore"):
+            same = all(
+                np.shape(whole := getattr(together, kind)(xs, us, thetas)) == (rows, lanes)
+                and np.allclose(
+                    whole,
+                    getattr(looped, kind)(xs, us, thetas),
+                    rtol=1e-10,
+                    atol=1e-13,
+                    equal_nan=True,
+                )
+                for kind, rows in (("rate", x.size), ("output", outputs))
+            )
+    except (
+        Exception
+    ):  # whatever a function written for vectors does with a lane axis, it means: not vectorised
+        same = False
+    return together if same else looped
+
+
+@dataclass(frozen=True)
+class Record:
+    """Segments padded to one length n: u (n, nu, s), z (n, m, s) with NaN where missing or padded, dt (n-1, s).
+
+    middle (n-1, nu, s): inputs half-way from each sample to the next; None: held ones u[k], others the mean of both ends.
+    """
+
+    u: FloatArray
+    z: FloatArray
+    dt: FloatArray
+    lengths: tuple[int, ...]
+    held: bool
+    middle: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Per sample, output and lane (n, m, W), lanes = points x segments: raw, the innovation z - g(predicted x), NaN if
+    missing; e, what is new in an output given those before it in the same sample (0 where missing); s, its variance
+    (1 there). With S the covariance of the raw innovations, S = L L', e/sqrt(s) = L^-1 raw and ln det S = sum ln s."""
+
+    raw: FloatArray
+    e: FloatArray
+    s: FloatArray
+
+
+def run_filter(
+    model: Model,
+    record: Record,
+    theta: FloatArray,
+    q: FloatArray,
+    r: FloatArray,
+    x0: FloatArray,
+    p0: FloatArray,
+    difference: FloatArray,
+    every: int,
+) -> Innovations | None:
+    """Filter every point through every segment; None if a value stops being finite.
+
+    theta (k, P) parameters, q (nx, P) process-noise variances per second, r (m, P) measurement standard deviations,
+    x0 (nx, P, s), p0 (nx, nx) initial covariance, difference (nx,) state steps of the Jacobians, renewed each `every`.
+    The update takes the outputs one by one, which for uncorrelated noise is the joint update without an inverse
+    (Kaminski, Bryson and Schmidt, IEEE Trans. Automatic Control 16, 1971).
+    """
+    n, m, segments = record.z.shape
+    points, nx = theta.shape[1], model.states
+    lanes = points * segments
+    lane_theta = np.repeat(theta, segments, axis=1)
+    wide_theta = np.tile(lane_theta, nx + 1)
+    x = x0.reshape(nx, lanes).copy()
+    P = np.repeat(p0[:, :, None], lanes, axis=2)
+    Q, R = np.repeat(q, segments, axis=1), np.repeat(r**2, segments, axis=1)
+    diagonal = np.arange(nx)
+    offsets = np.concatenate([np.zeros((nx, 1)), np.diag(difference)], axis=1)  # (nx, nx+1)
+    raw, e_all, s_all = (np.empty((n, m, lanes)) for _ in range(3))
+    complete = np.asarray(np.isfinite(record.z).all(axis=2))
+    phi, H = np.zeros((nx, nx, lanes)), np.zeros((m, nx, lanes))
+    work = np.empty_like(P)  # fresh memory for every product would cost more than the product
+
+    def jacobian(
+        function: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], u: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(value (rows, lanes), Jacobian (rows, nx, lanes)) of a function at x in every lane."""
+        spread = (x[:, None, :] + offsets[:, :, None]).reshape(nx, -1)
+        blocks = function(spread, np.tile(u, nx + 1), wide_theta).reshape(-1, nx + 1, lanes)
+        return blocks[:, 0], (blocks[:, 1:] - blocks[:, :1]) / difference[None, :, None]
+
+    with np.errstate(all="ignore"):
+        for k in range(n):
+            fresh = k % every == 0
+            u = np.tile(record.u[k], points)
+            if fresh:
+                y, H = jacobian(model.output, u)
+            else:
+                y = model.output(x, u, lane_theta)
+            raw[k] = np.tile(record.z[k], points) - y
+            moved = np.zeros_like(x)
+            for j in range(m):
+                h = H[j]
+                e = raw[k, j] - np.einsum("aw,aw->w", h, moved)
+                PH = np.einsum("abw,bw->aw", P, h)
+                s = np.einsum("aw,aw->w", h, PH) + R[j]
+                gain = PH / s
+                if not complete[k, j]:
+                    # A missing output: no innovation, no gain, unit variance: it adds nothing to the likelihood.
+                    missing = np.isnan(raw[k, j])
+                    e, s, gain = (
+                        np.where(missing, 0.0, e),
+                        np.where(missing, 1.0, s),
+                        np.where(missing, 0.0, gain),
+                    )
+                e_all[k, j], s_all[k, j] = e, s
+                moved += gain * e
+                P -= np.multiply(gain[:, None], PH[None], out=work)
+            x = x + moved
+            if k == n - 1:
+                break
+            u1 = u if record.held else np.tile(record.u[k + 1], points)
+            between = 0.5 * (u + u1) if record.middle is None else np.tile(record.middle[k], points)
+            dt = np.tile(record.dt[k], points)
+            if fresh:
+                rate, A = jacobian(model.rate, u)
+                phi = _transition(A * dt)
+            else:
+                rate = model.rate(x, u, lane_theta)
+            x = model.step(x, rate, between, u1, lane_theta, dt)
+            # The noise of a step, int Phi(s) Q Phi(s)' ds by Simpson with Phi(dt/2) = (1 + Phi)/2.
+            third = Q * (dt / 3.0)
+            P[diagonal, diagonal] += third
+            np.einsum("abw,bcw->acw", phi, P, out=work)
+            np.einsum("abw,cbw->acw", work, phi, out=P)
+            np.multiply(phi, 0.5 * third, out=work)
+            P += work
+            P += work.transpose(1, 0, 2)
+            P[diagonal, diagonal] += third
+            if k % 100 == 0 and not (np.abs(x) < 1e100).all():
+                return None
+    if not (
+        np.isfinite(e_all).all()
+        and (np.abs(e_all) < 1e100).all()
+        and np.isfinite(s_all).all()
+        and (s_all > 0).all()
+    ):
+        return None
+    return Innovations(raw, e_all, s_all)
+
+
+def _transition(X: FloatArray) -> FloatArray:
+    """exp(X) of X (nx, nx, L) to fourth order."""
+    identity = np.eye(X.shape[0])[:, :, None]
+    out = identity + X / 4.0
+    for order in (3.0, 2.0, 1.0):
+        out = identity + np.einsum("abw,bcw->acw", X, out) / order
+    return np.asarray(out)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import NX, Steps
 from sysid.arrays import FloatArray
-from sysid.linalg.compiled import compiled
+from sysid.linalg import compiled
 
 
 @compiled

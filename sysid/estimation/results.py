@@ -16,7 +16,7 @@ from sysid.estimation.coloured_residuals import (
     coloured_information,
 )
 from sysid.estimation.noise import Noise, residual_noise
-from sysid.linalg.blocks import Blocks, Index, information, leverage
+from sysid.linalg import Blocks, Index, information, leverage
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from sysid.aerodynamics import (
     stack,
     term_name,
 )
-from sysid.aerodynamics.terms import STATES
+from sysid.aerodynamics.coefficients import STATES
 from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.estimation import effective_samples

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS, Term, parse_term, regressors, stack, term_name
-from sysid.aerodynamics.terms import STATES
+from sysid.aerodynamics.coefficients import STATES
 from sysid.arrays import FloatArray
+from sysid.display import rows_table, view
 from sysid.distributions import student_quantile
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
-from sysid.notebook_view import rows_table, view
 
 BoolArray = NDArray[np.bool_]
 FORMAT = "model-form 2"

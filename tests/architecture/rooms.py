@@ -36,7 +36,7 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     ),
 }
 
-BASE = {"sysid": ("foreign", "linalg"), "uqharness": ()}
+BASE = {"sysid": ("foreign",), "uqharness": ()}
 """Folders of the lowest layer."""
 FACES = ("sysid", "uqharness")
 """The packages' own ``__init__``: the public face, which stands above all layers and is loaded name by name."""

@@ -15,7 +15,7 @@ from tests.helpers.places import ROOT
 DOORS: Mapping[str, tuple[str, ...]] = {
     "jsbsim": ("uqharness/simulator/engine.py",),
     "llvmlite": ("uqharness/batch/machine/",),
-    "numba": ("sysid/linalg/compiled.py",),
+    "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
     "distributed": ("uqharness/campaign/execution/",),
@@ -24,7 +24,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/parallel.py",
         "uqharness/isolation.py",  # the one process that an aircraft may end
         "uqharness/campaign/execution/",
-        "uqharness/scratch.py",  # a folder that ends with the process, whatever started it
+        "uqharness/files.py",  # a folder that ends with the process, whatever started it
     ),
     "subprocess": (
         "uqharness/child_process.py",
@@ -39,7 +39,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "sysid/digests.py",
         "sysid/foreign/typed_files.py",  # raw bytes inside a file format
         "uqharness/simulator/staging.py",  # an identity of many files in order
-        "uqharness/flight/seeds.py",  # a number from a name
+        "uqharness/flight/random_numbers.py",  # a number from a name
         "uqharness/campaign/folder/manifest.py",  # a chain of rows
     ),
 }
@@ -62,7 +62,7 @@ XML_TEXT = (
     # Messages say what is not understood.
     "uqharness/batch/translate/",
     # HTML, whose tables have the name of JSBSim's.
-    "sysid/notebook_view.py",
+    "sysid/display.py",
     # A message shows what to write.
     "uqharness/campaign/engines.py",
     "uqharness/flight/fly.py",

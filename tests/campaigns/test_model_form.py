@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics import noise_variance, with_sensor_noise
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.model_form.fit import fit_bounds
 from tests.helpers.campaign_scripts import campaign_script
 from uqharness.errors import BadInputError

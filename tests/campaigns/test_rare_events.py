@@ -19,7 +19,7 @@ from campaigns.rare_events.rates import rates
 from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
 from campaigns.rare_events.study import TOP, Counted, Size, Study, Tuned, chosen_hits
 from sysid.units import FT_M
-from uqharness.campaign.rare.paths import Hit, Predicted
+from uqharness.campaign.rare_events import Hit, Predicted
 from uqharness.errors import BadInputError
 from uqharness.flight import Split
 from uqharness.statistics import Levels, interval

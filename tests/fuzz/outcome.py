@@ -66,7 +66,7 @@ def call(
 
 def _printed(text: str) -> str:
     """The text as the command line would print it."""
-    from sysid.terminal import visible
+    from sysid.display import visible
 
     return visible(text)
 
@@ -110,7 +110,7 @@ def stop_colour() -> None:
 @lru_cache(maxsize=1)
 def known_verbs() -> frozenset[str]:
     """Verbs of ``campaign``."""
-    from uqharness.cli.commands import commands_of
+    from uqharness.cli.options import commands_of
 
     campaign = commands_of(_parser())["campaign"]
     campaign.complete()

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_flights as flights
+from uqharness.batch.translate.engines import read_propulsion
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.propulsion.engines import read_propulsion
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 

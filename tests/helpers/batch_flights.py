@@ -18,11 +18,11 @@ from uqharness.batch.lanes.mission import constant_properties, initial_values
 from uqharness.batch.lanes.streams import Turbulence
 from uqharness.batch.models.motion import CONDITIONS, start_state
 from uqharness.batch.models.winds import NORMALS
+from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.frame import Values
-from uqharness.batch.translate.sources import Sources, read_sources
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.staging import Staging

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.staging import Staging
 

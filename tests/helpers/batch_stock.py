@@ -19,7 +19,7 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import Feed, Stream, begun
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import CHANNEL_STEP, Frame, canonical
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import Aircraft, Staging, engine, staged
 from uqharness.simulator.staging import copied
 from uqharness.xml.document import parse_document

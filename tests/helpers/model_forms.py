@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from sysid.aerodynamics.terms import full_polynomial, regressors
+from sysid.aerodynamics.coefficients import full_polynomial, regressors
 from sysid.model_form.model_form import (
     AircraftReference,
     CoefficientBounds,

@@ -15,9 +15,14 @@ from typing import Any
 import numpy as np
 
 from sysid.aerodynamics.air_motion import GustStates
-from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.coefficients import (
+    COEFFICIENTS,
+    MassProperties,
+    regressor,
+    split_name,
+    variables,
+)
 from sysid.aerodynamics.flight_equations import flow_rates, sines
-from sysid.aerodynamics.terms import COEFFICIENTS, regressor, split_name, variables
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from uqharness.batch.lanes.streams import JsbsimNormals
 from uqharness.flight.dryden import DrydenGusts, dryden_parameters
-from uqharness.flight.normals import Normals
-from uqharness.flight.scoring import Recorded, score_from_start
+from uqharness.flight.fly import Recorded, score_from_start
+from uqharness.flight.random_numbers import Normals
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver
 from uqharness.flight.stepping import Levels
 

@@ -16,9 +16,8 @@ from uqharness.child_process import child_environment
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import content_hash, find_aircraft, open_aircraft
-from uqharness.simulator.gate import DEEPEST, passed
 from uqharness.simulator.mission import StagedMission
-from uqharness.simulator.staging import copy_beside, copy_folder, staged
+from uqharness.simulator.staging import DEEPEST, copy_beside, copy_folder, passed, staged
 
 SCRIPT = """<?xml version="1.0"?>
 <runscript name="s">
@@ -284,7 +283,7 @@ def test_python_files_of_the_working_folder_are_not_imported_by_children(
     command = [
         sys.executable,
         "-m",
-        "uqharness.simulator.preflight",
+        "uqharness.simulator.physical_checks",
         "/nowhere",
         "x.xml",
         "/nowhere",
@@ -302,7 +301,7 @@ def test_without_that_environment_they_are(tmp_path: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "uqharness.simulator.preflight",
+        "uqharness.simulator.physical_checks",
         "/nowhere",
         "x.xml",
         "/nowhere",

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pandas as pd
 import pytest
 
-from sysid.notebook_view import MOST_ROWS, frame_table, rows_table, view, written
+from sysid.display import MOST_ROWS, frame_table, rows_table, view, written
 
 
 @pytest.mark.parametrize(

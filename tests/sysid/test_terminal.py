@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from sysid.terminal import clean_streams, clean_terminal, drawing, visible
+from sysid.display import clean_streams, clean_terminal, drawing, visible
 
 HOSTILE = "\x1b]0;owned\x07 \x9b2J \u202egpj.exe \r\x7f \udc80 \x00\x08"
 

@@ -12,21 +12,21 @@ from pathlib import Path
 
 import pytest
 
-from uqharness import scratch
+from uqharness import files
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder, without_scratch
+from uqharness.files import scratch_folder, without_scratch
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills and forks as POSIX has them")
 
 _HOLD = """
 import sys, time
-from uqharness.scratch import scratch_folder, without_scratch
+from uqharness.files import scratch_folder, without_scratch
 held = scratch_folder("held")
 (held.path / "big").write_text("x")
 print(held.path, flush=True)
 time.sleep(600)
 """
-_USE = "from uqharness.scratch import scratch_folder\nwith scratch_folder() as s: print(s.path)"
+_USE = "from uqharness.files import scratch_folder\nwith scratch_folder() as s: print(s.path)"
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    monkeypatch.setattr(scratch, "_homes", {})
+    monkeypatch.setattr(files, "_homes", {})
     return folder
 
 
@@ -85,7 +85,7 @@ def test_a_living_process_keeps_its_folder(place: Path) -> None:
     process, path = _holder()
     try:
         _use()
-        scratch.sweep()
+        files.sweep()
         assert (path / "big").is_file()
     finally:
         _end(process)
@@ -112,7 +112,7 @@ def test_only_folders_of_our_own_kind_are_swept(place: Path, tmp_path: Path) -> 
     elsewhere = place / "uqharness-4-abcdefgh"
     elsewhere.mkdir()
     (elsewhere / "owner.lock").write_text("process 4 on another-machine.example\n")
-    scratch.sweep()
+    files.sweep()
     assert not path.parent.exists()
     assert (precious / "kept").exists()
     assert (unlocked / "notes").exists()
@@ -132,7 +132,7 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
     ]
     try:
         with ThreadPoolExecutor(4) as threads:
-            sweeps = [threads.submit(scratch.sweep) for _ in range(200)]
+            sweeps = [threads.submit(files.sweep) for _ in range(200)]
             paths = [Path(p.stdout.readline().strip()) for p in living if p.stdout is not None]
             for done in sweeps:
                 done.result()
@@ -146,18 +146,18 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
 def test_a_folder_swept_while_it_was_being_made_is_made_again(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, taken = scratch.lock_at_once, []
+    real, taken = files.lock_at_once, []
 
     def too_late(handle: int) -> bool:
         # Another process has taken the folder for an orphan's, and removed it, before this one held the lock.
         if not taken:
             (folder,) = place.iterdir()
             taken.append(folder)
-            (folder / scratch.LOCK).unlink()
+            (folder / files.LOCK).unlink()
             folder.rmdir()
         return real(handle)
 
-    monkeypatch.setattr(scratch, "lock_at_once", too_late)
+    monkeypatch.setattr(files, "lock_at_once", too_late)
     with scratch_folder() as held:
         assert held.path.is_dir()
         assert taken
@@ -179,7 +179,7 @@ def test_a_forked_child_has_folders_of_its_own_and_leaves_its_parents_alone(plac
         os.close(write)
         assert held.path.is_dir()
         assert theirs.parent != held.path.parent
-        scratch.sweep()
+        files.sweep()
         assert not theirs.exists()
         assert held.path.is_dir()
 
@@ -188,7 +188,7 @@ def test_an_emptied_folder_of_temporary_files_is_no_end(place: Path) -> None:
     with scratch_folder() as first:
         home = first.path.parent
         first.close()
-        (home / scratch.LOCK).unlink()
+        (home / files.LOCK).unlink()
         home.rmdir()
         with scratch_folder() as second:
             assert second.path.is_dir()
@@ -198,7 +198,7 @@ def test_no_place_for_temporary_files_is_one_sentence(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
-    monkeypatch.setattr(scratch, "_homes", {})
+    monkeypatch.setattr(files, "_homes", {})
     with pytest.raises(BadInputError, match="set TMPDIR"):
         scratch_folder()
 

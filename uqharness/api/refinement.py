@@ -20,15 +20,14 @@ from uqharness.api.flights import (
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
-from uqharness.files import check_folder
+from uqharness.files import check_folder, scratch_folder
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.refinement import Refinement, Request
 from uqharness.refinement import run as running
 from uqharness.replay import renamed
 from uqharness.report import write_report
-from uqharness.report.refinement import write_results
-from uqharness.scratch import scratch_folder
+from uqharness.report.write import write_results
 from uqharness.simulator import Aircraft
 
 

@@ -16,6 +16,6 @@ from .lanes.replay import make_states as make_states
 from .machine.llvm import VECTORS as VECTORS
 from .machine.llvm import target_names as target_names
 from .models.motion import CONDITIONS as CONDITIONS
-from .translate.sources import Files as Files
-from .translate.sources import Sources as Sources
-from .translate.sources import read_sources as read_sources
+from .translate.channels import Files as Files
+from .translate.channels import Sources as Sources
+from .translate.channels import read_sources as read_sources

@@ -1,4 +1,3 @@
-from .answers import lines as lines
 from .cases import Case as Case
 from .cases import Mission as Mission
 from .cases import build_cases as build_cases
@@ -30,6 +29,7 @@ from .engines import needs_copy as needs_copy
 from .engines import noise_notes as noise_notes
 from .engines import put_bounds as put_bounds
 from .engines import system_file as system_file
+from .folder.shards import lines as lines
 from .rounds import band_confidence as band_confidence
 from .run import CampaignSummary as CampaignSummary
 from .run import Progress as Progress

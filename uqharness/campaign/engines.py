@@ -53,10 +53,9 @@ from uqharness.campaign.folder.tables import (
 )
 from uqharness.campaign.spec.campaign import CampaignSpec, read_bounds
 from uqharness.errors import BadInputError, EnginesDifferError
-from uqharness.files import inner_folder
+from uqharness.files import inner_folder, scratch_folder
 from uqharness.flight import FlightSpec
 from uqharness.plugin.model_form_xml import model_form_xml
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     SCRIPT,
     Aircraft,

@@ -30,9 +30,9 @@ from uqharness.campaign.statements import number
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
-from uqharness.sensitivity.corner_pairs import corner_pairs
+from uqharness.sensitivity.measures import corner_pairs
 from uqharness.sensitivity.problem import corners as box_corners
-from uqharness.sensitivity.words import Ranking, rank, unit_of, words
+from uqharness.sensitivity.result import Ranking, rank, unit_of, words
 from uqharness.text_tables import csv_rows
 
 MOST_LOST = 0.1

@@ -11,8 +11,7 @@ from typing import Any
 
 import shtab
 
-from uqharness.cli.commands import commands_of
-from uqharness.cli.options import describe
+from uqharness.cli.options import commands_of, describe
 from uqharness.files import PROJECT_ROOT
 
 SHELLS = ("bash", "zsh")

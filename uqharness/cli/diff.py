@@ -24,11 +24,10 @@ from uqharness.differences import (
     fly_matched,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_page
+from uqharness.files import check_page, scratch_folder
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.report import write_html
 from uqharness.report.pages import difference_page
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import find_script
 from uqharness.text_tables import text_table
 

@@ -23,7 +23,7 @@ from uqharness.cli.options import (
     tell_gains,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_out, check_page
+from uqharness.files import check_out, check_page, scratch_folder
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FORMATS,
@@ -36,7 +36,6 @@ from uqharness.flight import (
 )
 from uqharness.report import write_html
 from uqharness.report.pages import FlightAsked, flight_page
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     MISSIONS,
     SECOND_ORDER,

@@ -28,7 +28,7 @@ from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.identify import identify
 from uqharness.replay import counter, read_flights
 from uqharness.report import write_report
-from uqharness.report.identify import write_results
+from uqharness.report.pages.identify import write_results
 
 _EXAMPLE = """
   uqharness identify espaaro --flight doublets.parquet --out identified

@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sysid.display import drawing, visible
 from sysid.errors import Finding, LogError
 from sysid.logs import default_cache
-from sysid.terminal import drawing, visible
-from uqharness.cli.commands import Table, add_commands
 from uqharness.cli.options import (
     FLIGHT_FILE,
+    Table,
+    add_commands,
     add_flight_number,
     add_manoeuvres,
     add_map,

@@ -14,13 +14,13 @@ import shlex
 import sys
 from collections.abc import Sequence
 
+from sysid.display import clean_terminal, drawing
 from sysid.errors import LogError
-from sysid.terminal import clean_terminal, drawing
 from uqharness import __version__
-from uqharness.cli.commands import Table, add_commands, commands_of
+from uqharness.cli.options import Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
+from uqharness.files import without_scratch
 from uqharness.heartbeat import heartbeat
-from uqharness.scratch import without_scratch
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2

@@ -28,7 +28,7 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from sysid.terminal import drawing, visible
+from sysid.display import drawing, visible
 from uqharness.heartbeat import STATE, Rate, bar_drawn, clock
 
 if TYPE_CHECKING:

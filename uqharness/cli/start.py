@@ -60,7 +60,7 @@ def _run_here(argv: Sequence[str] | None, ends: _Ends | None = None) -> int:
     """
     ends = ends or _Ends()
     code = _run(argv, ends)
-    scratch = sys.modules.get("uqharness.scratch")
+    scratch = sys.modules.get("uqharness.files")
     if scratch is not None:
         scratch.sweep()  # workers that were killed on the way left their folders
     if ends.received:
@@ -153,7 +153,7 @@ def _run(argv: Sequence[str] | None, ends: _Ends) -> int:
     limit = None
     try:
         limit = _address_limit()
-        from sysid.terminal import clean_streams
+        from sysid.display import clean_streams
 
         clean_streams()
         from uqharness.cli.main import load_command

@@ -1,13 +1,13 @@
 from .elsewhere import GROUPS as GROUPS
 from .elsewhere import Channel as Channel
-from .matched import Asked as Asked
-from .matched import Matched as Matched
-from .matched import fly_matched as fly_matched
 from .ranking import ROUNDING as ROUNDING
+from .ranking import Asked as Asked
 from .ranking import Difference as Difference
+from .ranking import Matched as Matched
 from .ranking import Term as Term
 from .ranking import by_channel as by_channel
 from .ranking import differences as differences
 from .ranking import differing_terms as differing_terms
+from .ranking import fly_matched as fly_matched
 from .ranking import scale_of as scale_of
 from .revisions import aircraft_at as aircraft_at

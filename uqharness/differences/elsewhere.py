@@ -18,10 +18,9 @@ from sysid.arrays import FloatArray
 from sysid.units import FT_M, IN_M, LBF_FT_NM, LBF_N, SLUG_FT2_KGM2, SLUG_KG
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
-from uqharness.files import write_json
+from uqharness.files import scratch_folder, write_json
 from uqharness.flight import FlightSpec, as_asked, record_mission
 from uqharness.isolation import run_isolated
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, Source, StagedMission, engine, find_aircraft, read_script
 
 # What two models are compared by: JSBSim's own numbers along a flight, in the order in which

@@ -6,6 +6,7 @@ from .dryden import dryden_parameters as dryden_parameters
 from .dryden import refuse_above_ceiling as refuse_above_ceiling
 from .fly import OPTIONAL_SIGNALS as OPTIONAL_SIGNALS
 from .fly import ContactPoint as ContactPoint
+from .fly import Recorded as Recorded
 from .fly import as_model_has as as_model_has
 from .fly import contact_points as contact_points
 from .fly import fly_one_ulp_off as fly_one_ulp_off
@@ -37,6 +38,10 @@ from .margins import LOOPS as LOOPS
 from .margins import MAX_SCATTER as MAX_SCATTER
 from .margins import LoopMargins as LoopMargins
 from .margins import measure_loop as measure_loop
+from .random_numbers import Split as Split
+from .random_numbers import flight_seed as flight_seed
+from .random_numbers import named_stream as named_stream
+from .random_numbers import numbered_stream as numbered_stream
 from .recorded import FORMATS as FORMATS
 from .recorded import as_asked as as_asked
 from .recorded import playback_rows as playback_rows
@@ -44,11 +49,6 @@ from .recorded import recorded_flight as recorded_flight
 from .recorded import start_of as start_of
 from .recorded import two_seeds as two_seeds
 from .recorded import write_record as write_record
-from .scoring import Recorded as Recorded
-from .seeds import Split as Split
-from .seeds import flight_seed as flight_seed
-from .seeds import named_stream as named_stream
-from .seeds import numbered_stream as numbered_stream
 from .spec import BELOW_CEILING as BELOW_CEILING
 from .spec import COEFFICIENTS as COEFFICIENTS
 from .spec import DEFAULT_TURBULENCE_SOURCE as DEFAULT_TURBULENCE_SOURCE

@@ -23,9 +23,8 @@ import numpy.typing as npt
 from sysid.arrays import FloatArray
 from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
-from uqharness.flight import normals as exact
-from uqharness.flight.normals import Normals, Pairs, numpy_pairs
-from uqharness.flight.seeds import Source, Split, spliced
+from uqharness.flight import random_numbers as exact
+from uqharness.flight.random_numbers import Normals, Pairs, Source, Split, numpy_pairs, spliced
 from uqharness.flight.spec import BELOW_CEILING, TURBULENCE_CEILING_M
 
 # Filters that make Dryden gusts of white noise, exact at any step, with the same bytes on every

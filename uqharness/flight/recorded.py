@@ -17,7 +17,7 @@ from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_whole
 from uqharness.flight.fly import Recorded, record_mission
-from uqharness.flight.normals import drawn
+from uqharness.flight.random_numbers import drawn
 from uqharness.flight.spec import FlightSpec
 from uqharness.isolation import ProcessEndedError, run_isolated
 from uqharness.simulator import (
@@ -28,7 +28,7 @@ from uqharness.simulator import (
     Source,
     StagedMission,
 )
-from uqharness.simulator import signals as properties
+from uqharness.simulator import aircraft as properties
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -223,7 +223,7 @@ _RADIUS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
 
 
 def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: float) -> FloatArray:
-    """Rows (n, 7) of the fields of `uqharness.xml.flightgear.FIELDS`.
+    """Rows (n, 7) of the fields of `uqharness.xml.document.FIELDS`.
 
     Parameters
     ----------

@@ -20,8 +20,16 @@ from uqharness.flight.dryden import (
     gust_blocks,
     refuse_above_ceiling,
 )
-from uqharness.flight.normals import Normals, Pairs, numpy_pairs
-from uqharness.flight.seeds import Source, Split, spliced, transient_stream, walk_stream
+from uqharness.flight.random_numbers import (
+    Normals,
+    Pairs,
+    Source,
+    Split,
+    numpy_pairs,
+    spliced,
+    transient_stream,
+    walk_stream,
+)
 from uqharness.flight.spec import (
     COEFFICIENTS,
     TURBULENCE_W20_KT,

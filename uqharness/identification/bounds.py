@@ -513,7 +513,7 @@ def parse_designs(
 ) -> dict[str, Design]:
     """Designs from --states, --terms, --order and --roll-terms. Raises BadInputError."""
     from sysid.aerodynamics import parse_term
-    from sysid.aerodynamics.terms import STATES
+    from sysid.aerodynamics.coefficients import STATES
     from sysid.model_form import Design, default_designs
 
     designs = {c: Design(d.states, None, order) for c, d in default_designs().items()}

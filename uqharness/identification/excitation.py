@@ -11,8 +11,8 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.estimation import assess, forward_differences
-from sysid.linalg.blocks import Blocks
-from sysid.linalg.blocks import information as total_information
+from sysid.linalg import Blocks
+from sysid.linalg import information as total_information
 from uqharness.identification.replay_fit import Observed
 from uqharness.replay import Replay, ReplayModel, nuisance_layout
 from uqharness.xml import SLOT, read_section

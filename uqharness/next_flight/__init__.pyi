@@ -1,8 +1,3 @@
-from .mission_states import CampaignMission as CampaignMission
-from .mission_states import Occupancy as Occupancy
-from .mission_states import fly_mission as fly_mission
-from .mission_states import open_campaign as open_campaign
-from .mission_states import recorded_mission as recorded_mission
 from .plan import SENSORS as SENSORS
 from .plan import WORTH as WORTH
 from .plan import NextFlight as NextFlight
@@ -17,4 +12,9 @@ from .plan import flight_of as flight_of
 from .plan import missing_in as missing_in
 from .plan import plan_flight as plan_flight
 from .plan import warnings_of as warnings_of
+from .points import CampaignMission as CampaignMission
+from .points import Occupancy as Occupancy
+from .points import fly_mission as fly_mission
+from .points import open_campaign as open_campaign
+from .points import recorded_mission as recorded_mission
 from .points import script_text as script_text

@@ -40,14 +40,16 @@ from sysid.model_form import (
 from sysid.model_form.fit import missing_terms
 from sysid.units import percent
 from uqharness.errors import BadInputError
-from uqharness.next_flight.mission_states import CampaignMission, Occupancy
+from uqharness.files import scratch_folder
 from uqharness.next_flight.points import (
     MOST_BANK_RAD,
     QUIET_S,
     RECOVERY_S,
     REST_S,
     TRANSITION_S,
+    CampaignMission,
     Condition,
+    Occupancy,
     TestPoint,
     library,
     schedule,
@@ -65,7 +67,6 @@ from uqharness.next_flight.trials import (
     try_points,
     unit_times,
 )
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, content_hash, find_aircraft
 from uqharness.text_tables import text_table
 

@@ -13,6 +13,7 @@ from sysid.aerodynamics import Cutoffs, Residuals
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from uqharness.errors import BadInputError
+from uqharness.files import scratch_folder
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FlightSpec,
@@ -29,7 +30,6 @@ from uqharness.next_flight.points import (
     script_text,
 )
 from uqharness.replay import flight_residuals, prediction_of, read_bounds_flights
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     SteadyCondition,
@@ -39,7 +39,7 @@ from uqharness.simulator import (
     open_aircraft,
     read_script,
 )
-from uqharness.simulator import signals as properties
+from uqharness.simulator import aircraft as properties
 
 WIDER = 0.5
 """A state may leave what has been flown by this share of its range: flight tests go on step by step."""

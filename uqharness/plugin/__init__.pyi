@@ -1,12 +1,12 @@
+from .apply import Estimate as Estimate
 from .apply import Instrumented as Instrumented
 from .apply import MassProperties as MassProperties
 from .apply import instrument_aircraft as instrument_aircraft
+from .apply import put_values as put_values
 from .apply import undo as undo
 from .apply import with_card as with_card
+from .apply import write_estimates as write_estimates
 from .card import bake_scales as bake_scales
-from .estimates import Estimate as Estimate
-from .estimates import put_values as put_values
-from .estimates import write_estimates as write_estimates
 from .instrument import FILE_NAME as FILE_NAME
 from .instrument import Bounds as Bounds
 from .instrument import coefficient_reference as coefficient_reference

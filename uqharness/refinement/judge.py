@@ -31,9 +31,9 @@ from uqharness.identification.linearised import (
     with_jumps,
     with_sensors_of,
 )
-from uqharness.refinement.find import Found, with_resolution
+from uqharness.refinement.evaluation import Shown, left_in, show, with_replays
 from uqharness.refinement.round import Side, column_evidence
-from uqharness.refinement.showing.show import Shown, left_in, show, with_replays
+from uqharness.refinement.search import Found, with_resolution
 from uqharness.simulator import Aircraft
 
 # Where hold-out flights seem to contradict an effect: what the train flights' own errors make

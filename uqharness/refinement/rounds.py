@@ -8,21 +8,31 @@ from pathlib import Path
 
 import numpy as np
 
+from sysid.arrays import FloatArray
 from sysid.effects import (
     DIFFERENT,
     EARNED,
     OVERWHELMING,
+    RESOLVED_ROWS,
     UNKNOWN_ROWS,
+    Choice,
+    Columns,
     Effect,
     Evidence,
     Gusts,
     Selection,
+    agreement,
+    corrected,
     judged,
+    projected,
     scores,
     select,
+    solve,
 )
 from uqharness.identification import fit_replays
 from uqharness.identification.linearised import (
+    HERE,
+    NEAR,
     Bench,
     Fit,
     Setup,
@@ -31,21 +41,263 @@ from uqharness.identification.linearised import (
     effect_columns,
     fit_at,
     gust_refit,
+    in_dead_zone,
     in_dynamics,
     observed,
     point_of,
     refit,
     slopes_here,
+    surface_change,
     with_sensors_of,
 )
 from uqharness.identification.linearised import fly as linearised_fly
 from uqharness.plugin import Estimate
-from uqharness.refinement.rates import felt, least_felt
 from uqharness.refinement.round import Round, Start, column_evidence, joint_point
-from uqharness.refinement.timing import LEAST_LATE_ROWS
-from uqharness.refinement.writing.effects import Written, carrier, control_slopes, write_effects
-from uqharness.replay import CONTROLS, spread_over
+from uqharness.refinement.write_xml import Written, carrier, control_slopes, write_effects
+from uqharness.replay import CONTROLS, Flight, runs_per_row, spread_over
 from uqharness.simulator import Actuator, Aircraft, find_aircraft
+
+# Controls recorded late or early: one time for all of them looks like a lag in every servo, and
+# is no effect of the aircraft.
+#
+# The time competes with the candidates as one column (sysid.effects.score) before any effect is
+# chosen. Where it explains as much as the best of them, and as all servos' lags together, the
+# records are put right, and the choice is made on those.
+
+CONTROLS_LATE = Effect(
+    None,
+    "record",
+    "delay",
+    "controls recorded early or late",
+    "all commands act one time later than the record says",
+    unit="s",
+)
+MOST_CORRECTIONS = 4
+LEAST_LATE_ROWS = DIFFERENT * RESOLVED_ROWS
+"""A time below this share of a row is within what a replay resolves."""
+
+
+def controls_late(
+    evidence: Evidence,
+    free: Sequence[str],
+    odds: Mapping[str, float],
+    limit: float,
+    least_s: float,
+    early_s: float,
+) -> tuple[float, float] | None:
+    """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
+
+    evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
+    limit       |t| asked; least_s, early_s: what is later, or earlier, than this is a slip of the record
+    """
+    key = CONTROLS_LATE.key
+    value, std, _ = corrected(evidence, free, key)
+    if not abs(value / std) > limit or not (value > least_s or value < -early_s):
+        return None
+    own = float(scores(evidence, free, [key]).gain[0])
+    rivals = list(odds)
+    merit = scores(evidence, free, rivals).gain - np.array([odds[k] for k in rivals])
+    if np.nanmax(merit, initial=0.0) > own:
+        return None
+    lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
+    if lags and joint_gain(evidence, free, lags) > own + DIFFERENT**2:
+        return None
+    if (confirming := evidence.confirming) is not None and not agreement(
+        evidence, free, key, ~confirming
+    )[0] > 0.0:
+        return None
+    return value, std
+
+
+def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> float:
+    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u with the free columns taken out."""
+    g, left = projected(*evidence.everything, evidence.index(free), evidence.index(keys))
+    return float(left @ solve(g, left[:, None])[:, 0])
+
+
+def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
+    """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
+    return [f.with_commands_later(late_s) if late_s else f for f in flights]
+
+
+def words(late_s: float, std_s: float, dt_s: float) -> str:
+    """The finding as an engineer reads it."""
+    way = "after" if late_s > 0 else "before"
+    return (
+        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms ({abs(late_s) / dt_s:.2f} rows) {way} the time the "
+        "records give them, all by the same: a matter of the record's clock, not of a servo; put right in every flight here "
+        "before effects were looked for. Find out which clock stamps the commands"
+    )
+
+
+# At which rate limit a servo's slowness shows: nothing happens down to the fastest motion asked
+# of it, then more and more.
+#
+# One slope for all of that is right nowhere: a limit a little below the fastest motion would be
+# estimated above it, where it does nothing. So some limits are tried, each against the servo's
+# own, for the one whose estimated change is the change it makes; its column stands for the
+# effect. Once an effect is flown, its column is the slope at the limit that flies. So are dead
+# zones.
+
+SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
+"""Limits tried, of the fastest motion."""
+FASTER = (0.75, 0.5, 0.25, 0.0)
+"""Limits tried above the servo's own: its share in the travel time of a degree, the rest that of the fastest motion."""
+
+WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one moves a surface at once."""
+
+
+def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
+    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes, by a fit without
+    effects."""
+    if not setup.servos:
+        return setup
+    tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
+    columns = []
+    for segment, p in zip(setup.segments, fit.probes, strict=True):
+        inputs: dict[str, tuple[int, FloatArray]] = {}
+        for surface, servo in setup.servos.items():
+            k = CONTROLS.index(surface)
+            moved = {
+                _key(surface, x): surface_change("rate_limit", servo, segment, k, (servo.rate, x))
+                for x in tried[surface]
+            }
+            moved |= {
+                _zone(surface, width): in_dead_zone(p.controls[:, k], width) for width in WIDTHS_DEG
+            }
+            inputs |= {
+                name: (-1, p.by_control[:, :, k] * by[:, None]) for name, by in moved.items()
+            }
+        columns.append(Columns(tuple(inputs), inputs, {}))
+    evidence, free = column_evidence(setup, fit, columns, gusts), fit.columns[0].names
+    widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
+    for surface, servo in setup.servos.items():
+        found = scores(evidence, free, [_zone(surface, width) for width in WIDTHS_DEG])
+        zone = just_so(widths, found.estimate / widths, found.t)
+        if zone is not None:
+            zones[surface] = zone
+        found = scores(evidence, free, [_key(surface, limit) for limit in tried[surface]])
+        speeds = np.array(tried[surface])
+        wanted = found.estimate / (1.0 / speeds - 1.0 / servo.rate)
+        strength = np.where(wanted > 0.0, np.abs(found.t), 0.0)
+        side = max(
+            (speeds < servo.rate, speeds > servo.rate), key=lambda s: strength[s].max(initial=0.0)
+        )
+        best = just_so(speeds[side], wanted[side], found.t[side])
+        if best is not None:
+            limits[surface] = (servo.rate, best)
+    return replace(setup, limits=limits, zones=zones)
+
+
+def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
+    """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its own, up to the fastest motion
+    without a limit, rising."""
+    fastest, free = (_fastest(setup, surface, s) for s in (servo, replace(servo, rate=np.inf)))
+    slower = [
+        limit for share in SHARES if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate
+    ]
+    # A quarter of the way and so on, in travel time per degree; at the end the limit does nothing any more.
+    faster = (
+        [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER]
+        if free > servo.rate / NEAR
+        else []
+    )
+    return [*slower, *faster]
+
+
+def _key(surface: str, limit: float) -> str:
+    return f"{surface}@{limit:g}"
+
+
+def _zone(surface: str, width: float) -> str:
+    return f"{surface}~{width:g}"
+
+
+def just_so(limit: FloatArray, wanted: FloatArray, t: FloatArray) -> float | None:
+    """The limit [deg/s] whose estimated share is 1; ``wanted`` (n,): estimated shares at limits (n,) further and further from the
+    servo's own.
+
+    Else the one of which they say most; None where all speaks against such a servo.
+    """
+    fine = np.isfinite(wanted) & (wanted > 0.0)
+    if not fine.any():
+        return None
+    limit, share, t = limit[fine], np.log(wanted[fine]), t[fine]
+    for k in range(len(limit) - 1):
+        if share[k] >= 0.0 > share[k + 1]:
+            return float(
+                limit[k] + (limit[k + 1] - limit[k]) * share[k] / (share[k] - share[k + 1])
+            )
+    return float(limit[int(np.argmax(np.abs(t)))])
+
+
+def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
+    """Fastest motion of a surface [deg/s], from row to row."""
+    k = CONTROLS.index(surface)
+    return max(
+        float(
+            np.abs(
+                np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))
+            ).max(initial=0.0)
+        )
+        / s.dt_s
+        for s in (segment.at_commands() for segment in setup.segments)
+    )
+
+
+def _surface(key: str) -> str:
+    """Of which surface's servo an effect is; another text where it is of none."""
+    return key.removeprefix("effect/actuator.").partition("/")[0]
+
+
+def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
+    """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
+
+    def within(c: Choice) -> Choice:
+        least = least_felt(setup, c.key)
+        return c if c.value >= least else replace(c, value=least, t=least / c.std)
+
+    return tuple(within(c) for c in chosen)
+
+
+def least_felt(setup: Setup, key: str) -> float:
+    """Value [s/deg] of a servo's rate limit effect below which nothing changes any more; of any other effect -inf."""
+    surface = _surface(key)
+    servo = setup.servos.get(surface)
+    if not key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
+        return -np.inf
+    fastest = _fastest(setup, surface, replace(servo, rate=np.inf))
+    if servo.lag is not None:
+        # A servo is fastest where its command jumps, and slows down to the next row.
+        rows = servo.lag * setup.segments[0].at_commands().dt_s
+        fastest *= rows / -np.expm1(-rows)
+    return float(min(1.0 / fastest - 1.0 / servo.rate, 0.0))
+
+
+def as_known_here(selection: Selection, found: Round) -> Selection:
+    """Rate limits above the servos' own where their slope at the flown value has them, with the standard errors of that; where the
+    flights say nothing of it, the way to the fastest motion is the error. |t|, of the whole change, stays."""
+
+    def local(c: Choice) -> Choice:
+        here = c.key + HERE
+        if here not in found.evidence.names:
+            return c
+        least = least_felt(found.setup, c.key)
+        value = found.flown[c.key]
+        flown = found.evidence.taken_out({c.key: -value})
+        step, std, _ = corrected(flown, [n for n in found.free if n != c.key], here)
+        if not np.isfinite(std):
+            return replace(c, std=max(c.std, value - least))
+        return replace(c, value=float(np.clip(value + step, least, 0.0)), std=std)
+
+    return replace(selection, chosen=tuple(map(local, selection.chosen)))
+
+
+def is_fastest(choice: Choice, setup: Setup) -> bool:
+    """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that it may be any number above."""
+    return bool(choice.value - 2.0 * choice.std <= least_felt(setup, choice.key))
+
 
 HELD_FLIGHTS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""

@@ -15,20 +15,17 @@ from sysid.effects import Effect
 from sysid.logs import FOUND
 from sysid.parallel import Processes
 from uqharness import __version__, checksums
-from uqharness.files import inner_folder
+from uqharness.files import inner_folder, scratch_folder
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
-from uqharness.refinement.find import Found, estimates_of, find_effects, remark
+from uqharness.refinement.document import document_of, refinement_view
+from uqharness.refinement.evaluation import air_of
 from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, written_at
-from uqharness.refinement.round import FOLDER, Side, Stages, file_hash, refuse_shared
-from uqharness.refinement.rounds import write_copy, write_staged
-from uqharness.refinement.search import Say
-from uqharness.refinement.showing.document import document_of, refinement_view
-from uqharness.refinement.showing.mission import FOLDER as PBOX
-from uqharness.refinement.showing.mission import INTERVALS_FOLDER as INTERVALS
-from uqharness.refinement.showing.mission import (
+from uqharness.refinement.mission import FOLDER as PBOX
+from uqharness.refinement.mission import INTERVALS_FOLDER as INTERVALS
+from uqharness.refinement.mission import (
     FlightSet,
     IntervalJob,
     Intervals,
@@ -37,12 +34,12 @@ from uqharness.refinement.showing.mission import (
     no_pbox,
     write_forms,
 )
-from uqharness.refinement.showing.show import air_of
-from uqharness.refinement.timing import later
+from uqharness.refinement.round import FOLDER, Side, Stages, file_hash, refuse_shared
+from uqharness.refinement.rounds import later, write_copy, write_staged
+from uqharness.refinement.search import Found, Say, estimates_of, find_effects, remark
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, named_beside, offered
-from uqharness.refinement.writing.effects import Written
+from uqharness.refinement.write_xml import Written
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, renamed
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     content_hash,
@@ -105,7 +102,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     aircraft = request.aircraft
     refuse_shared(request.train, request.test)
     if request.campaign is not None:
-        from uqharness.refinement.showing.mission import campaign_for
+        from uqharness.refinement.mission import campaign_for
 
         campaign_for(aircraft, request.campaign)
     say("reading the flights")
@@ -338,7 +335,7 @@ def _mission(
             f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals"
         )
     # Campaigns are much to load, and not every refinement flies one.
-    from uqharness.refinement.showing.mission import fly_missions
+    from uqharness.refinement.mission import fly_missions
 
     say("flying the mission with both models")
     return fly_missions(models, forms, request.campaign, request.out, request.workers, say)

@@ -36,7 +36,7 @@ from sysid.effects import (
 from sysid.estimation import rms
 from sysid.parallel import Processes
 from uqharness.identification.linearised import Fit, Setup, effect_columns, merged
-from uqharness.refinement.find import Found
+from uqharness.refinement.evaluation import Shown, gap_document, left_in, show, with_replays
 from uqharness.refinement.judge import (
     Judged,
     Write,
@@ -48,8 +48,8 @@ from uqharness.refinement.judge import (
     written_at,
 )
 from uqharness.refinement.round import Bent, Side, column_evidence
-from uqharness.refinement.showing.show import Shown, gap_document, left_in, show, with_replays
-from uqharness.refinement.writing.effects import GRID, property_of_table, write_table
+from uqharness.refinement.search import Found
+from uqharness.refinement.write_xml import GRID, property_of_table, write_table
 from uqharness.simulator import Aircraft
 
 # Smooth terms about a flight: estimated beside everything that stands there, in the place of

@@ -20,7 +20,7 @@ from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.units import DEG_RAD
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     Card,

@@ -19,11 +19,11 @@ from cachetools import LRUCache, cached
 from sysid.arrays import FloatArray
 from uqharness import batch
 from uqharness.errors import BadInputError
+from uqharness.files import Scratch, scratch_folder
 from uqharness.replay.in_lanes import ReplayJob, by_jsbsim, fly_all, sources_of
 from uqharness.replay.model import ReplayModel
 from uqharness.replay.replay import CHANNELS, run_controls, shape_of
 from uqharness.replay.segments import Segment
-from uqharness.scratch import Scratch, scratch_folder
 from uqharness.simulator import Staging, engine
 from uqharness.xml import ControlChain, ControlFiles, control_chain
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 import jinja2
 from markupsafe import Markup
 
-from sysid.terminal import visible
+from sysid.display import visible
 from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]

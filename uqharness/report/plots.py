@@ -6,20 +6,27 @@ other figures share, and none writes a file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from sysid.display import frame_table, view
 from uqharness.arguments import instance
+from uqharness.campaign import CONFIDENCE, band_confidence, in_condition, pboxes, samples
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.history import Z95
 from uqharness.report.pages.model_form import BEYOND, near_slice, slice_states
-from uqharness.report.pbox import PROBABILITY, metric_label
+from uqharness.report.pbox import PROBABILITY, DrawnBox, metric_label, pbox_figure
+from uqharness.report.svg import standalone
 from uqharness.statistics import PBox
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from sysid.aerodynamics import Residuals
     from sysid.model_form import CoefficientBounds, Outside
     from sysid.record import FlightRecord
@@ -132,7 +139,7 @@ def plot_overlay(
     Parameters
     ----------
     history
-        A segment of :func:`uqharness.replay.histories.read_histories`.
+        A segment of :func:`uqharness.replay.simulation.read_histories`.
     channel
         Name of the channel as measured, such as ``"q_radps"``.
     ax
@@ -313,3 +320,58 @@ def _axes(ax: Axes | None) -> Axes:
     import matplotlib.pyplot as plt
 
     return plt.subplots(layout="constrained")[1]
+
+
+# What a notebook shows of a campaign: HTML with the report's own p-box charts.
+
+_MOST_CHARTS = 4
+"""Conditions whose p-box is drawn; ``pboxes()`` has all."""
+_STATEMENT_COLUMNS = (
+    "condition",
+    "radius_m",
+    "distance",
+    "hours",
+    "best_per_h",
+    "worst_per_h",
+    "worst_upper_per_h",
+    "answer",
+)
+
+
+def campaign_view(
+    folder: Path, manifest: Mapping[str, Any], cases: pd.DataFrame, statements: pd.DataFrame
+) -> str:
+    """Aircraft and size, statements, and the p-box of the first metric in the first conditions."""
+    failed = int((cases["status"] != "ok").sum())
+    facts = {
+        "aircraft": manifest["campaign"]["campaign"]["aircraft"],
+        "flights": len(cases),
+        "failed or aborted": failed,
+    }
+    shown = [name for name in _STATEMENT_COLUMNS if name in statements]
+    return view(
+        f"Campaign in {folder}",
+        frame_table(statements[shown]),
+        _charts(manifest, cases),
+        facts=facts,
+    )
+
+
+def _charts(manifest: Mapping[str, Any], cases: pd.DataFrame) -> str:
+    charts: list[tuple[Any, str]] = []
+    first = None
+    for metric, condition, box in pboxes(cases, band_confidence(manifest["campaign"], CONFIDENCE)):
+        first = first or metric
+        if metric != first or len(charts) == _MOST_CHARTS:
+            break
+        quantity, _, unit = metric_label(metric).rpartition(" [")
+        drawn = DrawnBox("", box, samples(in_condition(cases, condition), metric), {})
+        figure = pbox_figure(
+            f"notebook-{len(charts)}", quantity, unit.removesuffix("]"), [drawn], condition.words
+        )
+        charts.append((figure.svg, f"{quantity}, {condition.words}"))
+    if not charts:
+        return ""
+    # As an image: a style sheet inside a drawing would count for the whole notebook.
+    content = base64.b64encode(standalone(charts, columns=2).encode()).decode()
+    return f'<img alt="p-boxes" src="data:image/svg+xml;base64,{content}">'

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.terminal import visible
+from sysid.display import visible
 
 WIDTH = 360
 _GAP = 16

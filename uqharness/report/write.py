@@ -2,15 +2,89 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from uqharness.checksums import Fault, faults
-from uqharness.files import inner_folder, write_bytes
-from uqharness.report.pages.index import SEGMENTED, kind_of, page_of
+from sysid.aerodynamics import COEFFICIENTS
+from uqharness.checksums import Fault, faults, write_sums
+from uqharness.errors import BadInputError
+from uqharness.files import finite, inner_folder, remove, write_bytes, write_json
+from uqharness.refinement import Refinement
+from uqharness.replay import CONTROLS, columns_of, write_histories
+from uqharness.report.history import MOST_SEGMENTS
 from uqharness.report.parts import Figures, Page, Say, Section, every_section, first_lines, render
 from uqharness.report.svg import standalone
+
+# The page of any folder of results: what the folder is, is told by its files.
+
+KINDS = (
+    ("study.json", "study"),
+    ("manifest.json", "campaign run"),
+    ("refinement.json", "refine"),
+    ("fit.json", "identify"),
+    ("model-form.json", "bounds"),
+    ("compare.json", "compare"),
+    ("coverage.json", "validate-bounds"),
+)
+"""File that marks a folder, and the command that writes it; the first that is there counts."""
+
+SEGMENTED = ("identify", "compare")
+"""Kinds whose page shows the worst segments alone, unless all are asked for."""
+
+_NEXT_FLIGHT = "next-flight.json"
+
+
+def kind_of(folder: Path) -> str:
+    """Command whose results ``folder`` holds. Raises BadInputError for none, with what was looked for."""
+    if not folder.is_dir():
+        raise BadInputError(f"{folder}: is no folder; report takes the --out of another command")
+    for name, kind in KINDS:
+        if (folder / name).is_file():
+            return kind
+    if (folder / _NEXT_FLIGHT).is_file():
+        raise BadInputError(
+            f"{folder}: next-flight writes its report.html itself and report does not; open that page, or run uqharness "
+            "next-flight again to write it anew"
+        )
+    looked = ", ".join(f"{name} ({kind})" for name, kind in KINDS)
+    raise BadInputError(f"{folder}: no results to report on; looked for {looked}")
+
+
+def page_of(folder: Path, every_segment: bool = False) -> Page:
+    """The page of a folder of results; ``every_segment``: with the histories of all segments, not of the worst alone.
+
+    Raises BadInputError.
+    """
+    kind = kind_of(folder)
+    # Imported here: a page needs what its folder's kind needs and no more.
+    if kind == "study":
+        from uqharness.report.pages.study import study_page
+
+        return study_page(folder)
+    if kind == "refine":
+        from uqharness.report.pages.refinement import refine_page
+
+        return refine_page(folder)
+    if kind == "identify":
+        from uqharness.report.pages.identify import identify_page
+
+        return identify_page(folder, segments=None if every_segment else MOST_SEGMENTS)
+    if kind == "compare":
+        from uqharness.report.pages.compare import compare_page
+
+        return compare_page(folder, segments=None if every_segment else MOST_SEGMENTS)
+    if kind == "campaign run":
+        from uqharness.report.campaign import read_found
+        from uqharness.report.pages.campaign import campaign_page
+
+        return campaign_page(read_found(folder))
+    from uqharness.report.pages.coverage import coverage_page
+    from uqharness.report.pages.model_form import bounds_page
+
+    return bounds_page(folder) if kind == "bounds" else coverage_page(folder)
+
 
 REPORT = "report.html"
 _NAMED = 5
@@ -118,3 +192,57 @@ def write_figures(folder: Path, sections: Iterable[Section], title: str) -> list
                         figure.name, standalone([(figure.svg, figure.caption)], legend=block.legend)
                     )
     return paths
+
+
+# What a refinement leaves on disk.
+
+FIGURES = (
+    "gap.svg",
+    "history.svg",
+    "intervals.svg",
+    "pbox.svg",
+    "candidates.svg",
+    "coefficients.svg",
+    "unnamed.svg",
+)
+"""Figures of a refinement: those of an earlier run are not left beside a later one's."""
+
+
+def write_results(done: Refinement, out: Path) -> None:
+    """refinement.json, model.diff and histories.parquet, from which report.html is written."""
+    for key, value in finite(done.document).items():
+        done.document[key] = value
+    write_json(out / "refinement.json", done.document)
+    write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
+    for name in FIGURES:
+        remove(out / "figures" / name)
+    setup, before, after = done.judged.test
+    models = {"_before": before, "_after": after}
+    columns = columns_of(setup.outputs, setup.measured) | columns_of(
+        CONTROLS, [s.controls for s in setup.segments]
+    )
+    for suffix, shown in models.items():
+        modelled = [z - r for z, r in zip(setup.measured, shown.residual, strict=True)]
+        columns |= columns_of(setup.outputs, modelled, suffix)
+        columns |= columns_of(COEFFICIENTS, shown.coefficients, f"_gap{suffix}")
+    write_histories(out, setup.segments, columns)
+    write_sums(out, done.earlier)
+
+
+def model_diff(done: Refinement) -> str:
+    """Unified difference of every XML file of the two aircraft folders."""
+    old, new = done.given.folder, done.aircraft.folder
+    names = sorted({p.relative_to(f).as_posix() for f in (old, new) for p in f.rglob("*.xml")})
+    out: list[str] = []
+    for name in names:
+        a, b = (
+            (f / name)
+            .read_bytes()
+            .decode("utf-8", errors="surrogateescape")
+            .splitlines(keepends=True)
+            if (f / name).is_file()
+            else []
+            for f in (old, new)
+        )
+        out += difflib.unified_diff(a, b, f"a/{name}", f"b/{name}")
+    return "".join(out)

@@ -12,12 +12,8 @@ import numpy as np
 from sysid.distributions import student_quantile
 from uqharness.arguments import flag, instance, whole
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.anova import anova
-from uqharness.sensitivity.corner_pairs import corner_pairs
-from uqharness.sensitivity.local import local
-from uqharness.sensitivity.pinching import pinching
+from uqharness.sensitivity.measures import anova, corner_pairs, local, pinching, scatter
 from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
-from uqharness.sensitivity.scatter import scatter
 from uqharness.sensitivity.study import METHODS, Evaluations, Study
 from uqharness.text_tables import Tabled
 

@@ -6,7 +6,7 @@ An undefined index is NaN with a reason.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -105,3 +105,96 @@ def missing_values(**stages: np.ndarray) -> str:
         if bad:
             return f"{bad} of {y.size} {stage} runs gave no finite value"
     return ""
+
+
+# What a campaign's sensitivity means: the ranking, how sure it is, and by how much the p-box
+# would shrink, in words.
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """``first`` is what to reduce first (empty if undefined), ``rivals`` what may come before it: by the values of the other
+    coefficients (``by_ranges``) or by sampling error alone (``by_sampling``). ``certain`` if there is none, no flight was lost, and
+    the interval of the shrinkage that ``first`` would bring lies above zero (``shown``).
+    """
+
+    first: str
+    by_ranges: tuple[str, ...] = ()
+    by_sampling: tuple[str, ...] = ()
+    certain: bool = False
+    shown: bool = True
+
+
+def rank(result: MethodResult, lost: int = 0) -> Ranking:
+    """The largest share by the middle of its range, and those that may exceed it: whose largest share reaches its smallest."""
+    ranges = {name: index for name, index in result.indices.items() if isinstance(index, PairRange)}
+    if not ranges or any(math.isnan(item.maximum.value) for item in ranges.values()):
+        return Ranking("")
+    first = max(ranges, key=lambda name: ranges[name].minimum.value + ranges[name].maximum.value)
+    mine, others = ranges[first], {name: item for name, item in ranges.items() if name != first}
+    by_ranges = tuple(
+        name for name, item in others.items() if not item.maximum.value < mine.minimum.value
+    )
+    names = list(result.indices)
+    lead = result.details["lead"][names.index(first)]
+    # Without an interval nothing is shown, so a comparison with NaN must keep the other in.
+    reach = tuple(name for name in others if not lead[names.index(name)] > 0.0)
+    by_sampling = tuple(name for name in reach if name not in by_ranges)
+    shown = bool(result.details["shrink_low"][names.index(first)] > 0.0)
+    return Ranking(first, by_ranges, by_sampling, shown and not reach and not lost, shown)
+
+
+def words(result: MethodResult, metric: str, ranking: Ranking, lost: int, flights: int) -> str:
+    """Which uncertainty to reduce first, what that brings, and whether it is certain."""
+    if not ranking.first:
+        return f"{metric}: {result.statement}"
+    text = f"{metric}: reduce {ranking.first} first. {_shrinkage(result, ranking.first, unit_of(metric))}"
+    doubts = []
+    if ranking.by_ranges:
+        doubts.append(
+            f"at some values of the other coefficients {_listed(ranking.by_ranges)} may matter as much"
+        )
+    if ranking.by_sampling:
+        doubts.append(
+            f"by the sampling error of {flights - lost} flights {_listed(ranking.by_sampling)} may come first"
+        )
+    elif not ranking.shown:
+        doubts.append(
+            f"by the sampling error of {flights - lost} flights {ranking.first} may have no effect"
+        )
+    if doubts:
+        text += f" Not certain: {'; '.join(doubts)}."
+    if ranking.certain:
+        text += " Certain: it holds at every corner of the other coefficients and for the sampling error (95 %, same flights compared)."
+    if lost:
+        text += f" {lost} of {flights} aleatory samples are left out, because a flight of theirs failed in some corner; "
+        text += "the result holds for the others only."
+    return text
+
+
+def _shrinkage(result: MethodResult, first: str, unit: str) -> str:
+    i = list(result.indices).index(first)
+    low, high, floor, top = (
+        float(result.details[f"shrink_{end}"][i]) for end in ("min", "max", "low", "high")
+    )
+    text = f"The p-box is {result.details['area']:.3g} {unit} wide; with {first} known to lie at one of its bounds it would "
+    text += f"shrink by {_percent(low, high)}"
+    if not math.isnan(floor):
+        text += f" ({_percent(floor, top)} with sampling error)"
+    return text + "."
+
+
+def unit_of(metric: str) -> str:
+    """Unit of a metric by its name."""
+    if metric.startswith("excursions_"):
+        return "per flight"
+    return "m/s" if "_mps" in metric else "m"
+
+
+def _percent(low: float, high: float) -> str:
+    a, b = f"{100 * low:.0f}", f"{100 * high:.0f}"
+    return f"{a} %" if a == b else f"{a} to {b} %"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join(names)

@@ -2,7 +2,10 @@ from .actuators import SHORTEST_S as SHORTEST_S
 from .actuators import Actuator as Actuator
 from .actuators import servo_number as servo_number
 from .aircraft import PROJECT_ROOT as PROJECT_ROOT
+from .aircraft import SECOND_ORDER as SECOND_ORDER
+from .aircraft import STANDARD as STANDARD
 from .aircraft import Aircraft as Aircraft
+from .aircraft import Source as Source
 from .aircraft import check_loadable as check_loadable
 from .aircraft import content_hash as content_hash
 from .aircraft import find_aircraft as find_aircraft
@@ -11,6 +14,7 @@ from .aircraft import folder_fingerprint as folder_fingerprint
 from .aircraft import folder_hash as folder_hash
 from .aircraft import open_aircraft as open_aircraft
 from .aircraft import parse_xml as parse_xml
+from .aircraft import position_factor as position_factor
 from .aircraft import undefined_properties as undefined_properties
 from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
@@ -30,7 +34,6 @@ from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .forced_state import body_velocity as body_velocity
 from .forced_state import bring_to_rest as bring_to_rest
 from .forced_state import marked as marked
-from .gate import tag_end as tag_end
 from .linear import MODE_NAMES as MODE_NAMES
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
@@ -54,11 +57,7 @@ from .own_mission import finely as finely
 from .own_mission import script as script
 from .own_mission import write_own_mission as write_own_mission
 from .own_mission import write_steady_start as write_steady_start
-from .preflight import function_properties as function_properties
-from .signals import SECOND_ORDER as SECOND_ORDER
-from .signals import STANDARD as STANDARD
-from .signals import Source as Source
-from .signals import position_factor as position_factor
+from .physical_checks import function_properties as function_properties
 from .staging import INSIDE as INSIDE
 from .staging import Staging as Staging
 from .staging import copy_beside as copy_beside
@@ -67,6 +66,7 @@ from .staging import opened as opened
 from .staging import read_xml as read_xml
 from .staging import stage as stage
 from .staging import staged as staged
+from .staging import tag_end as tag_end
 from .staging import walk as walk
 from .trim import SteadyCondition as SteadyCondition
 from .trim import Trim as Trim

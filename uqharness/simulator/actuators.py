@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.linalg.blocks import first_order
+from sysid.linalg import first_order
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
 

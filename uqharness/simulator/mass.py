@@ -17,7 +17,7 @@ from lxml import etree
 
 from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml
 from uqharness.simulator.staging import Staging, copied, stage

@@ -10,12 +10,11 @@ from typing import Any
 from lxml import etree
 
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
-from uqharness.simulator.gate import leads_out, passed
 from uqharness.simulator.mass import MassChange
-from uqharness.simulator.staging import Staging, read_xml, stage
+from uqharness.simulator.staging import Staging, leads_out, passed, read_xml, stage
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""

@@ -21,11 +21,10 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, content_hash, open_aircraft
+from uqharness.simulator.aircraft import SECOND_ORDER, Aircraft, content_hash, open_aircraft
 from uqharness.simulator.forced_state import TRIM_LATITUDE_DEG, body_velocity
 from uqharness.simulator.linear import STATES, LinearModel, linearise, modes
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
-from uqharness.simulator.signals import SECOND_ORDER
 from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 from uqharness.toml import Number, Section
 

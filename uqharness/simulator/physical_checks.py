@@ -7,8 +7,13 @@ cannot be flown is refused; what JSBSim flies although no body or no trim of our
 
 from __future__ import annotations
 
+import difflib
+import json
 import logging
 import math
+import os
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -17,9 +22,14 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from sysid.foreign.limited import MemoryLimit
+from sysid.foreign.regular_files import in_words
 from sysid.units import SLUG_FT2_KGM2
+from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
-from uqharness.simulator.staging import HasFiles, Opened, opened
+from uqharness.files import write_bytes
+from uqharness.simulator import engine
+from uqharness.simulator.staging import HasFiles, Named, Opened, Staging, opened, staged
 
 _LOG = logging.getLogger("uqharness")
 _SIZES = {"wingarea": "area", "wingspan": "span", "chord": "mean chord"}
@@ -186,3 +196,194 @@ def _note(place: str, text: str) -> None:
     if key not in _noted:
         _noted.add(key)
         _LOG.warning("%s: %s", place, text)
+
+
+# Load an unknown model in a process of its own first: some mistakes in its XML end the
+# interpreter instead of raising.
+#
+# JSBSim 1.3.3 dies of a segmentation fault at an unknown function operation, and aborts when a
+# model that reads an undefined property is destroyed. The verdict on a model that loads is
+# remembered by its content, so the check costs half a second per changed aircraft and nothing
+# afterwards.
+
+TIMEOUT_S = 20.0
+MOST_BYTES = 1_500_000_000
+"""Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
+_VERDICT_FORMAT = 2
+_checked: dict[str, tuple[Undefined, ...]] = {}
+
+
+@dataclass(frozen=True)
+class Undefined:
+    """A property that the model reads and nothing makes, where it is read ("u3.xml:21"), and the most similar existing name."""
+
+    name: str
+    place: str
+    similar: str = ""
+
+
+def ensure_loadable(aircraft: Named, content: str) -> tuple[Undefined, ...]:
+    """Load the model in a child process; return the properties that it reads and nothing defines. A known model costs nothing.
+
+    Raises BadInputError if the model cannot be loaded, or if initialising it kills or hangs the child. What JSBSim refuses in an
+    orderly way is not loaded a second time in this process: after some such refusals (a propeller without its tables) JSBSim's
+    memory is spoilt. ``content`` is the hash of the model's files.
+    """
+    key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
+    if key not in _checked:
+        mark = _cache_folder() / key
+        verdict = _recall(mark)
+        if verdict is None:
+            verdict = _try_in_child(aircraft)
+            _remember(mark, verdict)
+        _checked[key] = verdict
+    return _checked[key]
+
+
+def undefined_message(undefined: tuple[Undefined, ...]) -> str:
+    """A sentence that names every undefined property with its place, and what to do."""
+    names = ", ".join(f"{u.name} ({u.place})" if u.place else u.name for u in undefined)
+    one = len(undefined) == 1
+    subject = "a property" if one else f"{len(undefined)} properties"
+    similar = ", ".join(
+        u.similar if one else f"{u.name} -> {u.similar}" for u in undefined if u.similar
+    )
+    hint = f"did you mean {similar}? Correct" if similar else "correct"
+    return (
+        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the property in "
+        "a system of the XML"
+    )
+
+
+def _try_in_child(aircraft: Named) -> tuple[Undefined, ...]:
+    folder = aircraft.folder
+    places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
+    ended = run_module(__name__, *places, timeout_s=TIMEOUT_S)
+    if ended.code is None:
+        raise BadInputError(
+            f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s"
+        )
+    if "refused" in ended.answer:
+        words = str(ended.answer["refused"])
+        raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
+    if ended.code < 0:
+        raise BadInputError(
+            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last words: "
+            f"{ended.said or 'no message'}; "
+            "look there for an unknown element or function operation, or a property name with illegal characters"
+        )
+    return tuple(Undefined(*row) for row in ended.answer.get("undefined", ()))
+
+
+def _cache_folder() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "uqharness" / "loadable"
+
+
+def _recall(mark: Path) -> tuple[Undefined, ...] | None:
+    try:
+        return tuple(Undefined(*row) for row in json.loads(mark.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
+    # Only a saving: where the cache cannot be written, the check is simply made again.
+    rows = [(u.name, u.place, u.similar) for u in undefined]
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(mark, json.dumps(rows).encode())
+    except (OSError, BadInputError):
+        return
+
+
+@dataclass(frozen=True)
+class _Unread:
+    """An aircraft by its places alone, its card unread."""
+
+    folder: Path
+    xml: Path
+    engine_path: Path
+    systems_path: Path
+
+    @property
+    def name(self) -> str:
+        return self.xml.stem
+
+
+def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
+    engine.mirror_messages(sys.stdout.fileno())
+    aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
+    with MemoryLimit(MOST_BYTES):
+        try:
+            staging = staged(aircraft)
+            fdm = engine.open_fdm(staging, 0.01)
+        except BadInputError as error:
+            give_answer({"refused": str(error)})
+            return
+        except MemoryError:
+            give_answer({"refused": f"loading it takes more than {in_words(MOST_BYTES)} of memory"})
+            return
+        read = list(function_properties(staging))
+        missing = engine.undefined_properties(fdm, (name for name, _, _ in read))
+        if missing:
+            existing = set(engine.catalog(fdm)) - set(missing)
+            give_answer({"undefined": [_located(name, staging, existing) for name in missing]})
+
+
+def _located(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
+    places = (
+        f"{file.relative_to(home).as_posix()}:{line}"
+        for file, home in _model_files(staging)
+        for line in _lines_that_name(name, file)
+    )
+    similar = difflib.get_close_matches(name, existing, n=1, cutoff=0.8)
+    return name, next(places, ""), similar[0] if similar else ""
+
+
+def _lines_that_name(name: str, file: Path) -> Iterator[int]:
+    """Lines of elements whose text is the property's name; # stands for the number of an engine."""
+    for element in _elements(file):
+        text = (element.text or "").strip().lstrip("-")
+        if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
+            yield _line(element)
+
+
+def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
+    """(Name, file, line) of every property that a function or a table of the model reads; with an engine's number (#), left out."""
+    for file, _ in _model_files(staging):
+        for element in _elements(file):
+            if element.tag not in ("property", "p", "independentVar"):
+                continue
+            functions = [e for e in element.iterancestors() if e.tag == "function"]
+            # The properties of a template function are its arguments' names.
+            if any(e.get("type") == "template" for e in functions):
+                continue
+            name = (element.text or "").strip().lstrip("-")
+            if (functions or element.tag == "independentVar") and engine.is_legal_name(name):
+                yield name, file, _line(element)
+
+
+def _line(element: etree._Element) -> int:
+    return element.sourceline if isinstance(element.sourceline, int) else 0
+
+
+def _elements(file: Path) -> Iterator[etree._Element]:
+    parser = etree.XMLParser(resolve_entities=False, remove_comments=True)
+    return etree.parse(str(file), parser).getroot().iter("*")
+
+
+def _model_files(staging: Staging) -> Iterator[tuple[Path, Path]]:
+    """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft hides a shared one."""
+    within = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
+    yield staging.xml, staging.folder
+    yield from ((file, staging.folder) for file in within)
+    hidden = {file.name for file in within}
+    for part in ("engine", "systems"):
+        for file in sorted((staging.root / part).rglob("*.xml")):
+            if file.name not in hidden:
+                yield file, staging.root
+
+
+if __name__ == "__main__":
+    _child(*sys.argv[1:5])

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
+from sysid.display import rows_table, view
 from sysid.distributions import chi2_quantile, chi2_upper_quantile
-from sysid.notebook_view import rows_table, view
 from uqharness.arguments import number
 
 # Band around empirical distribution functions of corners that flew the same air: a bootstrap

@@ -37,12 +37,12 @@ from uqharness.campaign.folder import (
 )
 from uqharness.campaign.statements import statements
 from uqharness.errors import BadInputError
+from uqharness.files import scratch_folder
 from uqharness.flight import FlightResult, FlightSpec, record_mission, staged_mission
 from uqharness.parallel import process_count
 from uqharness.parquet_files import write_table
 from uqharness.replay import shown_channel
 from uqharness.result_documents import Coverage, Fit, Part, read_document
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import Source
 from uqharness.statistics import NO, OPEN, YES, Sample, envelope
 from uqharness.statistics.pbox import pbox

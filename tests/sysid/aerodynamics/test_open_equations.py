@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.coefficients import MassProperties, split_name
 from sysid.aerodynamics.residuals import as_logged, cut
-from sysid.aerodynamics.terms import split_name
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.open_equations import OUTPUTS, OpenEquations
 from tests.helpers.sixdof import TABLE_2_6, Airframe, derivative, isa_density, thrust

@@ -7,7 +7,13 @@ from math import comb
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.terms import full_polynomial, parse_term, regressors, stack, term_name
+from sysid.aerodynamics.coefficients import (
+    full_polynomial,
+    parse_term,
+    regressors,
+    stack,
+    term_name,
+)
 
 STATES = ("V_mps", "alpha_rad", "q_radps", "theta_rad")
 

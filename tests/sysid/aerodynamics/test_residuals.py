@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.coefficients import COEFFICIENTS, MassProperties
 from sysid.aerodynamics.residuals import (
     Cutoffs,
     Piece,
@@ -14,7 +14,6 @@ from sysid.aerodynamics.residuals import (
     residual_coefficients,
     steady_airspeed,
 )
-from sysid.aerodynamics.terms import COEFFICIENTS
 from sysid.record import FlightRecord
 from tests.helpers.flown import fly
 from tests.helpers.sixdof import Airframe, coefficients, thrust

@@ -7,8 +7,8 @@ from scipy.linalg import expm
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 
 from sysid import filter_error, output_error
-from sysid.estimation.ekf import make_model, run_filter
 from sysid.estimation.filter_error import read_record
+from sysid.estimation.kalman import make_model, run_filter
 
 DT = 0.05
 U = np.sign(np.sin(np.arange(400) * 0.11))

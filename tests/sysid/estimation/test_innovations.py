@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.ekf import make_model
 from sysid.estimation.filter_error import FilterProblem, Layout, read_record
+from sysid.estimation.kalman import make_model
 
 DT, N = 0.05, 120
 THETA, Q, R = np.array([-1.0, 2.0]), np.array([0.04]), np.array([0.05])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.estimation.noise import Noise, concentrated
-from sysid.estimation.output_error import CARRIED, OutputErrorProblem
-from sysid.estimation.sensitivities import SafeSimulation, first_steps
+from sysid.estimation.output_error import CARRIED, OutputErrorProblem, SafeSimulation, first_steps
 
 T = np.linspace(0.0, 4.0, 80)
 TRUE = np.array([1.5, 0.7, 0.2])

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from sysid.estimation.sensitivities import (
+from sysid.estimation.output_error import (
     TARGETS,
     SafeSimulation,
     first_steps,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.estimation.sensitivities import (
+from sysid.estimation.output_error import (
     SafeSimulation,
     Shift,
     answers,

@@ -483,7 +483,7 @@ HOSTILE = {
             "uqharness.data.campaigns.chain.reproduce:X",
             "sysidious.raw_log:RawLog",
             "tests.sysid.foreign.test_data_file:Foreign",
-            "sysid.estimation.ekf:Model",
+            "sysid.estimation.kalman:Model",
         )
     },
     "a class that is no text": file_of(["none"], classes=[[3, []]]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.linalg.blocks import Blocks, information, leverage
+from sysid.linalg import Blocks, information, leverage
 
 EDGES = [0, 4, 9, 15]
 

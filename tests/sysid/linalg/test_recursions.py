@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sysid.linalg.blocks import first_order
+from sysid.linalg import first_order
 
 
 def test_a_step_rises_as_the_closed_form_says() -> None:

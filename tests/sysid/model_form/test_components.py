@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.aerodynamics.terms import regressors
+from sysid.aerodynamics.coefficients import regressors
 from sysid.model_form import components
 from sysid.model_form.components import TIMES_S, Uncertain, blocks_of, separate
 from sysid.model_form.fit import Design, FitOptions, fit_bounds

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sysid.aerodynamics.coefficients import COEFFICIENTS, STATES
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
-from sysid.aerodynamics.terms import COEFFICIENTS, STATES
 from sysid.model_form.fit import fit_bounds, missing_terms
 
 NOISE = 1e-3

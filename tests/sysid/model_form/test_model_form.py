@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
+from sysid.aerodynamics.coefficients import full_polynomial, regressors, term_name
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, together
-from sysid.aerodynamics.terms import full_polynomial, regressors, term_name
 from sysid.errors import LogError
 from sysid.model_form.coverage import coverage, leave_one_out, share_error
 from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates

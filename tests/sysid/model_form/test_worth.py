@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.aerodynamics.terms import full_polynomial, regressors
+from sysid.aerodynamics.coefficients import full_polynomial, regressors
 from sysid.model_form.information_gain import (
     after,
     belief,

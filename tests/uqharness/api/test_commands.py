@@ -14,8 +14,8 @@ from tests.helpers.campaign_fakes import small_spec, steady
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.shards import parse_shard
 from uqharness.campaign.run import run_campaign
-from uqharness.cli.commands import commands_of
 from uqharness.cli.main import complete_parser, main
+from uqharness.cli.options import commands_of
 
 FUNCTIONS = {
     "fly": "fly",

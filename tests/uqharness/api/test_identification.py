@@ -11,7 +11,7 @@ import uqharness as uq
 from uqharness.api.flights import Flight
 from uqharness.cli.main import main
 from uqharness.report.compare import document_of
-from uqharness.report.identify import fit_document
+from uqharness.report.pages.identify import fit_document
 
 PARAMETERS = ["aero/Cm_q", "aero/Cm_de"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.campaign.answers import Answer, as_json, lines, read_answers
+from uqharness.campaign.folder.shards import Answer, as_json, lines, read_answers
 from uqharness.errors import BadInputError
 
 MANIFEST = {"format": 1, "state": "complete"}

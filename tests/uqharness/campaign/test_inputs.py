@@ -26,13 +26,12 @@ from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission
-from uqharness.flight.seeds import walk_stream
+from uqharness.flight.random_numbers import walk_stream
 from uqharness.flight.spec import COEFFICIENTS, FlightResult, LevelDriver, TransientDriver
 from uqharness.parquet_files import read_table
 from uqharness.plugin.model_form_xml import model_form_xml
-from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft
+from uqharness.simulator.aircraft import PROJECT_ROOT, Source, content_hash, find_aircraft
 from uqharness.simulator.mission import StagedMission
-from uqharness.simulator.signals import Source
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -26,7 +26,7 @@ from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
 from uqharness.sensitivity import Index, MethodResult, PairRange
-from uqharness.sensitivity.words import rank
+from uqharness.sensitivity.result import rank
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

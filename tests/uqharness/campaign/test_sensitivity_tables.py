@@ -22,8 +22,7 @@ from uqharness.campaign.sensitivity import (
     read_sensitivity,
 )
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined
-from uqharness.sensitivity.words import Ranking
+from uqharness.sensitivity.result import Index, MethodResult, PairRange, Ranking, all_undefined
 
 RANGES = {"CX": (0.2, 0.3), "Cm": (0.7, 0.8)}
 

@@ -10,8 +10,7 @@ import pytest
 from uqharness.campaign import sensitivity
 from uqharness.campaign.sensitivity import find_winner
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.result import Index, MethodResult, PairRange
-from uqharness.sensitivity.words import Ranking
+from uqharness.sensitivity.result import Index, MethodResult, PairRange, Ranking
 
 
 def item(label, area, certain=True, **shares):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from uqharness.cli import options
-from uqharness.cli.commands import Command, commands_of
 from uqharness.cli.main import build_parser, complete_parser
+from uqharness.cli.options import Command, commands_of
 from uqharness.errors import BadInputError
 
 

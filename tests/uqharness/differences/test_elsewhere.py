@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.differences.elsewhere import How, channels_of, fly_elsewhere
-from uqharness.differences.matched import Asked, fly_matched
-from uqharness.differences.ranking import differences
+from uqharness.differences.ranking import Asked, differences, fly_matched
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, open_aircraft
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from uqharness.differences.matched import Asked, fly_matched, spread
-from uqharness.differences.ranking import by_channel, differences
+from uqharness.differences.ranking import Asked, by_channel, differences, fly_matched, spread
 from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from uqharness.flight.dryden import PAGE_STEPS, DrydenGusts, dryden_parameters
-from uqharness.flight.normals import Normals
-from uqharness.flight.seeds import Spliced, Split
+from uqharness.flight.random_numbers import Normals, Spliced, Split
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
 from uqharness.flight.stepping import Levels
 

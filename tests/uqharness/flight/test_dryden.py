@@ -23,7 +23,7 @@ from uqharness.flight.dryden import (
     dryden_sigma,
     gust_blocks,
 )
-from uqharness.flight.seeds import Split
+from uqharness.flight.random_numbers import Split
 
 AIR = (22.2, 100.0, 30.0, 3.66)  # V m/s, h m, W20 kt, span m
 

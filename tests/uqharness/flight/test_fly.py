@@ -19,12 +19,16 @@ from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import dryden_gusts
-from uqharness.flight.fly import fly, record_mission
-from uqharness.flight.scoring import absolute_statistics, count_excursions, lost_control
+from uqharness.flight.fly import (
+    absolute_statistics,
+    count_excursions,
+    fly,
+    lost_control,
+    record_mission,
+)
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD, Source, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
-from uqharness.simulator.signals import STANDARD, Source
 
 SPEC = FlightSpec(
     Path("espaaro"),

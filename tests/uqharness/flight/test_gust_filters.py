@@ -16,7 +16,7 @@ from uqharness.flight.dryden import (
     first_order,
     lateral,
 )
-from uqharness.flight.normals import Normals
+from uqharness.flight.random_numbers import Normals
 
 A = ((-0.2, 0.0, 0.0), (0.2, -0.2, 0.0), (0.8, -0.3, -5.0))
 B = (0.2, 0.0, 0.0)

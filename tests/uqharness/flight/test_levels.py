@@ -16,9 +16,8 @@ from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission
 from uqharness.flight.spec import COEFFICIENTS, FlightSpec, LevelDriver, TransientDriver
 from uqharness.flight.stepping import level_blocks, reflect
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
+from uqharness.simulator.aircraft import PROJECT_ROOT, Source, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
-from uqharness.simulator.signals import Source
 
 RATE = 0.012  # 1/sqrt(s): 0.17 % per sample at 50 Hz, as published for CZ
 WALK = LevelDriver("walk", 7, "walk-000000", COEFFICIENTS, (RATE,) * 6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.flight.normals import GROUP, NUMPY, Normals, logarithm, numpy_pairs
+from uqharness.flight.random_numbers import GROUP, NUMPY, Normals, logarithm, numpy_pairs
 
 
 def stream(seed: int = 1) -> Normals:

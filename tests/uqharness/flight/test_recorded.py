@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from uqharness.errors import BadInputError
+from uqharness.flight.fly import Recorded
 from uqharness.flight.recorded import as_asked, start_of, to_record, two_seeds
-from uqharness.flight.scoring import Recorded
 from uqharness.flight.spec import FlightSpec
 
 SPEC = FlightSpec(Path("plane"), Path("loiter.xml"), 60.0, seed_noise=5)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.flight.scoring import (
+from uqharness.flight.fly import (
     Recorded,
     commanded_signals,
     from_start_signals,

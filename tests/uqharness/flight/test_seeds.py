@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.flight.seeds import KINDS, flight_seed, named_stream, numbered_stream
+from uqharness.flight.random_numbers import KINDS, flight_seed, named_stream, numbered_stream
 
 
 def test_a_named_stream_is_the_one_that_published_campaigns_drew_from():

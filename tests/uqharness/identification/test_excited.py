@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from sysid.linalg.blocks import Blocks
+from sysid.linalg import Blocks
 from uqharness.identification.excitation import LEAST_T, Excited, without
 from uqharness.identification.excitation import judged as of_blocks
 from uqharness.identification.replay_fit import Observed

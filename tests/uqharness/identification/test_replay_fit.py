@@ -19,8 +19,8 @@ from uqharness.identification.identify import identify
 from uqharness.identification.linearised import Bench, Point, make_setup, observed
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_in
 from uqharness.refinement.base import base_fit_and_noise, left_alone
+from uqharness.refinement.evaluation import show
 from uqharness.refinement.round import Side
-from uqharness.refinement.showing.show import show
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, command_later
 from uqharness.replay.flights import prepare
 from uqharness.replay.simulation import spread_over

@@ -24,7 +24,6 @@ from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
-from uqharness.next_flight.mission_states import open_campaign, some_cases
 from uqharness.next_flight.points import (
     AUTOPILOT,
     RECOVERY_S,
@@ -32,7 +31,9 @@ from uqharness.next_flight.points import (
     Steps,
     TestPoint,
     library,
+    open_campaign,
     schedule,
+    some_cases,
 )
 from uqharness.next_flight.trials import TestFlight, fly_points, try_points, unit_times
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft

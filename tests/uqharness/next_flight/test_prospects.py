@@ -10,8 +10,8 @@ import pytest
 
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
 from tests.helpers.model_forms import LONGITUDINAL, MEAN, SPREAD, made_up_form
-from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.plan import designs_of, prospects, scatter_ratios, widths_over
+from uqharness.next_flight.points import Occupancy
 
 FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
 MISSION = Occupancy(

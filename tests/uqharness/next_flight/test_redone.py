@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.model_forms import LONGITUDINAL, MEAN, made_up_form
-from uqharness.next_flight.mission_states import Occupancy
 from uqharness.next_flight.plan import achieved, as_text
+from uqharness.next_flight.points import Occupancy
 
 FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
 MISSION = Occupancy(

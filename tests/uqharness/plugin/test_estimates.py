@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.plugin.estimates import Estimate, put_values, with_value, write_estimates
+from uqharness.plugin.apply import Estimate, put_values, with_value, write_estimates
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.xml.document import parse_document
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from sysid.aerodynamics.terms import COEFFICIENTS, regressors
+from sysid.aerodynamics.coefficients import COEFFICIENTS, regressors
 from sysid.model_form.model_form import ModelForm
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form, with_parts
@@ -19,7 +19,7 @@ from uqharness.errors import BadInputError
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml, quadratic_form
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, find_aircraft, open_aircraft
-from uqharness.xml.expressions import horner
+from uqharness.xml.aerodynamics import horner
 
 WIDE = {
     "V_mps": (12.0, 35.0),

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 
 from sysid.effects.selection import Choice, Selection
 from uqharness.refinement import unnamed as refine_beside
+from uqharness.refinement.evaluation import Left, left_in
 from uqharness.refinement.round import Bent
-from uqharness.refinement.showing.show import Left, left_in
 from uqharness.refinement.unnamed import named_beside, too_weak
 
 LIMIT = 4.0

@@ -28,7 +28,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.identification.linearised import fly as replayed
 from uqharness.plugin import with_card
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.write_xml import Written, write_effects
 from uqharness.replay.flights import read_flights
 from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
 

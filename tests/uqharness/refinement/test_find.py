@@ -12,8 +12,8 @@ from sysid.effects import CERTAIN_T, conditional_interval
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.score import Evidence
 from sysid.effects.selection import Choice
-from uqharness.refinement.find import Found, chosen_interval, left_beside, slips_s
-from uqharness.refinement.showing.document import still_asked
+from uqharness.refinement.document import still_asked
+from uqharness.refinement.search import Found, chosen_interval, left_beside, slips_s
 
 
 def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:

@@ -12,8 +12,8 @@ from sysid.effects.catalogue import Effect, coefficient_effect
 from sysid.effects.selection import Choice, Selection
 from uqharness.identification.linearised import Carrier
 from uqharness.refinement import judge as refine_judge
-from uqharness.refinement.find import Found
 from uqharness.refinement.judge import BEYOND_CHANCE, Verdict, gap_change
+from uqharness.refinement.search import Found
 
 
 def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.effects import Choice, Effect, Selection, White, gather
 from uqharness.identification.linearised import HERE, in_dead_zone, servo_change, slopes_here
-from uqharness.refinement.rates import WIDTHS_DEG, _asked, as_known_here, felt, is_fastest, just_so
+from uqharness.refinement.rounds import WIDTHS_DEG, _asked, as_known_here, felt, is_fastest, just_so
 from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
 

@@ -16,7 +16,7 @@ from tests.helpers.flown import fly
 from tests.helpers.page_checks import problems
 from tests.helpers.sixdof import Airframe, derivative
 from uqharness.cli.main import main
-from uqharness.refinement.showing.mission import no_pbox
+from uqharness.refinement.mission import no_pbox
 
 TRAIN = (("pitch-3211", 22.0), ("roll-yaw", 22.0), ("yaw-roll", 20.0), ("roll-yaw", 19.0))
 TEST = (("yaw-roll", 22.0),)

@@ -10,8 +10,8 @@ import pytest
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
 from uqharness.identification.linearised import Point, around, servo_change
-from uqharness.refinement.rates import SHARES, just_so
 from uqharness.refinement.round import joint_point
+from uqharness.refinement.rounds import SHARES, just_so
 from uqharness.replay.replay import STATES
 from uqharness.simulator.actuators import Actuator
 

@@ -10,7 +10,7 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from tests.helpers.flown import fly
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.write_xml import Written, write_effects
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.force import force_states
 from uqharness.replay.model import CONTROLS, ReplayFolder, altitudes, height_known, heights

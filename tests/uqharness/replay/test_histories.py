@@ -8,7 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.replay.histories import (
+from uqharness.replay.segments import Segment
+from uqharness.replay.simulation import (
     HISTORIES,
     columns_of,
     have,
@@ -16,7 +17,6 @@ from uqharness.replay.histories import (
     write_histories,
     write_pieces,
 )
-from uqharness.replay.segments import Segment
 
 TIMES = [np.arange(4) * 0.02, 10.0 + np.arange(3) * 0.02]
 BLOCKS = [np.arange(8.0).reshape(4, 2), np.array([[1.0, np.nan], [2.0, 3.0], [4.0, 5.0]])]

@@ -13,7 +13,7 @@ from tests.hidden_effects.cases import cards
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
 from uqharness.identification.linearised import moved_later
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.refinement.write_xml import Written, write_effects
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.model import ReplayFolder

@@ -48,7 +48,7 @@ def test_a_campaign_shows_its_size_statements_and_p_boxes(flown: CampaignResult)
 def test_a_campaign_without_a_metric_shows_no_chart(
     flown: CampaignResult, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
-    from uqharness.report import notebook
+    from uqharness.report import plots
 
-    monkeypatch.setattr(notebook, "pboxes", lambda cases, confidence: iter(()))
+    monkeypatch.setattr(plots, "pboxes", lambda cases, confidence: iter(()))
     assert "<img" not in flown._repr_html_()

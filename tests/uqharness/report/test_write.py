@@ -12,10 +12,15 @@ from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems
 from uqharness.errors import BadInputError
-from uqharness.report.pages.index import page_of
 from uqharness.report.parts import Figure, Figures, Page, Say, Section
 from uqharness.report.svg import Chart, Scale
-from uqharness.report.write import write_campaign_report, write_figures, write_page, write_report
+from uqharness.report.write import (
+    page_of,
+    write_campaign_report,
+    write_figures,
+    write_page,
+    write_report,
+)
 
 FILES = {
     "identified": {"flight1-00-roll-doublet", "flight1-01-yaw-doublet"},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity.anova import anova
+from uqharness.sensitivity.measures import anova
 from uqharness.sensitivity.study import run_study
 
 

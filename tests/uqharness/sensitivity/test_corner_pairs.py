@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity.corner_pairs import corner_pairs
+from uqharness.sensitivity.measures import corner_pairs
 from uqharness.sensitivity.study import run_study
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}

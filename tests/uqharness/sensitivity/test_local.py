@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity.local import local
+from uqharness.sensitivity.measures import local
 from uqharness.sensitivity.study import run_study
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.sensitivity.pinching import pinching
+from uqharness.sensitivity.measures import pinching
 from uqharness.sensitivity.study import run_study
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}

@@ -8,7 +8,7 @@ import statsmodels.api as sm
 from scipy import stats
 
 from uqharness.sensitivity.areas import Z, box_area, reach_of_box
-from uqharness.sensitivity.scatter import scatter
+from uqharness.sensitivity.measures import scatter
 from uqharness.sensitivity.study import run_study
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}

@@ -7,8 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.sensitivity.result import Index, MethodResult, PairRange, all_undefined
-from uqharness.sensitivity.words import Ranking, rank, unit_of, words
+from uqharness.sensitivity.result import (
+    Index,
+    MethodResult,
+    PairRange,
+    Ranking,
+    all_undefined,
+    rank,
+    unit_of,
+    words,
+)
 
 
 def result(ranges, lead, shrink_low=0.4) -> MethodResult:

@@ -13,10 +13,9 @@ from sysid.logs import card as airframe_card
 from sysid.logs.card import Reference
 from uqharness.errors import BadInputError
 from uqharness.replay.model import _factor
-from uqharness.simulator.aircraft import Aircraft, find_aircraft
+from uqharness.simulator.aircraft import Aircraft, find_aircraft, position_factor, sources
 from uqharness.simulator.card import InputCard, parse_card, read_card
 from uqharness.simulator.facts import AircraftFacts, ControlFacts
-from uqharness.simulator.signals import position_factor, sources
 
 
 def with_elevator(**keys) -> Aircraft:

@@ -8,7 +8,7 @@ import pytest
 
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.simulator.gate import DEEPEST, leads_out, passed, tag_end
+from uqharness.simulator.staging import DEEPEST, leads_out, passed, tag_end
 
 
 def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from uqharness.child_process import Ended
 from uqharness.errors import BadInputError
-from uqharness.simulator import preflight
+from uqharness.simulator import physical_checks
 from uqharness.simulator.aircraft import check_loadable, find_aircraft, open_aircraft
 from uqharness.simulator.mission import StagedMission
 
@@ -18,7 +18,7 @@ AIRCRAFT = find_aircraft("espaaro")
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(preflight, "_checked", {})
+    monkeypatch.setattr(physical_checks, "_checked", {})
     return tmp_path / "uqharness" / "loadable"
 
 
@@ -27,10 +27,10 @@ def ends(monkeypatch: pytest.MonkeyPatch, ended: Ended) -> list[tuple[object, ..
 
     def run_module(module: str, *arguments: object, timeout_s: float) -> Ended:
         asked.append(arguments)
-        assert module == "uqharness.simulator.preflight"
+        assert module == "uqharness.simulator.physical_checks"
         return ended
 
-    monkeypatch.setattr(preflight, "run_module", run_module)
+    monkeypatch.setattr(physical_checks, "run_module", run_module)
     return asked
 
 
@@ -38,13 +38,13 @@ def test_a_model_that_loads_is_loaded_once_and_remembered(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ):
     asked = ends(monkeypatch, Ended(0, {}, "", ""))
-    preflight.ensure_loadable(AIRCRAFT, "content")
-    preflight.ensure_loadable(AIRCRAFT, "content")
-    monkeypatch.setattr(preflight, "_checked", {})  # another process
-    preflight.ensure_loadable(AIRCRAFT, "content")
+    physical_checks.ensure_loadable(AIRCRAFT, "content")
+    physical_checks.ensure_loadable(AIRCRAFT, "content")
+    monkeypatch.setattr(physical_checks, "_checked", {})  # another process
+    physical_checks.ensure_loadable(AIRCRAFT, "content")
     assert len(asked) == 1
     assert [path.name.partition("-")[0] for path in cache.iterdir()] == ["content"]
-    preflight.ensure_loadable(AIRCRAFT, "other")
+    physical_checks.ensure_loadable(AIRCRAFT, "other")
     assert len(asked) == 2
 
 
@@ -66,21 +66,21 @@ def test_one_that_does_not_is_named_and_not_remembered(
     asked = ends(monkeypatch, ended)
     for _ in range(2):
         with pytest.raises(BadInputError, match=said):
-            preflight.ensure_loadable(AIRCRAFT, "content")
+            physical_checks.ensure_loadable(AIRCRAFT, "content")
     assert len(asked) == 2
     assert not cache.exists()
 
 
 def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tmp_path: Path):
-    preflight.ensure_loadable(AIRCRAFT, "content")
+    physical_checks.ensure_loadable(AIRCRAFT, "content")
     folder = tmp_path / "empty"
     folder.mkdir()
     (folder / "empty.xml").write_text("<fdm_config name='empty' version='2.0'/>")
-    empty = preflight._Unread(
+    empty = physical_checks._Unread(
         folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path
     )
     with pytest.raises(BadInputError, match="empty"):
-        preflight.ensure_loadable(empty, "empty")
+        physical_checks.ensure_loadable(empty, "empty")
 
 
 PLANE = """<?xml version="1.0"?>
@@ -172,8 +172,8 @@ def test_all_of_them_are_named_at_once_and_the_verdict_is_remembered(
     )
     with pytest.raises(BadInputError, match=message):
         check_loadable(aircraft)
-    monkeypatch.setattr(preflight, "_checked", {})
-    monkeypatch.setattr(preflight, "run_module", lambda *a, **k: pytest.fail("loaded again"))
+    monkeypatch.setattr(physical_checks, "_checked", {})
+    monkeypatch.setattr(physical_checks, "run_module", lambda *a, **k: pytest.fail("loaded again"))
     check_loadable(aircraft, defined=("aero/alpha-radd", "x/two", "x/three"))
 
 

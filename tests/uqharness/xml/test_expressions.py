@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from uqharness.xml.expressions import Expression, call, function_lines, horner, prop, value
+from uqharness.xml.aerodynamics import Expression, call, function_lines, horner, prop, value
 
 
 def test_an_operation_stands_on_one_line_with_its_arguments():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from uqharness.xml.flightgear import FIELDS, protocol_xml
+from uqharness.xml.document import FIELDS, protocol_xml
 
 
 def test_the_protocol_is_an_input_of_comma_separated_lines():

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.aerodynamics.terms import COEFFICIENTS
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine

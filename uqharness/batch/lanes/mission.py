@@ -20,10 +20,10 @@ from uqharness.batch.machine.flight import compile_program
 from uqharness.batch.machine.llvm import chosen_target
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, rounded, slots
+from uqharness.batch.translate.channels import Sources, read_sources
+from uqharness.batch.translate.engines import going
 from uqharness.batch.translate.frame import BEYOND, INITIALISED, Values, canonical, fixed, own
-from uqharness.batch.translate.propulsion.engines import going
-from uqharness.batch.translate.propulsion.tanks import DRY, MASS, dry_aircraft
-from uqharness.batch.translate.sources import Sources, read_sources
+from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.flight import (

@@ -47,8 +47,8 @@ from uqharness.batch.models.motion import (
     start_section,
     start_state,
 )
+from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.frame import STEP, Values, canonical
-from uqharness.batch.translate.sources import Sources
 from uqharness.batch.translate.whole import Asked, Flight, trace_flight
 from uqharness.errors import BadInputError
 from uqharness.simulator import MOST_FRAMES, SETTLED_RADPS

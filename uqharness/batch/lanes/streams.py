@@ -30,7 +30,7 @@ from uqharness.flight import (
     Levels,
     Split,
     TransientDriver,
-    normals,
+    random_numbers,
 )
 
 # JSBSim 1.3.3's random numbers, number by number: Lehmer's generator and Marsaglia's polar
@@ -92,13 +92,15 @@ def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
         drawn = _folded(state * _leaps()[: 4 * min(_TRIES, count - first)])
         state = int(drawn[-1])
         with np.errstate(invalid="ignore", divide="ignore"):
-            one, other, square = polar_normals([drawn[k::4] - 1.0 for k in range(4)], normals.NUMPY)
+            one, other, square = polar_normals(
+                [drawn[k::4] - 1.0 for k in range(4)], random_numbers.NUMPY
+            )
         inside = (square <= 1.0) & (square != 0.0)
         parts.append(np.column_stack([one[inside], other[inside]]).reshape(-1))
     return np.concatenate(parts) if parts else np.empty(0), state
 
 
-def polar_normals(drawn: Sequence[Any], m: normals.Operations) -> tuple[Any, Any, Any]:
+def polar_normals(drawn: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, Any, Any]:
     """Two normals of a try, and the square of its point's distance; the normals count if that is above 0 and at most 1.
 
     ``drawn`` are four of the generator's numbers less 1, as doubles. JSBSim takes the C library's logarithm: normals agree to 3
@@ -106,11 +108,11 @@ def polar_normals(drawn: Sequence[Any], m: normals.Operations) -> tuple[Any, Any
     """
     x, y = (_uniform(drawn[k], drawn[k + 1], m) * 2.0 - 1.0 for k in (0, 2))
     square = x * x + y * y
-    scale = m.sqrt(normals.logarithm(square, m) * -2.0 / square)
+    scale = m.sqrt(random_numbers.logarithm(square, m) * -2.0 / square)
     return y * scale, x * scale, square
 
 
-def _uniform(first: Any, second: Any, m: normals.Operations) -> Any:
+def _uniform(first: Any, second: Any, m: random_numbers.Operations) -> Any:
     """Numbers in [0, 1) of two of the generator's each."""
     return m.least((first + second * _RANGE) / (_RANGE * _RANGE), _BELOW_ONE)
 

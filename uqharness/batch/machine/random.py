@@ -16,9 +16,9 @@ from sysid.arrays import FloatArray
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import BLOCK
 from uqharness.batch.machine.llvm import Kernel, Target, attributes, built, compiled
-from uqharness.flight import dryden, normals
+from uqharness.flight import dryden, random_numbers
 
-assert normals.GROUP == 2 * BLOCK
+assert random_numbers.GROUP == 2 * BLOCK
 
 
 class Traced:
@@ -50,11 +50,11 @@ class Traced:
 
 
 @lru_cache(maxsize=8)
-def compiled_pairs(target: Target) -> normals.Pairs:
+def compiled_pairs(target: Target) -> random_numbers.Pairs:
     """The same as ``flight.normals.numpy_pairs``."""
     b = Builder()
     m = Traced(b)
-    one, other = normals.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)
+    one, other = random_numbers.normal_pair(m.bits(b.input("first")), m.bits(b.input("second")), m)
     kernel = compiled(b.finish({"one": one, "other": other}), target)
 
     def pairs(raw: NDArray[np.int64]) -> FloatArray:
@@ -68,7 +68,7 @@ def compiled_pairs(target: Target) -> normals.Pairs:
 Tries = Callable[[int, int], tuple[FloatArray, int]]
 
 
-Points = Callable[[Sequence[Any], normals.Operations], tuple[Any, Any, Any]]
+Points = Callable[[Sequence[Any], random_numbers.Operations], tuple[Any, Any, Any]]
 _ROUND = 8192
 """Tries computed at once, so that they stay in the processor's cache."""
 

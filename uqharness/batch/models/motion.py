@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from sysid.units import FT_M
 from uqharness.batch.form.ir import Builder, Function, Value, evaluate
 from uqharness.batch.form.maths import COSINE, SINE, lower
 from uqharness.batch.form.program import Section
-from uqharness.batch.models import earth
 from uqharness.batch.models.vectors import (
     Matrix,
     Quaternion,
@@ -36,6 +36,107 @@ from uqharness.batch.models.vectors import (
     transposed,
 )
 from uqharness.batch.translate.frame import TIME, Frame
+
+# The earth: WGS-84 ellipsoid that rotates, gravity with J2, geodetic place and local axes.
+#
+# Lengths are in feet, as JSBSim has them. Geodetic place: T. Fukushima, "Transformation from
+# Cartesian to geodetic coordinates accelerated by Halley's method", Journal of Geodesy 79
+# (2006), 689-693. Local axes: Stevens and Lewis, "Aircraft control and simulation", 2nd ed., eq
+# 1.4-13. One iteration, as JSBSim 1.3.3 does it: its error lies below the rounding of a double.
+
+A_FT = 20925646.32546
+B_FT = 20855486.5951
+"""Half axes of the ellipsoid."""
+GM_FT3_S2 = 14.0764417572e15
+J2 = 1.08262982e-3
+RATE_RADPS = 0.00007292115
+"""Rotation about the polar axis."""
+_RATIO = B_FT / A_FT
+_E2 = 1.0 - _RATIO * _RATIO
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point: ECEF coordinates, distance from the centre, and what follows from them.
+
+    ``to_local`` turns earth-fixed components to north, east, down of the ellipsoid; ``height_ft`` is geodetic.
+    """
+
+    ecef: Vector
+    radius_ft: Value
+    height_ft: Value
+    sea_level_radius_ft: Value
+    sin_latitude: Value
+    cos_latitude: Value
+    sin_longitude: Value
+    cos_longitude: Value
+    to_local: Matrix
+
+
+def place(ecef: Vector) -> Place:
+    """The point with these earth-fixed coordinates [ft]."""
+    x, y, z = (_value(c, ecef) for c in ecef)
+    b = x.builder
+    radius = b.op("sqrt", x * x + y * y + z * z)
+    across = b.op("sqrt", x * x + y * y)
+    at_pole = across.eq(0.0)
+    sin_lon, cos_lon = at_pole.choose(0.0, y / across), at_pole.choose(1.0, x / across)
+    sin_lat, cos_lat, height = _geodetic(b, across, z)
+    cos_gc = across / radius
+    sea_level = B_FT / b.op("sqrt", 1.0 - _E2 * (cos_gc * cos_gc))
+    local = (
+        (-(cos_lon * sin_lat), -(sin_lon * sin_lat), cos_lat),
+        (-sin_lon, cos_lon, 0.0),
+        (-(cos_lon * cos_lat), -(sin_lon * cos_lat), -sin_lat),
+    )
+    return Place((x, y, z), radius, height, sea_level, sin_lat, cos_lat, sin_lon, cos_lon, local)
+
+
+def _value(coordinate: Value | float, ecef: Vector) -> Value:
+    builder = next(c.builder for c in ecef if isinstance(c, Value))
+    return builder.value(coordinate)
+
+
+def _geodetic(b: Builder, across: Value, z: Value) -> tuple[Value, Value, Value]:
+    """Sine and cosine of the geodetic latitude and the height above the ellipsoid [ft]."""
+    c = A_FT * _E2
+    s0 = b.op("abs", z)
+    zc, c0 = _RATIO * s0, _RATIO * across
+    c02, s02 = c0 * c0, s0 * s0
+    a02 = c02 + s02
+    a0 = b.op("sqrt", a02)
+    a03 = a02 * a0
+    s1, c1 = zc * a03 + c * s02 * s0, across * a03 - c * c02 * c0
+    k = c * c0 * s0
+    b0 = 1.5 * k * ((across * s0 - zc * c0) * a0 - k)
+    s1, cc = s1 * a03 - b0 * s0, _RATIO * (c1 * a03 - b0 * c0)
+    s12, cc2 = s1 * s1, cc * cc
+    norm = b.op("sqrt", s12 + cc2)
+    height = (across * cc + s0 * s1 - A_FT * b.op("sqrt", _RATIO * _RATIO * s12 + cc2)) / norm
+    sine = s1 / norm
+    return z.lt(0.0).choose(-sine, sine), cc / norm, height
+
+
+def gravity(at: Place) -> Vector:
+    """Acceleration [ft/s2] in earth-fixed axes (Stevens and Lewis, eq 1.4-16)."""
+    x, y, z = at.ecef
+    r = at.radius_ft
+    ratio, sine = A_FT / r, z / r
+    pre, square = 1.5 * J2 * ratio * ratio, 5.0 * (sine * sine)
+    over = -(GM_FT3_S2 / (r * r))
+    level, polar = over * (1.0 + pre * (1.0 - square)), over * (1.0 + pre * (3.0 - square))
+    return (level * (x / r), level * (y / r), polar * (z / r))
+
+
+def turned(angle_sin: Value, angle_cos: Value, v: Vector) -> Vector:
+    """Inertial components in axes that have turned by the earth's rotation angle."""
+    return (angle_cos * v[0] + angle_sin * v[1], angle_cos * v[1] - angle_sin * v[0], v[2])
+
+
+def to_local(at: Place, v: Vector) -> Vector:
+    """Earth-fixed components to north, east, down."""
+    return applied(at.to_local, v)
+
 
 WEIGHTS = {
     0: (),
@@ -118,27 +219,27 @@ def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
     angle = frame.memory("earth/angle")
     if not frame.initialising:
         integrate(frame, methods)
-        angle = angle + earth.RATE_RADPS * frame.step
+        angle = angle + RATE_RADPS * frame.step
         frame.remember("earth/angle", angle)
     q = _read(frame, slots("attitude"))
     position = _vector(_read(frame, slots("position")))
     velocity = _vector(_read(frame, slots("velocity")))
     rates = _vector(_read(frame, slots("rates")))
     sine, cosine = b.op("sin", angle), b.op("cos", angle)
-    at = earth.place(earth.turned(sine, cosine, position))
+    at = place(turned(sine, cosine, position))
     inertial_to_body = rotation((q[0], q[1], q[2], q[3]))
     to_inertial: Matrix = ((cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
     local_to_body = product(product(inertial_to_body, to_inertial), transposed(at.to_local))
-    spin: Vector = (0.0, 0.0, earth.RATE_RADPS)
+    spin: Vector = (0.0, 0.0, RATE_RADPS)
     uvw = applied(inertial_to_body, minus(velocity, cross(spin, position)))
-    pqr = minus(rates, times(_column(inertial_to_body, 2), earth.RATE_RADPS))
+    pqr = minus(rates, times(_column(inertial_to_body, 2), RATE_RADPS))
     ned = applied(transposed(local_to_body), uvw)
     _keep(frame, slots("attitude", 0), quaternion_rate((q[0], q[1], q[2], q[3]), rates))
     _keep(frame, slots("position", 0), _values(velocity, b))
     _keep(frame, MATRIX, [b.value(local_to_body[i][j]) for i in range(3) for j in range(3)])
-    gravity_body = applied(product(inertial_to_body, to_inertial), earth.gravity(at))
+    gravity_body = applied(product(inertial_to_body, to_inertial), gravity(at))
     _keep(frame, GRAVITY, _values(gravity_body, b))
-    _keep(frame, SPIN, _values(times(_column(inertial_to_body, 2), earth.RATE_RADPS), b))
+    _keep(frame, SPIN, _values(times(_column(inertial_to_body, 2), RATE_RADPS), b))
     centre = applied(inertial_to_body, cross(spin, cross(spin, position)))
     _keep(frame, CENTRIPETAL, _values(centre, b))
     _keep(frame, INERTIAL, [b.value(inertial_to_body[i][j]) for i in range(3) for j in range(3)])
@@ -178,7 +279,7 @@ def _column(m: Matrix, k: int) -> Vector:
 
 def _publish(
     frame: Frame,
-    at: earth.Place,
+    at: Place,
     uvw: Vector,
     pqr: Vector,
     rates: Vector,
@@ -227,7 +328,7 @@ def _keep_turn(frame: Frame, name: str, sine: Value, cosine: Value) -> None:
         frame.remember(f"{prefix[1:]}attitude/{name}-rad", value)
 
 
-def _publish_place(frame: Frame, at: earth.Place, position: Vector, velocity: Vector) -> None:
+def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) -> None:
     b = frame.builder
     terrain = frame.get("position/terrain-elevation-asl-ft")
     for axis, ecef, eci, speed in zip("xyz", at.ecef, position, velocity, strict=True):
@@ -382,16 +483,16 @@ def _start(b: Builder, read: Callable[[str], Value]) -> dict[str, Value]:
         b.op("sin", lon),
         b.op("cos", lon),
     )
-    squeeze = (earth.B_FT / earth.A_FT) ** 2
-    normal = earth.A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
+    squeeze = (B_FT / A_FT) ** 2
+    normal = A_FT / b.op("sqrt", 1.0 - (1.0 - squeeze) * (sin_lat * sin_lat))
     across = (normal + height) * cos_lat
     position: Vector = (across * cos_lon, across * sin_lon, (normal * squeeze + height) * sin_lat)
     attitude = _after(_about_z(lon), _about_y(-(lat + 0.5 * math.pi)))
     attitude = _after(_after(_after(attitude, _about_z(psi)), _about_y(theta)), _about_x(phi))
     to_body = rotation(attitude)
-    spin: Vector = (0.0, 0.0, earth.RATE_RADPS)
+    spin: Vector = (0.0, 0.0, RATE_RADPS)
     velocity = plus(applied(transposed(to_body), (u, v, w)), cross(spin, position))
-    rates = plus((p, q, r), times((to_body[0][2], to_body[1][2], to_body[2][2]), earth.RATE_RADPS))
+    rates = plus((p, q, r), times((to_body[0][2], to_body[1][2], to_body[2][2]), RATE_RADPS))
     values = {"attitude": attitude, "position": position, "velocity": velocity, "rates": rates}
     return {
         f"#{name}": b.value(c)

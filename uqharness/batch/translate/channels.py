@@ -8,13 +8,14 @@ its property is read until it has been run for the first time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import When
-from uqharness.batch.translate.components.component import Component
-from uqharness.batch.translate.components.kinds import trace
+from uqharness.batch.translate import filters, gains
+from uqharness.batch.translate.component import Component
 from uqharness.batch.translate.frame import (
     CHANNEL_STEP,
     HOOKS,
@@ -25,7 +26,78 @@ from uqharness.batch.translate.frame import (
     read_only,
 )
 from uqharness.batch.translate.functions import function_value
-from uqharness.xml import Document, Node
+from uqharness.errors import BadInputError
+from uqharness.simulator import INSIDE, Aircraft, opened, read_xml
+from uqharness.xml import Document, Node, parse_document
+
+# The components by their tags: what each may have in it, and how it is traced.
+
+_COEFFICIENTS = tuple(f"c{k}" for k in range(1, 7))
+_MEASURED = ("lag", "noise", "drift_rate", "gain", "bias", "quantization")
+_CONTROL = ("kp", "kd", "pvdot", "trigger")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """``trace`` writes what the component does; ``once`` and ``many`` are its own elements, ``attributes`` those beside name."""
+
+    trace: Callable[[Component], None]
+    once: tuple[str, ...] = ()
+    many: tuple[str, ...] = ()
+    attributes: tuple[str, ...] = ()
+
+
+KINDS: Mapping[str, Kind] = {
+    "pure_gain": Kind(gains.pure_gain, ("gain",)),
+    "scheduled_gain": Kind(gains.scheduled_gain, ("gain", "table")),
+    "aerosurface_scale": Kind(
+        gains.aerosurface_scale, ("gain", "domain", "range", "zero_centered")
+    ),
+    "summer": Kind(gains.summer, ("bias",)),
+    "deadband": Kind(gains.deadband, ("width", "gain")),
+    "fcs_function": Kind(gains.fcs_function, ("function",)),
+    "angle": Kind(gains.angle, ("source_angle", "target_angle"), attributes=("unit",)),
+    "lag_filter": Kind(filters.lag_filter, _COEFFICIENTS),
+    "lead_lag_filter": Kind(filters.lead_lag_filter, _COEFFICIENTS),
+    "second_order_filter": Kind(filters.second_order_filter, _COEFFICIENTS),
+    "washout_filter": Kind(filters.washout_filter, _COEFFICIENTS),
+    "pid": Kind(filters.pid, (*_CONTROL, "ki"), attributes=("type",)),
+    "integrator": Kind(filters.integrator, (*_CONTROL, "c1")),
+    "kinematic": Kind(gains.kinematic, ("traverse", "noscale")),
+    "switch": Kind(gains.switch, ("default",), ("test",)),
+    "distributor": Kind(gains.distributor, (), ("case",), ("type",)),
+    "actuator": Kind(
+        filters.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)
+    ),
+    "linear_actuator": Kind(
+        filters.linear_actuator,
+        ("set", "reset", "versus", "bias", "module", "hysteresis", "lag", "rate", "gain"),
+    ),
+    "sensor": Kind(filters.sensor, _MEASURED),
+    "gyro": Kind(filters.gyro, (*_MEASURED, "axis", "orientation")),
+    "accelerometer": Kind(filters.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
+}
+"""Components that are understood."""
+
+REFUSED: Mapping[str, str] = {
+    "magnetometer": "takes the field of the day on which it runs",
+    "waypoint_heading": "finds geodesics on the ellipsoid, which the batch engine does not",
+    "waypoint_distance": "finds geodesics on the ellipsoid, which the batch engine does not",
+}
+"""Components of JSBSim's that are not, and why."""
+
+
+def trace(c: Component) -> None:
+    """What the component does in the frame. Raises BadInputError with file and line for what is not understood."""
+    tag = c.node.tag
+    if tag in REFUSED:
+        c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"')
+    kind = KINDS.get(tag)
+    if kind is None:
+        c.scope.refuse(c.node, f"component <{tag}> is unknown; allowed are {', '.join(KINDS)}")
+    c.check(kind.once, kind.many, kind.attributes)
+    kind.trace(c)
+
 
 _SILENT = ("description", "documentation", "limitation", "note", "reference")
 _FUNCTION = ("name", "type", "copyto")
@@ -281,3 +353,136 @@ class _Channel:
                 runs = frame.builder.op("and", runs, count.ge(float(every)))
             frame.remember(slot, runs.choose(1.0, 0.0))
         return True, f"#{slot}"
+
+
+# The files of an aircraft and its mission as elements: main file, systems in the order in which
+# they run, script.
+
+Part = tuple[Document, Node]
+"""An element and the file that it stands in."""
+
+_SYSTEMS = ("system", "flight_control", "autopilot")
+_READ = (
+    *_SYSTEMS,
+    "fileheader",
+    "metrics",
+    "mass_balance",
+    "ground_reactions",
+    "external_reactions",
+    "aerodynamics",
+    "propulsion",
+    "input",
+    "output",
+    "planet",
+)
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is translated.
+
+    systems   ``<system>``, ``<autopilot>`` and ``<flight_control>`` in JSBSim's order of execution
+    included  engines and thrusters that name a file, and its root
+    """
+
+    document: Document
+    systems: tuple[System, ...]
+    aerodynamics: Part | None
+    external: Part | None
+    propulsion: Part | None
+    ground: Part | None
+    mass: Part | None
+    script: Document
+    included: Mapping[Node, Part] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Files:
+    """Where an aircraft's files lie."""
+
+    folder: Path
+    xml: Path
+    engine_path: Path
+    systems_path: Path
+
+
+def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
+    """Read the files; without a script there are no events.
+
+    Raises BadInputError with file and line for an element that is not understood.
+    """
+    files = opened(aircraft)
+    # The gate has blanked what JSBSim never sees; lines are the author's.
+    document = parse_document(
+        aircraft.xml, files.own[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
+    )
+    found: dict[str, Part] = {}
+    systems: list[System] = []
+    for node in document.root.children:
+        if node.tag not in _READ:
+            raise BadInputError(
+                f"{document.where(node)}: <{node.tag}> is not understood by the batch engine"
+            )
+        part = (document, node)
+        if "file" in node.attributes:
+            part = _included(aircraft, document, node)
+        if node.tag in _SYSTEMS:
+            # JSBSim takes the first of these and leaves the others.
+            if node.tag != "system" and any(one.node.tag == node.tag for one in systems):
+                raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+            systems.append(System(*part, None if part[1] is node else (document, node)))
+        elif node.tag in found and node.tag not in ("input", "output"):
+            raise BadInputError(f"{document.where(node)}: <{node.tag}> stands here twice")
+        else:
+            found[node.tag] = part
+    order = {"system": 0, "autopilot": 1, "flight_control": 2}
+    systems.sort(key=lambda part: order[part.node.tag])
+    if "planet" in found:
+        raise BadInputError(
+            f"{document.where(found['planet'][1])}: <planet> is not understood by the batch engine"
+        )
+    propulsion = found.get("propulsion")
+    included = {} if propulsion is None else _engine_files(aircraft, propulsion)
+    return Sources(
+        document,
+        tuple(systems),
+        found.get("aerodynamics"),
+        found.get("external_reactions"),
+        propulsion,
+        found.get("ground_reactions"),
+        found.get("mass_balance"),
+        parse_document(Path("no script"), b"<runscript/>")
+        if script is None
+        else parse_document(script, read_xml(script)),
+        included,
+    )
+
+
+def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Part]:
+    document, root = propulsion
+    nodes = [
+        node
+        for engine in root.all("engine")
+        for node in (engine, *engine.all("thruster"))
+        if "file" in node.attributes
+    ]
+    return {node: _included(aircraft, document, node) for node in nodes}
+
+
+def _included(aircraft: Aircraft | Files, document: Document, node: Node) -> Part:
+    """The root element of the file that is named; JSBSim looks in the aircraft's folder, its Systems, then the shared folder."""
+    name = node.attributes["file"].strip()
+    name = name if name.endswith(".xml") else f"{name}.xml"
+    kind = "systems" if node.tag in _SYSTEMS else "engine"
+    # What <engine> and <thruster> name does not lie beside the aircraft's own file.
+    places = [
+        aircraft.folder / inside / name
+        for inside in INSIDE[kind]
+        if inside or node.tag not in ("engine", "thruster")
+    ]
+    shared = aircraft.systems_path if kind == "systems" else aircraft.engine_path
+    for path in (*places, shared / name):
+        if path.is_file():
+            included = parse_document(path, read_xml(path))
+            return included, included.root
+    raise BadInputError(f"{document.where(node)}: file '{name}' was not found")

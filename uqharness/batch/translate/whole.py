@@ -27,12 +27,16 @@ from uqharness.batch.translate.aerodynamics import (
     trace_external,
     trace_totals,
 )
-from uqharness.batch.translate.channels import Systems, compute_where_read, refuse_inner_names
+from uqharness.batch.translate.channels import (
+    Sources,
+    Systems,
+    compute_where_read,
+    refuse_inner_names,
+)
+from uqharness.batch.translate.engines import STEADY_STEP_S, Propulsion, read_propulsion
 from uqharness.batch.translate.frame import HOOKS, REQUIRED, Frame, Values, settable
-from uqharness.batch.translate.propulsion.engines import STEADY_STEP_S, Propulsion, read_propulsion
-from uqharness.batch.translate.propulsion.tanks import MASS
 from uqharness.batch.translate.script import trace_events
-from uqharness.batch.translate.sources import Sources
+from uqharness.batch.translate.tanks import MASS
 from uqharness.errors import BadInputError
 from uqharness.flight import ContactPoint
 

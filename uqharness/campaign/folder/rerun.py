@@ -34,7 +34,7 @@ from uqharness.flight import (
     write_record,
 )
 from uqharness.simulator import Source
-from uqharness.simulator import signals as properties
+from uqharness.simulator import aircraft as properties
 
 RERUN = "rerun"
 RECORD_HZ = 50.0

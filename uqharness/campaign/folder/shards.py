@@ -12,14 +12,14 @@ import sqlite3
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from sysid.digests import sha256_hex
 from sysid.foreign.regular_files import read_regular
+from sysid.units import counted, percent
 from uqharness import checksums
-from uqharness.campaign.answers import Answer, as_json, read_answers
 from uqharness.campaign.cases import Case, Mission, build_cases
 from uqharness.campaign.execution.worker import JSBSIM
 from uqharness.campaign.folder.manifest import (
@@ -45,13 +45,99 @@ from uqharness.campaign.folder.tables import (
     is_sealed,
     make_tables,
     merge_checks,
+    read_checked,
+    read_decisions,
     table_digests,
     write_tables,
 )
-from uqharness.campaign.rounds import Rounds
+from uqharness.campaign.rounds import ALL_CORNERS, Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.statements import joint_level, joint_words
+from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.errors import BadInputError
+from uqharness.text_tables import csv_rows
+
+# How far a campaign's question is answered, cell by cell, from what its folder holds: while it
+# flies, and after.
+
+_ORDER = ("yes", "no", "open", "flying")
+_WORDS = {"open": "inconclusive"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer of one condition to "at most ``acceptable_per_h`` excursions beyond ``radius_m`` at every corner?"."""
+
+    condition: str
+    radius_m: float
+    acceptable_per_h: float
+    answer: str
+    reason: str
+    hours: float
+    flight_share_upper: float | None = None
+    """Upper limit of the share of flights with an excursion at the worst corner, where the number of flights was fixed."""
+
+
+def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
+    """From decisions.csv, which a run that decides keeps up to date; else from the statements of a complete campaign; else none.
+
+    Raises BadInputError where the table is not as it was written.
+    """
+    rows = [row for row in read_decisions(folder, manifest) if row["epistemic_id"] == ALL_CORNERS]
+    if not rows and (
+        (folder / STATEMENTS).exists() or (is_sealed(manifest) and "shard" not in manifest)
+    ):
+        content = read_checked(folder, manifest, STATEMENTS)
+        texts = ("condition", "distance", "answer")
+        every = csv_rows(
+            content, folder / STATEMENTS, ("radius_m", "acceptable_per_h", "hours"), texts
+        )
+        smallest = min((float(row["radius_m"]) for row in every), default=0.0)
+        rows = [
+            row
+            for row in every
+            if row["distance"] == "horizontal" and float(row["radius_m"]) == smallest
+        ]
+    return [_answer(row) for row in rows]
+
+
+def _answer(row: dict[str, str]) -> Answer:
+    return Answer(
+        row["condition"],
+        float(row["radius_m"]),
+        float(row["acceptable_per_h"]),
+        row["answer"],
+        row.get("reason", ""),
+        float(row["hours"]),
+        float(row["flight_share_upper"]) if row.get("flight_share_upper") else None,
+    )
+
+
+def as_json(answers: Sequence[Answer]) -> list[dict[str, object]]:
+    """The same as plain types."""
+    return [asdict(answer) for answer in answers]
+
+
+def lines(answers: Sequence[Answer]) -> list[str]:
+    """A summary, then one line per condition."""
+    if not answers:
+        return []
+    first, count = answers[0], Counter(answer.answer for answer in answers)
+    summary = ", ".join(f"{count[word]} {_WORDS.get(word, word)}" for word in _ORDER if count[word])
+    found = [
+        f"at most {counted(first.acceptable_per_h, 'excursion')} per hour beyond {first.radius_m:g} m? {summary}"
+    ]
+    for answer in answers:
+        reason = f" ({answer.reason})" if answer.reason else ""
+        share = answer.flight_share_upper
+        said = (
+            ""
+            if share is None
+            else f", at most {percent(share)} of flights with an excursion at the worst corner (95 % limit)"
+        )
+        word = _WORDS.get(answer.answer, answer.answer)
+        found.append(f"  {answer.condition}: {word}{reason}, {answer.hours:.4g} flight h{said}")
+    return found
+
 
 # The end of a campaign: digests of its journal and tables in the manifest, and whether they
 # still fit.

@@ -57,7 +57,7 @@ from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.checksums import SUMS, SumsError, enter, faults, read_sums, through_a_link
 from uqharness.errors import BadInputError
-from uqharness.scratch import scratch_folder
+from uqharness.files import scratch_folder
 
 WHOLE, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests"
 

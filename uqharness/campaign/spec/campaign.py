@@ -20,7 +20,12 @@ from sysid.digests import sha256_hex
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness.errors import BadInputError
-from uqharness.flight import COEFFICIENTS, DEFAULT_TURBULENCE_SOURCE, TURBULENCE_W20_KT, normals
+from uqharness.flight import (
+    COEFFICIENTS,
+    DEFAULT_TURBULENCE_SOURCE,
+    TURBULENCE_W20_KT,
+    random_numbers,
+)
 from uqharness.simulator import STEADY, StartSection
 from uqharness.toml import Number, Section, as_toml, is_number, listed, tupled
 
@@ -399,7 +404,7 @@ class Estimates:
         std = np.sqrt(np.diag(self.covariance))
         correlation = self.covariance / np.outer(std, std)
         factor: NDArray[np.float64] = std[:, None] * np.array(
-            normals.cholesky(correlation.tolist())
+            random_numbers.cholesky(correlation.tolist())
         )
         return factor
 

@@ -37,8 +37,8 @@ from uqharness.flight import (
     TURBULENCE_CEILING_M,
     LevelDriver,
     named_stream,
-    normals,
     numbered_stream,
+    random_numbers,
 )
 from uqharness.toml import as_toml, explain, line_of, read_toml
 
@@ -72,7 +72,7 @@ def joint_radius(dof: int, confidence: float) -> float:
 
 def marginal_radius(confidence: float) -> float:
     """Half-width of one interval, in standard deviations: 1.960 at 0.95."""
-    return normals.normal_quantile(0.5 + 0.5 * confidence)
+    return random_numbers.normal_quantile(0.5 + 0.5 * confidence)
 
 
 @lru_cache(maxsize=16)
@@ -95,7 +95,7 @@ def in_ball(levels: Sequence[float]) -> tuple[float, ...]:
 
 def _chi_distribution(r: float, dof: int) -> float:
     """Probability that the length of ``dof`` standard normals is at most r, by the series of the incomplete gamma function."""
-    factor = normals.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
+    factor = random_numbers.exp(-0.5 * r * r) * (math.sqrt(2.0 / math.pi) if dof % 2 else 1.0)
     for n in range(dof, 0, -2):
         factor *= r * r / n if n > 1 else r
     term = total = 1.0
@@ -289,7 +289,7 @@ def parameter_draws(
     """Draws of the parameters, (samples, n): from N(values, covariance), or filling the simultaneous confidence box."""
     if section.distribution == "normal":
         rows = [
-            normals.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
+            random_numbers.drawn(numbered_stream(root_seed, "parameters", n), len(estimates.names))
             for n in range(samples)
         ]
         found = np.tile(estimates.values, (samples, 1))
@@ -298,7 +298,7 @@ def parameter_draws(
             found += column[:, None] * weights
         return found
     # Bonferroni: each interval at 1 - (1 - confidence)/n, so that all n hold at once with at least ``confidence``.
-    reach = normals.normal_quantile(
+    reach = random_numbers.normal_quantile(
         1.0 - (1.0 - section.box_confidence) / (2.0 * len(estimates.names))
     )
     columns = [latin_column(root_seed, f"parameter {name}", samples) for name in estimates.names]

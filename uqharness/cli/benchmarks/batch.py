@@ -32,6 +32,7 @@ from uqharness.campaign import find_mission, run_campaign
 from uqharness.campaign.spec import campaign_from
 from uqharness.cli.benchmarks.loop import bare_loop, with_model_form
 from uqharness.errors import BadInputError
+from uqharness.files import scratch_folder
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.flight.fly import fly
 from uqharness.identification.identify import identify
@@ -45,7 +46,6 @@ from uqharness.replay import (
     read_flights,
 )
 from uqharness.replay.flights import segments
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import Aircraft, find_aircraft, find_script
 
 # How fast replays are, for ``uqharness.cli.benchmarks.batch``: of a whole flight with many

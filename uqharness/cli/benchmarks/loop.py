@@ -26,6 +26,7 @@ from pathlib import Path
 from uqharness.campaign import put_bounds
 from uqharness.campaign.execution import CaseOutcome, FlightFunction, ProcessExecutor, attempt
 from uqharness.campaign.folder import Store
+from uqharness.files import scratch_folder
 from uqharness.flight import (
     COEFFICIENTS,
     DEFAULT_TURBULENCE_SOURCE,
@@ -35,7 +36,6 @@ from uqharness.flight import (
     set_conditions,
 )
 from uqharness.flight.fly import fly
-from uqharness.scratch import scratch_folder
 from uqharness.simulator import (
     Aircraft,
     StagedMission,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from uqharness.cli.commands import Table, add_commands
+from uqharness.cli.options import Table, add_commands
 
 VERBS: Table = {
     "check": ("campaign.run:add_check", "cost of a campaign before it is flown"),

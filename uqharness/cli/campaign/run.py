@@ -33,9 +33,8 @@ from uqharness.campaign.spec import CampaignSpec, read_campaign, with_samples
 from uqharness.cli.options import add_out, add_workers, describe
 from uqharness.cli.progress import ProgressView, clock
 from uqharness.errors import BadInputError
-from uqharness.files import find_campaign
+from uqharness.files import find_campaign, scratch_folder
 from uqharness.parallel import usable_cores
-from uqharness.scratch import scratch_folder
 
 _CHECK_EXAMPLE = """
   uqharness campaign check campaigns/demo/campaign.toml

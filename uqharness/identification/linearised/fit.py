@@ -28,25 +28,27 @@ from sysid.effects import (
     whiten,
 )
 from sysid.parallel import ALONE, Processes
-from uqharness.identification.linearised.between_rows import jumped, middles
-from uqharness.identification.linearised.columns import (
+from uqharness.identification.linearised.linearise import (
+    Probe,
+    ProbeJob,
     as_felt,
+    as_sensed,
     effect_columns,
+    jumped,
+    late_rate,
     later_controls,
+    middles,
+    placed,
+    probe_all,
     seen_of,
     sensor_gain,
+    sensor_late_s,
+    term_column,
     unsensed,
     vane_place_m,
     vane_slopes,
-)
-from uqharness.identification.linearised.reference import (
-    Probe,
-    ProbeJob,
-    probe_all,
-    term_column,
     with_properties,
 )
-from uqharness.identification.linearised.sensed import as_sensed, late_rate, placed, sensor_late_s
 from uqharness.identification.linearised.types import (
     Flown,
     Point,

@@ -29,15 +29,6 @@ from sysid.effects import (
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.identification.linearised.between_rows import bends_of, jumped, middles, with_jumps
-from uqharness.identification.linearised.columns import (
-    as_felt,
-    at_vane,
-    sensor_gain,
-    sensor_offset,
-    unsensed,
-    vane_place_m,
-)
 from uqharness.identification.linearised.fit import (
     PRIOR,
     Fit,
@@ -48,8 +39,23 @@ from uqharness.identification.linearised.fit import (
     stepped,
     steps_of,
 )
-from uqharness.identification.linearised.reference import Probe, with_properties
-from uqharness.identification.linearised.sensed import as_sensed, moved_later, sensor_late_s
+from uqharness.identification.linearised.linearise import (
+    Probe,
+    as_felt,
+    as_sensed,
+    at_vane,
+    bends_of,
+    jumped,
+    middles,
+    moved_later,
+    sensor_gain,
+    sensor_late_s,
+    sensor_offset,
+    unsensed,
+    vane_place_m,
+    with_jumps,
+    with_properties,
+)
 from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments

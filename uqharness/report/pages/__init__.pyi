@@ -1,10 +1,11 @@
+from uqharness.report.write import kind_of as kind_of
+
 from .coverage import coverage_page_of as coverage_page_of
 from .difference import difference_page as difference_page
 from .dossier import Dossier as Dossier
 from .dossier import dossier_of as dossier_of
 from .flight import FlightAsked as FlightAsked
 from .flight import flight_page as flight_page
-from .index import kind_of as kind_of
 from .instrument import Instrumentation as Instrumentation
 from .instrument import instrument_page as instrument_page
 from .log import log_page as log_page

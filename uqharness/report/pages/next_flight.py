@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.model_form import CoefficientBounds, Outside, parameter_variance
+from sysid.model_form import CoefficientBounds, MissingTerm, Outside, parameter_variance
 from sysid.units import percent
-from uqharness.next_flight import NextFlight
+from uqharness.campaign import Winner
+from uqharness.files import finite
+from uqharness.next_flight import SENSORS, WORTH, NextFlight, Occupancy, Prospect
 from uqharness.replay import axis_label, shown_channel
 from uqharness.report.parts import (
     Figure,
@@ -230,3 +235,264 @@ def _reach(box: FloatArray, values: FloatArray) -> tuple[float, float]:
     return max(min(float(box[0]), float(low)), float(box[0]) - span), min(
         max(float(box[1]), float(high)), float(box[1]) + span
     )
+
+
+# What `next-flight` leaves: next-flight.json and the table of test points.
+
+# The answer of next-flight in sentences: what it is about, what a flight brings, or why none
+# does.
+
+MOST = 0.9
+"""Share of a flight's gain that its few most telling points have together."""
+
+
+def words(
+    found: NextFlight, winner: Winner, missing: Sequence[MissingTerm] | None = None
+) -> list[str]:
+    """The answer in sentences."""
+    c, p = found.coefficient, found.prospect
+    low, high = (100.0 * s for s in winner.share)
+    sure = "certain" if winner.certain else "not certain"
+    out = [
+        f"{c} has {low:.0f} to {high:.0f} % of the p-box of {winner.metric} ({winner.condition}; its lead is {sure})."
+    ]
+    out.append(
+        f"In the mission's flight states its interval is {p.now.total:.3g} wide on average. "
+        f"{_percent(found.extrapolated)} of the mission lies outside the data. The "
+        f"polynomial's uncertainty alone gives {p.now.parameter:.3g}, the scatter about it the rest."
+    )
+    flight = f"The flight of {found.end_s / 60.0:.1f} min narrows the interval by {_percent(p.narrowing)} (its parameter part by "
+    flight += (
+        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by "
+        f"{_percent(1.0 - p.naive.total / p.now.total)} ({_percent(1.0 - p.naive.parameter / p.now.parameter)}); unlimited data "
+        f"of the same kind, by {_percent(p.at_most)}."
+    )
+    shown = 1.0 - p.redone.total / p.now.total
+    if abs(shown - p.narrowing) > 0.01:
+        flight += (
+            f" Bounds made again will come out {_percent(abs(shown))} {'narrower' if shown >= 0.0 else 'wider'}, because residuals "
+            "scatter differently at the speeds of these points; that difference is no information."
+        )
+    out.append(flight)
+    out += _first_points(found)
+    if not found.worth_flying:
+        out.append(_why_not(found, p))
+    out += _of_form(found, missing)
+    others = [
+        f"{name} {_percent(o.narrowing)}"
+        for name, o in found.prospects.items()
+        if name != c and o.narrowing >= WORTH
+    ]
+    if others:
+        out.append(f"The same flight narrows {', '.join(others)}.")
+    return out
+
+
+def _first_points(found: NextFlight) -> list[str]:
+    """How few of the points bring most of it; nothing where it takes more than half of them."""
+    order = sorted(range(len(found.plan)), key=lambda k: -found.plan[k].gain)
+    total, gained, few = sum(p.gain for p in found.plan), 0.0, list[int]()
+    for k in order:
+        few.append(k)
+        gained += found.plan[k].gain
+        if gained >= MOST * total:
+            break
+    if 2 * len(few) > len(found.plan):
+        return []
+    numbers = ", ".join(str(k + 1) for k in sorted(few))
+    what = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
+    return [
+        f"Of what the flight takes off the mean width {what} {_percent(gained / total)}; a short flight would be those."
+    ]
+
+
+def _why_not(found: NextFlight, p: Prospect) -> str:
+    if p.at_most >= WORTH:
+        return (
+            f"Not worth flying for {found.coefficient} alone ({_percent(WORTH)} is asked for): more minutes would bring up to "
+            f"{_percent(p.at_most)}."
+        )
+    text = (
+        f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is scatter about the polynomial, which "
+        "stays. "
+    )
+    ratio = found.scatter / found.simulated_scatter
+    if not math.isfinite(ratio):
+        return text + "A longer flight (--minutes) would show whether that is noise or model form."
+    if ratio > SENSORS:
+        return (
+            text
+            + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): a term is "
+            "missing, or the air was rougher than simulated (--turbulence)."
+        )
+    return (
+        text
+        + f"It is {ratio:.1f} times what the model's own sensors and air give ({found.simulated_scatter:.2g}): calmer air, "
+        "better sensors or a lower --cutoff-hz of the bounds narrow it, no manoeuvre does."
+    )
+
+
+def _of_form(found: NextFlight, missing: Sequence[MissingTerm] | None) -> list[str]:
+    """What the scatter is made of, where the flights behind the bounds were given."""
+    c = found.coefficient
+    if missing is None:
+        if found.worth_flying and not found.form_is_short:
+            return []
+        return [
+            "Give the flights behind the bounds (--flight FILE...) to learn whether a term is missing."
+        ]
+    if not missing:
+        return [
+            f"In the flights given no term of second order is missing from the bounds of {c}: what scatters is noise and air."
+        ]
+    listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
+    states = ",".join(dict.fromkeys(s for m in missing for s in m.states))
+    text = f"Of what scatters in the flights given, this is explained by terms that the bounds of {c} lack: {listed}. More flying "
+    text += f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the bounds (uqharness bounds "
+    return [text + f"--states {c}=...). In turbulence gusts can pass for such terms."]
+
+
+def _percent(value: float) -> str:
+    return percent(value)
+
+
+FORMAT = "next-flight 1"
+COLUMNS = (
+    "number",
+    "start_s",
+    "end_s",
+    "speed_mps",
+    "bank_deg",
+    "kind",
+    "control",
+    "size",
+    "unit",
+    "unit_s",
+    "pattern",
+    "begins_s",
+    "gain",
+)
+
+
+def document(
+    found: NextFlight,
+    winner: Winner,
+    mission: Occupancy,
+    missing: Sequence[MissingTerm] | None,
+    air: Mapping[str, Any],
+    units: Mapping[str, str],
+    warnings: Sequence[str],
+) -> dict[str, Any]:
+    """next-flight.json. air: aircraft, bounds and conditions of the simulated flight, as they are to be written."""
+    return {
+        "format": FORMAT,
+        **air,
+        "metric": winner.metric,
+        "coefficient": found.coefficient,
+        "share": list(winner.share),
+        "certain": winner.certain,
+        "verdict": "fly" if found.worth_flying else "no",
+        "words": words(found, winner, missing),
+        "mission": {
+            "source": mission.source,
+            "flights": mission.flights,
+            "failed": mission.failed,
+            "seconds": round(mission.seconds, 3),
+            "outside_data": found.extrapolated,
+        },
+        "where": {
+            w.state: {
+                "data": w.data.tolist(),
+                "mission": w.mission.tolist(),
+                "variance": finite(w.variance.tolist()),
+            }
+            for w in found.where
+        },
+        "prospects": {c: prospect_row(p) for c, p in found.prospects.items()},
+        "scatter": {"bounds": found.scatter, "simulated": finite(found.simulated_scatter)},
+        "missing": None
+        if missing is None
+        else [{"term": m.name, "share": m.share} for m in missing],
+        "flight_s": found.end_s,
+        "points": [point_row(found, k, units) for k in range(len(found.plan))],
+        "tried": found.tried,
+        "refused": [{"point": r.point.name, "reason": r.reason} for r in found.refused],
+        "warnings": list(warnings),
+    }
+
+
+def prospect_row(p: Prospect) -> dict[str, Any]:
+    """Widths and narrowings of one coefficient."""
+    return {
+        "width": p.now.total,
+        "width_after": p.then.total,
+        "narrowing": p.narrowing,
+        "narrowing_at_most": p.at_most,
+        "narrowing_same_manoeuvres": 1.0 - p.naive.total / p.now.total,
+        "width_redone": p.redone.total,
+        "narrowing_redone": 1.0 - p.redone.total / p.now.total,
+        "parameter_width": p.now.parameter,
+        "parameter_width_after": p.then.parameter,
+        "parameter_narrowing": p.parameter_narrowing,
+        "parameter_narrowing_same_manoeuvres": 1.0 - p.naive.parameter / p.now.parameter,
+    }
+
+
+def point_row(found: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, Any]:
+    """One test point; its steps by control."""
+    item = found.plan[k]
+    return {
+        "number": k + 1,
+        "name": item.point.name,
+        "start_s": item.start_s,
+        "end_s": item.end_s,
+        "speed_mps": item.point.condition.speed_mps,
+        "bank_deg": item.point.condition.bank_deg,
+        "steps": [
+            {
+                "control": s.control,
+                "size": s.size,
+                "unit": units[s.control],
+                "unit_s": s.unit_s,
+                "pattern": [[n, sign] for n, sign in s.pattern],
+                "begins_s": s.start_s,
+            }
+            for s in item.point.steps
+        ],
+        "gain": item.gain,
+    }
+
+
+def points_csv(found: NextFlight, units: Mapping[str, str]) -> bytes:
+    """test-points.csv: one row a control that a point moves, one row for steady flight."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for k, item in enumerate(found.plan):
+        condition = item.point.condition
+        speed = "" if condition.speed_mps is None else f"{condition.speed_mps:g}"
+        head = [
+            k + 1,
+            f"{item.start_s:g}",
+            f"{item.end_s:g}",
+            speed,
+            f"{condition.bank_deg:g}",
+            item.point.kind,
+        ]
+        if not item.point.steps:
+            writer.writerow([*head, "", "", "", "", "", "", f"{item.gain:.4g}"])
+        for s in item.point.steps:
+            pattern = " ".join(f"{'+' if sign > 0 else '-'}{n}" for n, sign in s.pattern)
+            writer.writerow(
+                [
+                    *head,
+                    s.control,
+                    f"{s.size:g}",
+                    units[s.control],
+                    f"{s.unit_s:g}",
+                    pattern,
+                    f"{s.start_s:g}",
+                    f"{item.gain:.4g}",
+                ]
+            )
+    return buffer.getvalue().encode()

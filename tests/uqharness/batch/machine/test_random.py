@@ -7,7 +7,7 @@ import pytest
 
 from uqharness.batch.machine.llvm import targets
 from uqharness.batch.machine.random import compiled_pairs
-from uqharness.flight.normals import Normals, numpy_pairs
+from uqharness.flight.random_numbers import Normals, numpy_pairs
 
 
 @pytest.mark.parametrize("name", list(targets()))

@@ -15,7 +15,7 @@ from tests.helpers.batch_whole import SECOND_ORDER
 from uqharness.batch.form.program import begun
 from uqharness.batch.machine.flight import compile_program
 from uqharness.batch.machine.llvm import chosen_target
-from uqharness.batch.models import earth
+from uqharness.batch.models import motion
 from uqharness.batch.models.motion import CONDITIONS
 
 DT_S = 0.002
@@ -173,10 +173,10 @@ def test_published_figures(monkeypatch, case):
 
 
 def test_gravity_without_the_earths_flattening_misses_them(monkeypatch):
-    monkeypatch.setattr(earth, "J2", 0.0)
+    monkeypatch.setattr(motion, "J2", 0.0)
     assert misses(flown(monkeypatch, "sphere"), "sphere") > 10.0
 
 
 def test_an_earth_that_stands_still_misses_them(monkeypatch):
-    monkeypatch.setattr(earth, "RATE_RADPS", 7.28e-5)
+    monkeypatch.setattr(motion, "RATE_RADPS", 7.28e-5)
     assert misses(flown(monkeypatch, "brick"), "brick") > 10.0

@@ -8,7 +8,7 @@ import pytest
 
 from uqharness.batch.form.ir import Builder, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.models import earth
+from uqharness.batch.models import motion
 
 # NIMA TR8350.2, table 3.1: half axes of WGS-84 [m], and the foot.
 A_M, B_M, FOOT = 6378137.0, 6356752.3142, 0.3048
@@ -19,8 +19,8 @@ def placed(x, y, z):
     """Place and gravity of points."""
     b = Builder()
     ecef = tuple(b.input(name) for name in "xyz")
-    at = earth.place(ecef)
-    g = earth.gravity(at)
+    at = motion.place(ecef)
+    g = motion.gravity(at)
     named = {
         "height": at.height_ft,
         "radius": at.radius_ft,
@@ -42,7 +42,7 @@ def placed(x, y, z):
 def cartesian(latitude, longitude, height_ft):
     """Earth-fixed coordinates [ft] in 40 digits: the closed form from latitude and height."""
     with mpmath.workdps(40):
-        a, b = mpmath.mpf(earth.A_FT), mpmath.mpf(earth.B_FT)
+        a, b = mpmath.mpf(motion.A_FT), mpmath.mpf(motion.B_FT)
         lat, lon, h = mpmath.mpf(latitude), mpmath.mpf(longitude), mpmath.mpf(height_ft)
         squeeze = (b / a) ** 2
         n = a / mpmath.sqrt(1 - (1 - squeeze) * mpmath.sin(lat) ** 2)
@@ -70,28 +70,28 @@ def test_latitude_and_height_come_back(latitude, height_ft):
 
 def test_the_check_notices_a_shape_a_little_off(monkeypatch):
     point = [float(c) for c in cartesian(0.7, 0.1, 1000.0)]
-    monkeypatch.setattr(earth, "_RATIO", earth._RATIO + 1e-14)
+    monkeypatch.setattr(motion, "_RATIO", motion._RATIO + 1e-14)
     assert abs(placed(*point)["height"][0] - 1000.0) > 2e-8
 
 
 def test_axes_of_the_ellipsoid():
     """On the equator and at the poles height is a difference of lengths."""
     found = placed(
-        [earth.A_FT + 100.0, 0.0, 0.0],
-        [0.0, 0.0, -earth.A_FT - 7.0],
-        [0.0, -earth.B_FT - 50.0, 0.0],
+        [motion.A_FT + 100.0, 0.0, 0.0],
+        [0.0, 0.0, -motion.A_FT - 7.0],
+        [0.0, -motion.B_FT - 50.0, 0.0],
     )
     assert found["height"] == pytest.approx([100.0, 50.0, 7.0], abs=1e-8)
-    assert found["sea"] == pytest.approx([earth.A_FT, earth.B_FT, earth.A_FT], abs=1e-8)
+    assert found["sea"] == pytest.approx([motion.A_FT, motion.B_FT, motion.A_FT], abs=1e-8)
     assert (found["sin"][1], found["cos"][0]) == (-1.0, 1.0)
 
 
 def test_the_ellipsoid_is_that_of_wgs_84():
-    assert pytest.approx([A_M, B_M], rel=2e-11) == [earth.A_FT * FOOT, earth.B_FT * FOOT]
+    assert pytest.approx([A_M, B_M], rel=2e-11) == [motion.A_FT * FOOT, motion.B_FT * FOOT]
     # TR8350.2, table 3.1: GM in m3/s2, angular velocity; J2 from the normalised second harmonic.
-    assert pytest.approx(3.986004418e14, rel=1e-7) == earth.GM_FT3_S2 * FOOT**3
-    assert pytest.approx(7.292115e-5, rel=1e-9) == earth.RATE_RADPS
-    assert pytest.approx(0.484166774985e-3 * 5**0.5, rel=1e-5) == earth.J2
+    assert pytest.approx(3.986004418e14, rel=1e-7) == motion.GM_FT3_S2 * FOOT**3
+    assert pytest.approx(7.292115e-5, rel=1e-9) == motion.RATE_RADPS
+    assert pytest.approx(0.484166774985e-3 * 5**0.5, rel=1e-5) == motion.J2
 
 
 def test_gravity_is_the_gradient_of_its_potential():
@@ -99,11 +99,11 @@ def test_gravity_is_the_gradient_of_its_potential():
 
     def potential(x, y, z):
         r2 = x * x + y * y + z * z
-        ratio = mpmath.mpf(earth.A_FT) ** 2 / r2
+        ratio = mpmath.mpf(motion.A_FT) ** 2 / r2
         return (
-            earth.GM_FT3_S2
+            motion.GM_FT3_S2
             / mpmath.sqrt(r2)
-            * (1 - mpmath.mpf(earth.J2) / 2 * ratio * (3 * z * z / r2 - 1))
+            * (1 - mpmath.mpf(motion.J2) / 2 * ratio * (3 * z * z / r2 - 1))
         )
 
     with mpmath.workdps(40):
@@ -130,7 +130,7 @@ def test_local_axes_are_orthogonal_and_point_down():
 def test_turned_undoes_the_earths_rotation():
     b = Builder()
     angle = b.input("angle")
-    out = earth.turned(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
+    out = motion.turned(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
     found, _ = evaluate(
         lower(b.finish({str(k): b.value(value) for k, value in enumerate(out)})),
         {"angle": np.array([0.3]), "x": np.array([5.0])},

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, worst
 from tests.helpers.batch_states import BODY, RECORDS, STATES, integrators, one_frame
 from tests.helpers.few import few
-from uqharness.batch.models import atmosphere, auxiliary, earth, motion
+from uqharness.batch.models import atmosphere, auxiliary, motion
 
 AGREES, SEEN = 2e-11, 5e-10
 CONTROL = {
@@ -49,11 +49,11 @@ def test_the_controls_state_agrees():
 @pytest.mark.parametrize(
     ("module", "name", "factor"),
     [
-        (earth, "J2", 0.0),
-        (earth, "J2", 1.0 + 1e-6),
-        (earth, "RATE_RADPS", 1.0 + 1e-6),
-        (earth, "GM_FT3_S2", 1.0 + 1e-9),
-        (earth, "A_FT", 1.0 + 1e-11),
+        (motion, "J2", 0.0),
+        (motion, "J2", 1.0 + 1e-6),
+        (motion, "RATE_RADPS", 1.0 + 1e-6),
+        (motion, "GM_FT3_S2", 1.0 + 1e-9),
+        (motion, "A_FT", 1.0 + 1e-11),
         (atmosphere, "_R_DRY", 1.0 + 1e-9),
         (auxiliary, "G_FPS2", 1.0 + 1e-9),
     ],
@@ -89,9 +89,9 @@ def test_wind_a_frame_late_is_noticed():
 
 
 def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
-    place = earth.place
+    place = motion.place
     monkeypatch.setattr(
-        earth,
+        motion,
         "place",
         lambda ecef: replace(
             place(ecef), height_ft=place(ecef).radius_ft - place(ecef).sea_level_radius_ft

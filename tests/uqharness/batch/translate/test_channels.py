@@ -19,8 +19,7 @@ from tests.helpers.batch_systems import (
     traced,
     values_of,
 )
-from uqharness.batch.translate.channels import System
-from uqharness.batch.translate.sources import read_sources
+from uqharness.batch.translate.channels import System, read_sources
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, find_script, staged
 from uqharness.xml.document import parse_document

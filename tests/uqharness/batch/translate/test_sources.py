@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.batch_flights import aircraft, compared, craft, refused, worst
-from uqharness.batch.translate.sources import read_sources
+from uqharness.batch.translate.channels import read_sources
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script

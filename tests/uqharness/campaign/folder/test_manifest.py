@@ -20,7 +20,7 @@ from uqharness.campaign.folder.manifest import digest_of_text, read_manifest, wr
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.samples import read_campaign
 from uqharness.cli.main import main
-from uqharness.next_flight.mission_states import open_campaign
+from uqharness.next_flight.points import open_campaign
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, spec
 from uqharness.batch.lanes.course import fly_many
-from uqharness.campaign.rare.paths import LoiterPaths, Lookahead, Watch
+from uqharness.campaign.rare_events import LoiterPaths, Lookahead, Watch
 from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, record_mission, scored_signals, staged_mission
 from uqharness.statistics import Levels, run

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.campaign.rare.paths import NOW_M, Predicted, fit
+from uqharness.campaign.rare_events import NOW_M, Predicted, fit
 
 KEEP = 0.8
 

@@ -11,7 +11,7 @@ import pytest
 from sysid.estimation import Seen, carried, gains
 from sysid.parallel import ALONE
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
-from uqharness.identification.linearised import between_rows
+from uqharness.identification.linearised import linearise
 from uqharness.identification.linearised.fit import fit_at, fly
 from uqharness.identification.linearised.types import Point, Setup, unseen
 from uqharness.replay import CONTROLS, FELT
@@ -35,7 +35,7 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
         100.0,
     )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (away,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
+        (away,) = linearise.middles(model, SimpleNamespace(segments=[segment]))
     middle, end = away
     expected = np.zeros(11)
     expected[5] = -4.0
@@ -61,10 +61,10 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
         100.0,
     )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (between,) = between_rows.middles(
+        (between,) = linearise.middles(
             model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))])
         )
-        (averaged,) = between_rows.middles(model, SimpleNamespace(segments=[segment]))
+        (averaged,) = linearise.middles(model, SimpleNamespace(segments=[segment]))
     rows = fine[::3, 0]
 
     def area(away):
@@ -126,7 +126,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         )
         fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, ALONE)
         with ReplayFolder(aircraft) as servos:
-            assert not between_rows.middles(servos, setup, seen.point)[0][1].any()
+            assert not linearise.middles(servos, setup, seen.point)[0][1].any()
     expected = lacking.outputs[0] - seen.outputs[0]
     found = fit.columns[0].outputs[unseen("f")]
     assert np.abs(expected).max() > 0.5
@@ -201,10 +201,10 @@ def test_flights_jump_where_the_models_controls_do():
     )
     aircraft = find_aircraft("espaaro")
     with ReplayFolder(aircraft, ideal=("elevator",)) as at_once, ReplayFolder(aircraft) as servos:
-        assert between_rows.with_jumps(setup, at_once).jumping == ("f",)
-        assert between_rows.with_jumps(setup, servos).jumping == ()
+        assert linearise.with_jumps(setup, at_once).jumping == ("f",)
+        assert linearise.with_jumps(setup, servos).jumping == ()
         # A sensor that is late says nothing of what a row has seen.
-        assert between_rows.with_jumps(replace(setup, late={"f": ["gyros"]}), at_once).jumping == ()
+        assert linearise.with_jumps(replace(setup, late={"f": ["gyros"]}), at_once).jumping == ()
 
 
 def test_forces_between_rows_are_the_models_own(monkeypatch):
@@ -225,8 +225,8 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
                 other_moment=none,
             )
 
-    monkeypatch.setattr(between_rows, "force_all", forced)
-    monkeypatch.setattr(between_rows, "altitudes", lambda model, segment, height: height)
+    monkeypatch.setattr(linearise, "force_all", forced)
+    monkeypatch.setattr(linearise, "altitudes", lambda model, segment, height: height)
     x, u = np.full((4, 8), 20.0), np.zeros((4, 4))
     x[2:, 0], u[2:, 1], u[3, 1] = 24.0, 8.0, 6.0
     away = np.zeros((2, 3, 4))
@@ -236,7 +236,7 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
         reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u
     )
     setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
-    (bend,) = between_rows.bends_of(
+    (bend,) = linearise.bends_of(
         None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map
     )
     assert bend.shape == (2, 3, 6)

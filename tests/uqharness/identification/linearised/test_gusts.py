@@ -21,14 +21,17 @@ from sysid.effects.turbulence import Score
 from sysid.parallel import ALONE
 from tests.helpers.flown import fly as flown
 from uqharness.identification.linearised import gusts as refine_gusts
-from uqharness.identification.linearised.columns import effect_columns, later_controls
 from uqharness.identification.linearised.fit import positions, step_from, stepped, steps_of
 from uqharness.identification.linearised.gusts import as_measured, in_step, moved, rows_late
-from uqharness.identification.linearised.reference import Probe
-from uqharness.identification.linearised.sensed import as_sensed
+from uqharness.identification.linearised.linearise import (
+    Probe,
+    as_sensed,
+    effect_columns,
+    later_controls,
+)
 from uqharness.identification.linearised.types import Point, make_setup
+from uqharness.refinement import evaluation as refine_show
 from uqharness.refinement import rounds as refine_rounds
-from uqharness.refinement.showing import show as refine_show
 from uqharness.replay.flights import prepare
 from uqharness.replay.model import ReplayFolder
 from uqharness.simulator.aircraft import find_aircraft

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uqharness.cli.main import main
-from uqharness.identification.linearised.reference import property_slopes
+from uqharness.identification.linearised.linearise import property_slopes
 from uqharness.replay import CONTROLS, ReplayFolder, Segment, StatesOf, force_all
 from uqharness.simulator import find_aircraft
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
-from uqharness.identification.linearised.columns import at_vane
-from uqharness.identification.linearised.sensed import placed, sensor_late_s
+from uqharness.identification.linearised.linearise import at_vane, placed, sensor_late_s
 from uqharness.identification.linearised.types import Point
 from uqharness.refinement.round import candidates_for
 from uqharness.replay import Segment

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing.document import disagreements
+from uqharness.refinement.document import disagreements
 
 N, DT = 600, 0.02
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.refinement.showing import mission
+from uqharness.refinement import mission
 
 
 def refused(*given: object) -> None:

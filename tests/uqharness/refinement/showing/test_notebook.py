@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 
-from uqharness.refinement.showing.document import refinement_view
+from uqharness.refinement.document import refinement_view
 
 DOCUMENT = {
     "verdict": "effects-found",

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.showing.document import (
-    NOTHING,
-    Series,
-    no_place,
-    where_loudest,
-    would_tell,
-)
+from uqharness.refinement.document import NOTHING, Series, no_place, where_loudest, would_tell
 from uqharness.report.pages.refinement import place_says
 from uqharness.result_documents import Place
 

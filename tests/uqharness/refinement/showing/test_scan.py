@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement.showing.document import (
+from uqharness.refinement.document import (
     BY_CHANCE,
     band_of,
     densest,

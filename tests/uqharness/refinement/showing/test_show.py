@@ -24,10 +24,9 @@ from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
 from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
 from uqharness.refinement import judge as refine_judge
-from uqharness.refinement.round import Side
-from uqharness.refinement.run import Refinement, Request, _put, refine
-from uqharness.refinement.showing.document import Nearest
-from uqharness.refinement.showing.mission import (
+from uqharness.refinement.document import Nearest
+from uqharness.refinement.evaluation import Shown, _told_noise, gap_document, with_replays
+from uqharness.refinement.mission import (
     FlightSet,
     IntervalJob,
     both_boxes,
@@ -36,11 +35,11 @@ from uqharness.refinement.showing.mission import (
     fly_missions,
     intervals_document,
 )
-from uqharness.refinement.showing.show import Shown, _told_noise, gap_document, with_replays
+from uqharness.refinement.round import Side
+from uqharness.refinement.run import Refinement, Request, _put, refine
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import left_over, nowhere
-from uqharness.report.refinement import write_results
-from uqharness.report.write import write_report
+from uqharness.report.write import write_report, write_results
 from uqharness.result_documents import Place
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample

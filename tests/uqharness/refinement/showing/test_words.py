@@ -10,7 +10,7 @@ import pytest
 
 from sysid.effects import Choice
 from sysid.effects.catalogue import coefficient_effect
-from uqharness.refinement.showing.document import moments_of, strong_of, why
+from uqharness.refinement.document import moments_of, strong_of, why
 
 
 @pytest.mark.parametrize(

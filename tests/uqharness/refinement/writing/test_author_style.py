@@ -9,8 +9,8 @@ import pytest
 
 from sysid.effects.catalogue import coefficient_effect
 from uqharness.plugin import Bounds, bake_scales, instrument_aircraft, with_card
-from uqharness.plugin.estimates import Estimate, put_values
-from uqharness.refinement.writing.effects import Written, write_effects
+from uqharness.plugin.apply import Estimate, put_values
+from uqharness.refinement.write_xml import Written, write_effects
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 

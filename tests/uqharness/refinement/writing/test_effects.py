@@ -11,8 +11,8 @@ import pytest
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import Carrier, servo_change
-from uqharness.plugin.estimates import Estimate
-from uqharness.refinement.writing.effects import Written, carrier, switch_of, write_effects
+from uqharness.plugin.apply import Estimate
+from uqharness.refinement.write_xml import Written, carrier, switch_of, write_effects
 from uqharness.replay.replay import runs_per_row
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator

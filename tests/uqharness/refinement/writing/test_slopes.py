@@ -12,7 +12,7 @@ import pytest
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.selection import Choice, Selection
 from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
-from uqharness.refinement.writing.effects import (
+from uqharness.refinement.write_xml import (
     Written,
     control_slopes,
     inflow_numbers,

@@ -7,7 +7,7 @@ import pytest
 
 from sysid.effects.smooth import SmoothFit, smooth_term
 from tests.helpers.batch_whole import beyond, copied, spec
-from uqharness.refinement.writing.effects import property_of_table, write_table
+from uqharness.refinement.write_xml import property_of_table, write_table
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 

@@ -10,8 +10,7 @@ from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import problems
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.report.pages.index import KINDS
-from uqharness.report.write import write_report
+from uqharness.report.write import KINDS, write_report
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.batch_systems import refusal
-from uqharness.batch.translate.components.kinds import KINDS, REFUSED
+from uqharness.batch.translate.channels import KINDS, REFUSED
 
 JSBSIMS = {
     "lag_filter",

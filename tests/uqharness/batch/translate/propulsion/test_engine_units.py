@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
-from uqharness.batch.translate.propulsion.engine_files import UNITS
+from uqharness.batch.translate.engine_files import UNITS
 
 SHOWN = {
     "IN": (

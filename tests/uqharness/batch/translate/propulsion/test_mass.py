@@ -8,7 +8,7 @@ import pytest
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
 from tests.helpers.few import few
-from uqharness.batch.translate.propulsion.tanks import DRY, Tank, dry_aircraft
+from uqharness.batch.translate.tanks import DRY, Tank, dry_aircraft
 
 SPIN = """<aerodynamics><axis name="ROLL"><function name="aero/r"><v>1</v></function></axis>
 <axis name="PITCH"><function name="aero/q"><v>2</v></function></axis></aerodynamics>"""

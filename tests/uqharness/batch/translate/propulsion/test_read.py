@@ -7,15 +7,8 @@ from pathlib import Path
 import pytest
 
 from uqharness.batch.form.ir import Builder
+from uqharness.batch.translate.engine_files import grid, known, needed, number, numbered, triplet
 from uqharness.batch.translate.frame import Scope
-from uqharness.batch.translate.propulsion.engine_files import (
-    grid,
-    known,
-    needed,
-    number,
-    numbered,
-    triplet,
-)
 from uqharness.errors import BadInputError
 from uqharness.xml.document import Node, parse_document
 

@@ -1,32 +1,24 @@
-"""``<propulsion>`` read and traced: engines in the order of the file, each with its thruster and the tanks that feed it.
+"""``<electric_engine>`` and ``<brushless_dc_motor>``: power to the shaft by the throttle (JSBSim 1.3.3).
 
-Found by experiment with JSBSim 1.3.3: an engine is computed, then takes its fuel, then its thruster's force and moment are added;
-it learns that its tanks are empty a frame later. ``propulsion/set-running`` in a script acts when the script is loaded: what
-engines are at then is JSBSim's to tell.
+The brushless motor is Drela's (First-Order DC Electric Motor Model, 2007, eqs 2 and 4).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Builder
+from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
-from uqharness.batch.translate.channels import compute_where_read, refuse_inner_names
+from uqharness.batch.translate.channels import Sources, compute_where_read, refuse_inner_names
+from uqharness.batch.translate.engine_files import Part, base, known, needed, number, numbered
 from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, Values, canonical
-from uqharness.batch.translate.propulsion.electric import Brushless, Electric, read_electric
-from uqharness.batch.translate.propulsion.engine_files import Part, base, known, numbered
-from uqharness.batch.translate.propulsion.piston import Piston, read_piston
-from uqharness.batch.translate.propulsion.propeller import (
-    Jet,
-    Propeller,
-    read_jet,
-    read_mount,
-    read_propeller,
-)
-from uqharness.batch.translate.propulsion.tanks import (
+from uqharness.batch.translate.piston import Piston, read_piston
+from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
+from uqharness.batch.translate.tanks import (
     Tank,
     dry_aircraft,
     feeding,
@@ -36,10 +28,92 @@ from uqharness.batch.translate.propulsion.tanks import (
     trace_mass,
     trace_tanks,
 )
-from uqharness.batch.translate.propulsion.turbine import FUNCTIONS, Turbine, read_turbine
-from uqharness.batch.translate.sources import Sources
+from uqharness.batch.translate.turbine import FUNCTIONS, Turbine, read_turbine
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
+
+_HP_WATTS = 745.7
+_HP_FTLBPS = 550.0
+_NM_FTLB = 1.3558
+_ALWAYS = ("function",)
+
+
+@dataclass(frozen=True)
+class Electric:
+    """Power in proportion to the throttle."""
+
+    name: str
+    index: str
+    watts: float
+
+    def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
+        """What the thruster gets [ft lbf/s]."""
+        hp = self.watts * frame.get(f"fcs/throttle-pos-norm{self.index}") / _HP_WATTS
+        frame.store(f"{self.name}power-hp", hp)
+        power = hp * _HP_FTLBPS
+        b = frame.builder
+        at_rest = (
+            thruster.engine_rpm(frame).le(0.1) if isinstance(thruster, Propeller) else b.truth(True)
+        )
+        return b.op("and", at_rest, power.lt(0.0)).choose(0.0, power)
+
+
+@dataclass(frozen=True)
+class Brushless:
+    """A motor whose voltage follows the throttle."""
+
+    name: str
+    index: str
+    volts: float
+    rpm_per_volt: float
+    ohms: float
+    no_load_amperes: float
+
+    def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
+        """What the thruster gets [ft lbf/s]."""
+        b, kv, idle = frame.builder, self.rpm_per_volt, self.no_load_amperes
+        rpm = (
+            frame.get(f"{self.name}propeller-rpm")
+            if isinstance(thruster, Propeller)
+            else b.constant(0.0)
+        )
+        volts = self.volts * frame.get(f"fcs/throttle-pos-norm{self.index}")
+        current = (volts - rpm / kv) / self.ohms
+        held = current.gt(idle).choose(idle, current.lt(-idle).choose(-idle, current))
+        friction = rpm.gt(0.0).choose(idle, held)
+        torque = (current - friction) / kv * (60.0 / (2.0 * math.pi * _NM_FTLB))
+        power = 2.0 * math.pi * b.op("max", rpm, 0.0001) * torque / 60.0
+        frame.store(f"{self.name}current-amperes", current)
+        frame.store(f"{self.name}power-hp", power / _HP_WATTS * _NM_FTLB)
+        return power
+
+
+def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric | Brushless:
+    """An engine of either kind. Raises BadInputError with file and line."""
+    node = part[1]
+    if node.tag == "electric_engine":
+        known(scope, node, ("power", *_ALWAYS))
+        return Electric(name, index, number(scope, node, "power", _HP_WATTS, "WATTS"))
+    known(
+        scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS)
+    )
+    return Brushless(
+        name,
+        index,
+        needed(scope, node, "maxvolts", "VOLTS"),
+        needed(scope, node, "velocityconstant"),
+        needed(scope, node, "coilresistance", "OHMS"),
+        needed(scope, node, "noloadcurrent", "AMPERES"),
+    )
+
+
+# ``<propulsion>`` read and traced: engines in the order of the file, each with its thruster and
+# the tanks that feed it.
+#
+# Found by experiment with JSBSim 1.3.3: an engine is computed, then takes its fuel, then its
+# thruster's force and moment are added; it learns that its tanks are empty a frame later.
+# ``propulsion/set-running`` in a script acts when the script is loaded: what engines are at
+# then is JSBSim's to tell.
 
 _BOTH_MAGNETOS = 3.0
 _NEAR_LBS, _TIMES, _MOST = 1e-4, 120.0, 6000.0

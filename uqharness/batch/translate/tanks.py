@@ -15,8 +15,8 @@ import numpy as np
 from sysid.units import SLUG_LB
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.vectors import Vector
+from uqharness.batch.translate.engine_files import Part, known, number, triplet
 from uqharness.batch.translate.frame import Frame, Scope
-from uqharness.batch.translate.propulsion.engine_files import Part, known, number, triplet
 
 _LEAST_CAPACITY = 1e-5
 _TAGS = (

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.maths import truncated
-from uqharness.batch.translate.components.component import Component, inner, own_name
+from uqharness.batch.translate.component import Component, inner, own_name
 from uqharness.batch.translate.frame import is_number, property_of
 from uqharness.xml import Node
 

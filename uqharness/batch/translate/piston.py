@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 from sysid.units import FT_M
 from uqharness.batch.form.ir import Value
-from uqharness.batch.translate.frame import Frame, Scope
-from uqharness.batch.translate.functions import Grid
-from uqharness.batch.translate.propulsion.engine_files import (
+from uqharness.batch.translate.engine_files import (
     MANIFOLD_PA_INHG,
     MANIFOLD_PA_PSF,
     Part,
@@ -22,7 +20,9 @@ from uqharness.batch.translate.propulsion.engine_files import (
     looked_up,
     number,
 )
-from uqharness.batch.translate.propulsion.propeller import Jet, Propeller
+from uqharness.batch.translate.frame import Frame, Scope
+from uqharness.batch.translate.functions import Grid
+from uqharness.batch.translate.propeller import Jet, Propeller
 
 _R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
 _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0

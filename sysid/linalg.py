@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
@@ -129,3 +132,28 @@ def first_order(x: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
     diagonals = np.ones((2, len(inputs)))
     diagonals[1] = -keep
     return np.asarray(dtbtrs(diagonals, inputs, uplo="L", diag="U")[0].ravel())
+
+
+# Loops that numba compiles, and keeps compiled beside their source.
+
+Loop = Callable[..., Any]
+
+
+def compiled(loop: Loop) -> Loop:
+    """The loop, compiled when it is first called with such arguments.
+
+    A division by zero gives what numpy's gives. The machine code is kept for the next process in the source's ``__pycache__``, or
+    in the user's cache where that cannot be written; where neither can, every process compiles anew.
+    """
+    try:
+        kept: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
+    except RuntimeError:
+        kept = njit(nogil=True, error_model="numpy")(loop)
+    return kept
+
+
+def within(part: Loop) -> Loop:
+    """The part, which compiled loops of the same file may call and Python as well: for other files' the code that is kept would not
+    be renewed when they change."""
+    known: Loop = register_jitable(part)
+    return known

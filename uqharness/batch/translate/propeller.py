@@ -14,9 +14,7 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm
 from uqharness.batch.models.motion import slots
 from uqharness.batch.models.vectors import Matrix, Vector, applied, cross, plus, transposed
-from uqharness.batch.translate.frame import Frame, Scope
-from uqharness.batch.translate.functions import Grid
-from uqharness.batch.translate.propulsion.engine_files import (
+from uqharness.batch.translate.engine_files import (
     Part,
     base,
     grid,
@@ -26,6 +24,8 @@ from uqharness.batch.translate.propulsion.engine_files import (
     number,
     triplet,
 )
+from uqharness.batch.translate.frame import Frame, Scope
+from uqharness.batch.translate.functions import Grid
 
 # Where a thruster stands and points, and what it does to the aircraft; ``<direct>`` thrusters
 # and ``<nozzle>`` besides.

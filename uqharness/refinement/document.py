@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.display import rows_table, view
 from sysid.distributions import f_tail, gamma_tail
 from sysid.effects import (
     CERTAIN_T,
@@ -25,15 +26,13 @@ from sysid.effects import (
     scores,
 )
 from sysid.estimation import NOISE_FLOOR, integral_time, rms
-from sysid.notebook_view import rows_table, view
 from uqharness.identification.linearised import Flown, Setup
-from uqharness.refinement.find import Found, chosen_interval
+from uqharness.refinement.evaluation import Shown, gap_document, left_in
 from uqharness.refinement.judge import Judged, Verdict, evidence_of
-from uqharness.refinement.rates import is_fastest
 from uqharness.refinement.round import Bent
-from uqharness.refinement.rounds import eligible
-from uqharness.refinement.showing.show import Shown, gap_document, left_in
-from uqharness.refinement.writing.effects import switch_of
+from uqharness.refinement.rounds import eligible, is_fastest
+from uqharness.refinement.search import Found, chosen_interval
+from uqharness.refinement.write_xml import switch_of
 from uqharness.simulator import Actuator, Aircraft
 
 # Where a model and flights disagree: coefficient by manoeuvre and region of the state, in

@@ -7,12 +7,7 @@ import math
 
 from sysid.units import SHORT_DEG_RAD
 from uqharness.batch.form.ir import Value
-from uqharness.batch.translate.components.component import (
-    Component,
-    constrained,
-    inner,
-    output_names,
-)
+from uqharness.batch.translate.component import Component, constrained, inner, output_names
 from uqharness.batch.translate.frame import Scope, property_of
 from uqharness.batch.translate.functions import function_value, table
 from uqharness.batch.translate.script import condition

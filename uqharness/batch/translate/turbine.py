@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Builder, Value, evaluate
 from uqharness.batch.form.maths import lower
+from uqharness.batch.translate.engine_files import Part, known, number
 from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, is_number
 from uqharness.batch.translate.functions import function_value
-from uqharness.batch.translate.propulsion.engine_files import Part, known, number
-from uqharness.batch.translate.propulsion.propeller import Jet, Propeller
+from uqharness.batch.translate.propeller import Jet, Propeller
 from uqharness.xml import Node
 
 FUNCTIONS = (

@@ -1,1 +1,0 @@
-"""Linear algebra of the estimators: solutions of block systems, and compiled loops."""

@@ -1,1 +1,0 @@
-"""JSBSim's flight control components as values of the intermediate form."""

@@ -1,1 +1,0 @@
-"""What a refinement did, on flights that it did not use."""

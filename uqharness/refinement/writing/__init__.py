@@ -1,1 +1,0 @@
-"""Effects written into an aircraft's XML."""

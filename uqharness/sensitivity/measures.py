@@ -1,0 +1,438 @@
+"""Total-effect Sobol indices of the aleatory mean (Hale 2016, eqs 4.4, 4.5), estimated by scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.arrays import FloatArray
+from uqharness.sensitivity.areas import (
+    MIN_DRAWS,
+    OUTSIDE_ALLOWED,
+    RESAMPLES,
+    Z,
+    beyond_corners,
+    box_area,
+    is_flat,
+    log_area,
+    pair_band,
+    reach_of_box,
+    std_by_draws,
+)
+from uqharness.sensitivity.result import (
+    CONFIDENCE,
+    Index,
+    MethodResult,
+    PairRange,
+    all_undefined,
+    missing_values,
+)
+from uqharness.sensitivity.study import Evaluations, Study
+
+METHOD = "anova"
+_RESAMPLES = 200
+
+
+def anova(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
+    """Share of the variance of the aleatory mean that would go with each parameter, under uniform intervals.
+
+    Nothing is clipped: a total effect above 1 is chance or few samples, and stays. The interval joins a bootstrap over the
+    epistemic samples with half-sampling over the draws.
+    """
+    if runs.sampled is None or runs.second is None or runs.mixed is None:
+        return all_undefined(METHOD, study.names, "the study has no pair of sampled matrices")
+    first, second, mixed = runs.sampled, runs.second, runs.mixed
+    cost = first.size + second.size + mixed.size
+    reason = missing_values(sampled=first, second=second, mixed=mixed)
+    if reason:
+        return all_undefined(METHOD, study.names, reason, cost)
+    # To examine what epistemic inputs do, the mean over the aleatory draws is the output (section 4.5.3).
+    f_A, f_B, f_AB = first.mean(axis=1), second.mean(axis=1), mixed.mean(axis=2)
+    if is_flat(float(np.ptp(np.concatenate([f_A, f_B]))), f_A, f_B):
+        reason = "the aleatory mean has no variance: the output's mean depends on no parameter"
+        return all_undefined(METHOD, study.names, reason, cost)
+    samples = f_A.size
+    from scipy import stats
+
+    # Twice the same output: for one output of one parameter scipy squeezes its result to a scalar and fails on it.
+    twice = {
+        "f_A": np.stack([f_A] * 2),
+        "f_B": np.stack([f_B] * 2),
+        "f_AB": np.stack([f_AB] * 2, axis=1),
+    }
+    found = stats.sobol_indices(func=twice, n=samples)
+    total, order_one = found.total_order.reshape(2, -1)[0], found.first_order.reshape(2, -1)[0]
+    low = high = np.full_like(total, np.nan)
+    if intervals:
+        by_draws = std_by_draws(
+            lambda a: _total(
+                first[:, a].mean(axis=1), second[:, a].mean(axis=1), mixed[:, :, a].mean(axis=2)
+            ),
+            first.shape[1],
+            seed,
+        )
+        reach = Z * by_draws
+        low, high = _bootstrap(f_A, f_B, f_AB, seed)
+        low, high = total - np.hypot(total - low, reach), total + np.hypot(high - total, reach)
+    indices = {
+        name: Index(float(value), float(lo), float(hi))
+        for name, value, lo, hi in zip(study.names, total, low, high, strict=True)
+    }
+    together = float(total.sum())
+    above = [name for name, index in indices.items() if index.value > 1.0]
+    statement = (
+        f"total effects add up to {together:.2f} (1 without interactions); they assume uniform distributions, which "
+        "were not measured, and divide variance, not width"
+    )
+    if above:
+        statement += (
+            f"; {', '.join(above)} above 1 by sampling error, left as estimated: raise samples"
+        )
+    return MethodResult(
+        METHOD,
+        cost,
+        indices,
+        not above,
+        statement,
+        {"first_order": order_one, "total_sum": together},
+    )
+
+
+def _total(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> np.ndarray:
+    """(d,) total effects."""
+    variance = np.var(np.concatenate([f_A, f_B], axis=-1), axis=-1)
+    return np.mean((f_A - f_AB) ** 2, axis=-1) / (
+        2.0 * variance
+    )  # (4.5) over the variance in (4.4)
+
+
+def _bootstrap(
+    f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Percentile limits (d,) over resampled rows."""
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(f_A.size, size=(_RESAMPLES, f_A.size))
+    again = np.array([_total(f_A[k], f_B[k], f_AB[:, k]) for k in rows])
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = np.quantile(again, [tail, 1.0 - tail], axis=0)
+    return low, high
+
+
+# The proposed method (Hale 2016, section 4.6): areas between the corners that differ in one
+# parameter alone, over the envelope's area, as a range over the 2^(d-1) pairs. No run beyond
+# the corners.
+
+CORNER_PAIRS_METHOD = "proposed"
+
+
+def corner_pairs(
+    study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
+) -> MethodResult:
+    """[min, max] share of the envelope's area. Intervals hold for all parameters and pairs at once (see ``pair_band``).
+
+    ``details`` tell by which share the envelope shrinks with a parameter fixed at either bound (``shrink_min``, ``shrink_max``,
+    (d,), and their band), and ``lead`` (d, d) which parameter certainly comes before which.
+    """
+    if runs.corners is None:
+        return all_undefined(CORNER_PAIRS_METHOD, study.names, "the study has no corner runs")
+    y, d = runs.corners, len(study.names)
+    reason = missing_values(corners=y)
+    if reason:
+        return all_undefined(CORNER_PAIRS_METHOD, study.names, reason, y.size)
+    interior = runs.between
+    area = box_area(y)
+    if is_flat(area, y) or (interior is not None and is_flat(area, interior)):
+        reason = "the corners' envelope has no width"
+        if interior is not None and not is_flat(box_area(interior), interior):
+            reason += ", though samples inside the box differ: the output is not monotone and the corners do not show it"
+        return all_undefined(CORNER_PAIRS_METHOD, study.names, reason, y.size)
+    band = pair_band(y, d, seed, resamples=RESAMPLES if intervals else 0, chance=study.chance)
+    indices = {}
+    for i, name in enumerate(study.names):
+        index, low, high = band.index[i, :-2], band.low[i, :-2], band.high[i, :-2]
+        why = _no_interval(y.shape[1], intervals) if np.isnan(low).any() else ""
+        indices[name] = PairRange(
+            Index(float(index.min()), float(low.min()), float(high.min()), why),
+            Index(float(index.max()), float(low.max()), float(high.max()), why),
+            tuple(index.tolist()),
+        )
+    holds, statement, outside = _smoothness(y, interior, band.area)
+    if np.isnan(band.low).any() and intervals:
+        statement += f"; {_no_interval(y.shape[1], intervals)}"
+    shrink = {
+        "shrink_low": band.low[:, -2:].min(axis=1),
+        "shrink_min": band.index[:, -2:].min(axis=1),
+        "shrink_max": band.index[:, -2:].max(axis=1),
+        "shrink_high": band.high[:, -2:].max(axis=1),
+    }
+    details = {
+        "area": band.area,
+        "area_low": band.area_low,
+        "area_high": band.area_high,
+        "interior_outside": outside,
+        "lead": band.lead,
+        **shrink,
+    }
+    return MethodResult(CORNER_PAIRS_METHOD, y.size, indices, holds, statement, details)
+
+
+def _no_interval(draws: int, wanted: bool) -> str:
+    if not wanted:
+        return ""
+    if draws < MIN_DRAWS:
+        return f"no interval from {draws} aleatory draws: at least {MIN_DRAWS} are needed"
+    return "no interval: some resamples of the aleatory draws show no width at all"
+
+
+def _smoothness(
+    corners: FloatArray, interior: FloatArray | None, area: float
+) -> tuple[bool | None, str, float]:
+    """Whether interior samples stay within the corners' envelope: the area by which the worst leaves it, over the envelope's."""
+    if interior is None:
+        return (
+            None,
+            "not checked: whether levels between the bounds stay inside the corners' envelope",
+            float("nan"),
+        )
+    if missing_values(interior=interior):
+        return (
+            False,
+            f"{missing_values(interior=interior)}, so the corners do not bound what lies between them",
+            float("nan"),
+        )
+    worst = beyond_corners(corners, interior, area)
+    holds = worst <= OUTSIDE_ALLOWED
+    text = f"of {len(interior)} interior samples the worst leaves the corners' envelope by {100 * worst:.1f} % of its area"
+    if not holds:
+        text += ": the output is not monotone enough, the corners miss part of the p-box and these ranges are too small"
+    return holds, text, worst
+
+
+# Local finite difference (Hale 2016, eqs 4.1, 4.2): d + 1 runs at the centre of the aleatory
+# variables.
+
+LOCAL_METHOD = "local"
+LINEAR_WITHIN = 0.1
+"""Share by which the sum of the ranges may miss the corners' p-box before linearity is denied."""
+
+
+def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
+    """Share range x |slope| of the sampled p-box's width, or of the corners' where nothing was sampled.
+
+    The differences are exact; the interval is that of the width.
+    """
+    if runs.nominal is None or runs.forward is None:
+        return all_undefined(
+            LOCAL_METHOD, study.names, "the study has no runs about a nominal model"
+        )
+    box = runs.sampled if runs.sampled is not None else runs.corners
+    if box is None:
+        return all_undefined(LOCAL_METHOD, study.names, "the study has no p-box to take shares of")
+    cost = runs.nominal.size + runs.forward.size
+    reason = missing_values(nominal=runs.nominal, forward=runs.forward, p_box=box)
+    if reason:
+        return all_undefined(LOCAL_METHOD, study.names, reason, cost)
+    area = box_area(box)
+    if is_flat(area, box):
+        return all_undefined(
+            LOCAL_METHOD,
+            study.names,
+            "the p-box has no width: the output depends on no parameter",
+            cost,
+        )
+    slope = np.abs((runs.forward - runs.nominal) / study.step)  # (4.1)
+    share = study.width * slope / area  # (4.2)
+    reach = np.nan
+    if intervals and runs.sampled is not None:
+        reach = float(reach_of_box(lambda e, a: log_area(box[np.ix_(e, a)]), box.shape, seed))
+    elif intervals:
+        # All corners there are: only the draws are a sample.
+        reach = Z * float(std_by_draws(lambda a: log_area(box[:, a]), box.shape[1], seed))
+    factor = np.exp(reach)
+    indices = {
+        name: Index(float(value), float(value / factor), float(value * factor))
+        for name, value in zip(study.names, share, strict=True)
+    }
+    holds, statement = (
+        None,
+        "linearity over the intervals is assumed and was not checked: the study has no corner runs",
+    )
+    if runs.corners is not None and not missing_values(corners=runs.corners):
+        holds, statement = _linearity(
+            float(np.sum(study.width * slope)),
+            runs.corners,
+            runs.between,
+            is_flat(area, runs.corners),
+        )
+    return MethodResult(
+        LOCAL_METHOD, cost, indices, holds, statement, {"slope": slope, "area": area}
+    )
+
+
+def _linearity(
+    predicted: float, corners: FloatArray, interior: FloatArray | None, flat: bool
+) -> tuple[bool, str]:
+    """For a linear output the corners' p-box is as wide as the slopes' ranges together, and no interior sample leaves it."""
+    corner_area = box_area(corners)
+    holds = not flat and corner_area > 0.0 and abs(predicted / corner_area - 1.0) <= LINEAR_WITHIN
+    beyond = 0.0
+    if interior is not None and not missing_values(interior=interior):
+        beyond = beyond_corners(corners, interior, corner_area)
+    holds = holds and beyond <= OUTSIDE_ALLOWED
+    verdict = (
+        "linearity holds roughly"
+        if holds
+        else "not linear over the intervals, so do not rely on it"
+    )
+    if beyond > OUTSIDE_ALLOWED:
+        verdict = "samples between the corners leave it; " + verdict
+    return holds, (
+        f"the ranges that the slopes predict add up to {predicted:.4g}, the corners' p-box is {corner_area:.4g} wide (the same "
+        f"for a linear output): {verdict}"
+    )
+
+
+# P-box pinching (Guo & Du 2007; Hale 2016, section 4.5.4): how much narrower is the p-box with
+# one parameter known?
+
+PINCHING_METHOD = "pbox"
+FILLED = 0.9
+"""Share of the corners' p-box that the sampled one must fill before it stands for the intervals."""
+
+
+def pinching(
+    study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
+) -> MethodResult:
+    """1 - area with the parameter at its nominal value / area with all free, over the same samples otherwise.
+
+    Less than 0 where pinching widened the sampled p-box: chance, or a nominal value that lies worse than most.
+    """
+    if runs.sampled is None or runs.pinned is None:
+        return all_undefined(
+            PINCHING_METHOD,
+            study.names,
+            "the study has no runs with a parameter at its nominal value",
+        )
+    free, pinned = runs.sampled, runs.pinned
+    cost = free.size + pinned.size
+    reason = missing_values(sampled=free, pinned=pinned)
+    if reason:
+        return all_undefined(PINCHING_METHOD, study.names, reason, cost)
+    area = box_area(free)
+    if is_flat(area, free):
+        return all_undefined(
+            PINCHING_METHOD,
+            study.names,
+            "the p-box has no width: the output depends on no parameter",
+            cost,
+        )
+
+    def shares(e: np.ndarray, a: np.ndarray) -> np.ndarray:
+        part = np.ix_(e, a)
+        whole = box_area(free[part])
+        return np.array(
+            [1.0 - box_area(y[part]) / whole if whole > 0.0 else np.nan for y in pinned]
+        )
+
+    value = shares(np.arange(free.shape[0]), np.arange(free.shape[1]))
+    reach = reach_of_box(shares, free.shape, seed) if intervals else np.full_like(value, np.nan)
+    indices = {
+        name: Index(float(v), float(v - r), float(v + r))
+        for name, v, r in zip(study.names, value, reach, strict=True)
+    }
+    holds, statement = (
+        None,
+        "the nominal value is taken for the true one; not checked against the corners",
+    )
+    if runs.corners is not None and not missing_values(corners=runs.corners):
+        corner_area = box_area(runs.corners)
+        beyond = beyond_corners(runs.corners, free, corner_area)
+        filled, inside = area >= FILLED * corner_area, beyond <= OUTSIDE_ALLOWED
+        holds = filled and inside
+        statement = (
+            f"the sampled p-box is {area:.4g} wide, the corners' one {corner_area:.4g}"
+            + (
+                ""
+                if filled
+                else ": samples seldom meet corners, so these shares depend on their number"
+            )
+            + (
+                ""
+                if inside
+                else ": samples between the corners leave it, so an extremum inside decides these shares"
+            )
+            + "; the nominal value is taken for the true one"
+        )
+    return MethodResult(PINCHING_METHOD, cost, indices, holds, statement, {"area": area})
+
+
+# Scatter regression (Hale 2016, eq. 4.3): one straight line per parameter through all E A runs,
+# with R^2 and its sum.
+
+SCATTER_METHOD = "scatter"
+R2_NEAR_ONE = 0.1
+"""How far the sum of R^2 may lie from 1."""
+
+
+def scatter(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True) -> MethodResult:
+    """Share range x |slope| of the sampled p-box's width.
+
+    The interval joins the slope's (runs of one epistemic sample count as one, since they share its parameters) and the width's.
+    An absolute value is never less than chance makes it: an interval that reaches 0 says that no slope was seen.
+    """
+    if runs.sampled is None:
+        return all_undefined(
+            SCATTER_METHOD, study.names, "the study has no runs sampled inside the intervals"
+        )
+    y, theta = runs.sampled, study.theta
+    reason = missing_values(sampled=y)
+    if reason:
+        return all_undefined(SCATTER_METHOD, study.names, reason, y.size)
+    area = box_area(y)
+    if is_flat(area, y):
+        return all_undefined(
+            SCATTER_METHOD,
+            study.names,
+            "the p-box has no width: the output depends on no parameter",
+            y.size,
+        )
+    samples = len(y)
+    x = theta - theta.mean(axis=0)
+    sxx = np.sum(x**2, axis=0)
+    mean = y.mean(axis=1) - y.mean()
+    # With the same draws in every row the line through all points is the line through the rows' means.
+    slope = x.T @ mean / sxx  # (4.3)
+    total = float(np.sum((y - y.mean()) ** 2))
+    r2 = slope**2 * sxx * y.shape[1] / total
+    residual = mean[:, None] - x * slope
+    # Heteroscedasticity-consistent (HC1): the scatter about one line is the effect of all other parameters, not noise.
+    error = np.sqrt(np.sum((x * residual) ** 2, axis=0) * samples / (samples - 2)) / sxx
+    scale = study.width / area
+    signed = slope * scale
+    reach = np.full_like(signed, np.nan)
+    if intervals:
+        of_width = reach_of_box(lambda e, a: log_area(y[np.ix_(e, a)]), y.shape, seed)
+        reach = np.hypot(Z * error * scale, signed * of_width)
+    indices = {}
+    for name, value, half in zip(study.names, signed, reach, strict=True):
+        low = 0.0 if abs(value) <= half else abs(value) - half
+        indices[name] = Index(abs(float(value)), float(low), float(abs(value) + half))
+    r2_sum = float(r2.sum())
+    of_means = float(np.sum(slope**2 * sxx) / np.sum(mean**2))
+    holds = abs(r2_sum - 1.0) <= R2_NEAR_ONE
+    return MethodResult(
+        SCATTER_METHOD,
+        y.size,
+        indices,
+        holds,
+        _words(r2_sum, of_means, holds),
+        {"slope": slope, "r2": r2, "r2_sum": r2_sum, "r2_sum_of_means": of_means, "area": area},
+    )
+
+
+def _words(r2_sum: float, of_means: float, holds: bool) -> str:
+    text = f"R^2 adds up to {r2_sum:.2f} over the runs, {of_means:.2f} over the aleatory means"
+    if holds:
+        return f"{text}: straight lines explain the output"
+    if abs(of_means - 1.0) <= R2_NEAR_ONE:
+        return f"{text}: scatter hides straight lines, but the means follow them"
+    return f"{text}: far from 1, so straight lines do not explain the output and these shares are not to be relied on"
