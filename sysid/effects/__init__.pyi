@@ -18,6 +18,7 @@ from .catalogue import V_REFERENCE_MPS as V_REFERENCE_MPS
 from .catalogue import Effect as Effect
 from .catalogue import Term as Term
 from .catalogue import read_effects as read_effects
+from .catalogue import subsystem_effects as subsystem_effects
 from .prediction import Columns as Columns
 from .prediction import Followed as Followed
 from .prediction import MadeColumns as MadeColumns

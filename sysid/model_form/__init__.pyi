@@ -1,6 +1,7 @@
 from .components import STEP_S as STEP_S
 from .components import WALK_CUTOFF_HZ as WALK_CUTOFF_HZ
 from .components import Variation as Variation
+from .components import variation as variation
 from .coverage import HOLDS_FROM as HOLDS_FROM
 from .coverage import Coverage as Coverage
 from .coverage import Verdict as Verdict
@@ -16,6 +17,7 @@ from .fit import MissingTerm as MissingTerm
 from .fit import default_designs as default_designs
 from .fit import fit_bounds as fit_bounds
 from .fit import floor_of as floor_of
+from .fit import missing_terms as missing_terms
 from .fit import with_noise as with_noise
 from .fit import with_walk_rates as with_walk_rates
 from .information_gain import Information as Information

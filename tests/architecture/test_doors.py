@@ -58,7 +58,7 @@ XML_TEXT = (
     "uqharness/simulator/own_mission.py",
     "uqharness/simulator/own_mission.py",
     # Effects are written as an author would; refinement's inside is to be rewritten.
-    "uqharness/refinement/writing/",
+    "uqharness/refinement/write_xml.py",
     # Messages say what is not understood.
     "uqharness/batch/translate/",
     # HTML, whose tables have the name of JSBSim's.
@@ -69,7 +69,7 @@ XML_TEXT = (
     "uqharness/simulator/engine.py",
     "uqharness/simulator/mission.py",
 )
-UNITS = "units.py"
+UNITS = ("units.py", "engine_files.py")
 FACTORS = re.compile(
     r"^(0\.3048|3\.28084?|515\.3788\d*|4\.4482216\d*|14\.5939\d*|1\.35581\d*|0\.4535\d*|32\.174\d*|0\.51444\d*|1\.68781?)\d*$"
 )

@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 from uqharness.cli.options import describe
-from uqharness.report import Report, write_report
-from uqharness.report.pages import kind_of
+from uqharness.report import Report, kind_of, write_report
 
 _EXAMPLE = """
   uqharness report results

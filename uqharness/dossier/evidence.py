@@ -460,9 +460,11 @@ def _uncertainty(found: Evidence, _: Match) -> list[str]:
             f"{_credibility_at(step)}: standard errors of {sure} of {len(rows)} parameters{rest}"
         )
     for step in found.of("bounds"):
+        document = _credibility_document(step)
         said.append(
-            f"{_credibility_at(step)}: intervals of the model's error for {len(_credibility_document(step).get('coefficients', {}))} coefficients at "
-            f"{100 * _credibility_document(step).get('confidence', 0.95):g} % as functions of the flight state"
+            f"{_credibility_at(step)}: intervals of the model's error for "
+            f"{len(document.get('coefficients', {}))} coefficients at "
+            f"{100 * document.get('confidence', 0.95):g} % as functions of the flight state"
         )
     for step in found.of("validate-bounds"):
         shares = {c: row["0.95"] for c, row in _credibility_document(step)["coverage"].items()}

@@ -47,10 +47,10 @@ from sysid.model_form import (
     leave_one_out,
     read_model_form,
     told_apart,
+    variation,
     verdict,
     with_walk_rates,
 )
-from sysid.model_form.components import variation
 from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of

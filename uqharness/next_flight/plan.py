@@ -32,12 +32,12 @@ from sysid.model_form import (
     for_ever,
     information,
     mean_power,
+    missing_terms,
     parameter_variance,
     speed_power,
     weighted_quartiles,
     width,
 )
-from sysid.model_form.fit import missing_terms
 from sysid.units import percent
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder

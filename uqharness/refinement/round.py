@@ -30,9 +30,10 @@ from sysid.effects import (
     Selection,
     follow,
     gather,
+    subsystem_effects,
     whiten_each,
 )
-from sysid.effects.catalogue import catalogue, subsystem_effects
+from sysid.effects.catalogue import catalogue
 from sysid.foreign.regular_files import read_regular
 from sysid.foreign.typed_files import DataFileError, dump_parts, load
 from sysid.parallel import Processes

@@ -28,3 +28,4 @@ from .tables import record_table as record_table
 from .verify import Flying as Flying
 from .verify import Salvaged as Salvaged
 from .verify import Verified as Verified
+from .verify import salvage as salvage

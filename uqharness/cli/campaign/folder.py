@@ -32,8 +32,9 @@ from uqharness.campaign.folder import (
     read_manifest,
     read_status,
     rerun_case,
+    salvage,
 )
-from uqharness.campaign.folder.verify import salvage, verify
+from uqharness.campaign.folder.verify import verify
 from uqharness.cli.campaign.run import (
     add_size,
     add_yes,

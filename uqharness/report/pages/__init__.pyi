@@ -1,5 +1,3 @@
-from uqharness.report.write import kind_of as kind_of
-
 from .coverage import coverage_page_of as coverage_page_of
 from .difference import difference_page as difference_page
 from .dossier import Dossier as Dossier
