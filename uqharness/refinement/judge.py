@@ -24,6 +24,7 @@ from uqharness.identification.linearised import (
     Setup,
     effect_columns,
     fit_at,
+    fly,
     gust_refit,
     in_dynamics,
     in_one_step,
@@ -33,6 +34,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.refinement.evaluation import Shown, left_in, show, with_replays
 from uqharness.refinement.round import Side, column_evidence
+from uqharness.refinement.rounds import fit_point, fitted_effects, sensors_moved
 from uqharness.refinement.search import Found, with_resolution
 from uqharness.simulator import Aircraft
 
@@ -252,6 +254,10 @@ def judge(
             worst = min(unseen, key=lambda k: now[k].z)
         gone.append(next(c for c in found.selection.chosen if c.key == worst))
         standing, after = without[worst]
+    if gone and standing.selection.chosen:
+        fitted_again = refitted(standing, found, whole, map_)
+        if fitted_again is not standing:
+            standing, after = fitted_again, flown(fitted_again, test, after.flown.point)
     settled = (
         fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
     )
@@ -387,3 +393,48 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
     selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s)
     parameters = in_one_step(evidence, found.names, found.after, [*selection.values])
     return replace(found, parameters=parameters, selection=selection)
+
+
+def refitted(model: Found, found: Found, whole: Aircraft, pool: Processes) -> Found:
+    """Estimate a model from which effects were withdrawn by output error on replays of the train flights.
+
+    Parameters
+    ----------
+    model : what stands, estimated on linearised columns
+    found : the model with every effect that the train flights chose
+    whole : the aircraft with every effect of ``found``; withdrawn ones fly at zero
+
+    Returns
+    -------
+    The model with new values and the standard errors it had. In turbulence, where a number stands
+    in the XML alone, and where the fit does not converge or fits worse, the model as given.
+    """
+    if found.gusts is not None or property_values(model, found) is None:
+        return model
+    values = model.selection.values
+    effects = {e.key: values.get(e.key, 0.0) for e in found.setup.active}
+    estimates = {n: value for n, (value, _) in model.parameters.items()}
+    point = found.after.flown.point
+    point = replace(point, values={**point.values, **estimates}, effects=effects)
+    if sensors_moved(found.setup, point):
+        return model
+    names = [n for n in found.names if n in point.values]
+    bounds = {n: c.bounds for n, c in whole.card.parameters.items() if c.bounds is not None}
+    withdrawn = effects.keys() - values.keys()
+    with Bench(whole, found.setup) as bench:
+        linear = fly(bench.model, found.setup, point, pool)
+        fit = fit_point(bench.model, found.setup, point, names, bounds, pool, withdrawn)
+    if fit is None or fit.cost > linear.cost:
+        return model
+    moved = fitted_effects(found.setup).keys() & values.keys()
+    chosen = tuple(
+        replace(c, value=(value := fit.point.effects[c.key]), t=value / c.std)
+        if c.key in moved
+        else c
+        for c in model.selection.chosen
+    )
+    parameters = {
+        n: (fit.point.values[n] if n in names else value, std)
+        for n, (value, std) in model.parameters.items()
+    }
+    return replace(model, parameters=parameters, selection=replace(model.selection, chosen=chosen))

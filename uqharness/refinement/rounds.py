@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,12 +29,15 @@ from sysid.effects import (
     select,
     solve,
 )
+from sysid.parallel import Processes
 from uqharness.identification import fit_replays
 from uqharness.identification.linearised import (
     HERE,
     NEAR,
     Bench,
     Fit,
+    Flown,
+    Point,
     Setup,
     begun_at,
     best_flown,
@@ -54,7 +57,7 @@ from uqharness.identification.linearised import fly as linearised_fly
 from uqharness.plugin import Estimate
 from uqharness.refinement.round import Round, Start, column_evidence, joint_point
 from uqharness.refinement.write_xml import Written, carrier, control_slopes, write_effects
-from uqharness.replay import CONTROLS, Flight, runs_per_row, spread_over
+from uqharness.replay import CONTROLS, Flight, ReplayModel, runs_per_row, spread_over
 from uqharness.simulator import Actuator, Aircraft, find_aircraft
 
 # Controls recorded late or early: one time for all of them looks like a lag in every servo, and
@@ -388,6 +391,74 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
     return _round_of(start, setup, fit, gusts, cost, written)
 
 
+def fitted_effects(setup: Setup) -> dict[str, str]:
+    """Return key -> property of the active effects that a fit of replays estimates: all carried ones but those of servos."""
+    return {key: place.name for key, place in setup.carriers.items() if place.servo is None}
+
+
+def sensors_moved(setup: Setup, point: Point) -> bool:
+    """Whether an active effect moves a sensor; replays of a fit have their sensors where the card says."""
+    return any("/place_" in e.key and point.effects.get(e.key) for e in setup.active)
+
+
+def fit_point(
+    model: ReplayModel,
+    setup: Setup,
+    point: Point,
+    names: Sequence[str],
+    limits: Mapping[str, tuple[float, float]],
+    pool: Processes,
+    absent: Collection[str] = (),
+) -> Flown | None:
+    """Estimate properties, carried effects, start states and nuisances at once by output error on replays.
+
+    Parameters
+    ----------
+    model : the aircraft with the active effects of ``setup``
+    point : where the fit begins; what it does not estimate keeps the value it has there
+    names : properties to estimate, with their ``limits``
+    absent : keys of active effects that stay at zero
+
+    Returns
+    -------
+    The replay at the estimates, or None if the fit did not converge.
+    """
+    unlimited = (-np.inf, np.inf)
+    carried = {k: prop for k, prop in fitted_effects(setup).items() if k not in absent}
+    sensed = {
+        e.key: point.effects[e.key]
+        for e in setup.active
+        if not in_dynamics(e) and e.key not in absent
+    }
+    properties = setup.properties(point)
+    free = [*names, *carried.values()]
+    data = replace(
+        observed(setup, sensed),
+        begin=begun_at(point),
+        properties={n: v for n, v in properties.items() if n not in free},
+    )
+    result = fit_replays(
+        model,
+        data,
+        free,
+        [np.array([properties[n] for n in free])],
+        [limits.get(n, unlimited) for n in free],
+        spread_over(pool),
+        errors=False,
+    )
+    result.replay.forget()
+    if not result.found.converged:
+        return None
+    estimates = result.values()
+    effects = {
+        key: estimates[carried[key]] - setup.carriers[key].absent if key in carried else value
+        for key, value in point.effects.items()
+    }
+    fitted = point_of(result, setup, names, sensed)
+    fitted = replace(fitted, values={**point.values, **fitted.values}, effects=effects)
+    return linearised_fly(model, setup, fitted, pool)
+
+
 def settled(start: Start, final: Round, folder: Path) -> Round:
     """The round with everything estimated once more by output error on replays, the objective and the estimator of `identify`.
 
@@ -400,38 +471,15 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
     staged, setup = stage(start, written, folder)
     setup = replace(setup, noise=final.setup.noise)
     point = final.fit.flown.point
-    carried = {key: place.name for key, place in setup.carriers.items() if place.servo is None}
-    names = [n for n in start.names if n in point.values]
-    sensed = {e.key: point.effects[e.key] for e in setup.active if not in_dynamics(e)}
-    if any("/place_" in key for key in sensed):
-        # Replays of a fit have their sensors where the card says.
+    if sensors_moved(setup, point):
         return final
-    properties = setup.properties(point)
-    free = [*names, *carried.values()]
-    begun = np.array([properties[n] for n in free])
-    data = replace(
-        observed(setup, sensed),
-        begin=begun_at(point),
-        properties={n: v for n, v in properties.items() if n not in free},
-    )
-    unlimited = (-np.inf, np.inf)
-    limits = [start.limits.get(n, unlimited) for n in free]
+    names = [n for n in start.names if n in point.values]
     with Bench(staged, setup) as bench:
-        result = fit_replays(
-            bench.model, data, free, [begun], limits, spread_over(start.map_), errors=False
-        )
-        result.replay.forget()
-        estimates = result.values()
-        effects = {
-            key: estimates[carried[key]] - setup.carriers[key].absent if key in carried else value
-            for key, value in point.effects.items()
-        }
-        new = point_of(result, setup, names, sensed)
-        new = replace(new, values={**point.values, **new.values}, effects=effects)
-        flown = linearised_fly(bench.model, setup, new, start.map_)
+        flown = fit_point(bench.model, setup, point, names, start.limits, start.map_)
         # The concentrated likelihood and this cost, of fixed noise, differ a little at the optimum.
-        if not result.found.converged or flown.cost > final.fit.flown.cost + DIFFERENT**2:
+        if flown is None or flown.cost > final.fit.flown.cost + DIFFERENT**2:
             return final
+        effects = flown.point.effects
         fit = fit_at(
             bench.model,
             bench.straight,
@@ -442,7 +490,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
             final.fit.analytic,
         )
     again = _round_of(start, setup, fit, None, flown.cost, written)
-    exact = {key: effects[key] for key in carried}
+    exact = {key: effects[key] for key in fitted_effects(setup)}
     chosen = tuple(
         replace(c, value=exact[c.key], t=exact[c.key] / c.std) if c.key in exact else c
         for c in again.selection.chosen
