@@ -1,8 +1,8 @@
-"""The catalogue of candidate effects: what a model may lack, its physics in a sentence, where it
-shows, where to read about it.
+"""The catalogue of candidate effects: what a model may lack, its physics in a sentence, where it shows, where to read about it.
 
-A coefficient effect is a term (effect_terms.py) in one of CX CY CZ Cl Cm Cn; any other belongs to a
-subsystem. Nothing here knows how a simulator would carry it."""
+A coefficient effect is a term (effect_terms.py) in one of CX CY CZ Cl Cm Cn; any other belongs to a subsystem. Nothing here knows
+how a simulator would carry it.
+"""
 
 from __future__ import annotations
 
@@ -26,76 +26,58 @@ from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_tex
 # are not here: smaller ones give the same answer.
 
 FAMILY = 0.02
-"""Chance that the best of all candidates, or of all smooth terms, passes where nothing is missing:
-at most one null in fifty.
-"""
+"""Chance that the best of all candidates, or of all smooth terms, passes where nothing is missing: at most one null in fifty."""
 DIFFERENT = 3.0
-"""Standard errors, or |t| above a limit, that are no chance: 3 in 1,000.
-
-Its square is a gain that is none.
-"""
+"""Standard errors, or |t| above a limit, that are no chance: 3 in 1,000. Its square is a gain that is none."""
 CERTAIN_T = 10.0
-"""|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it
-was not chosen, and moments that gain its square in twice the log likelihood; air whose gusts across
-the path gain less is calm."""
+"""|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it was not chosen,
+and moments that gain its square in twice the log likelihood; air whose gusts across the path gain less is calm."""
 OVERWHELMING = 15.0
-"""|t| from which what linearisation leaves of an effect is itself above the limit: it flies before
-others are chosen.
-"""
+"""|t| from which what linearisation leaves of an effect is itself above the limit: it flies before others are chosen."""
 COMPARABLE = 0.5
-"""Share of the strongest's gain, or |t|, from which another is its equal until both have flown. A
-servo's lag and rate limit are half of one another."""
+"""Share of the strongest's gain, or |t|, from which another is its equal until both have flown. A servo's lag and rate limit are
+half of one another."""
 ALIKE = 0.99
 """Correlation from which two candidates are one: at |t| 7 their gains differ by 1."""
 UNLIKE = 0.3
-"""Correlation below which a candidate is asked although flights contradict each other in the best
-one: a tenth of the variance in common."""
+"""Correlation below which a candidate is asked although flights contradict each other in the best one: a tenth of the variance in
+common."""
 INSEPARABLE_SHARE = 0.1
-"""Share of its information that an effect must keep beside a confounded one to be distinguished
-from it. In theory nothing is left; replays and filters leave a little."""
+"""Share of its information that an effect must keep beside a confounded one to be distinguished from it. In theory nothing is left;
+replays and filters leave a little."""
 SEVERAL = 3
-"""Effects asked for beside what flew that may be one cause's shares, and candidates that fly in its
-place.
-"""
+"""Effects asked for beside what flew that may be one cause's shares, and candidates that fly in its place."""
 EARNED = 0.6
-"""Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain
-is not reached to the last. Flown, an effect of less than its square root times the limit is none.
-"""
+"""Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last.
+Flown, an effect of less than its square root times the limit is none."""
 STANDS = 0.5
-"""Standard errors by which a number that JSBSim reads once may differ from the one flown: the error
-that stays is a ninth of the interval's."""
+"""Standard errors by which a number that JSBSim reads once may differ from the one flown: the error that stays is a ninth of the
+interval's."""
 GUST_LIMIT = 6.0
 """|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
 GUST_ODDS = 30.0
-"""Gain asked besides of what a gust model that is a little off would look like: rates of the wind
-angles, sensors, servos, masses."""
+"""Gain asked besides of what a gust model that is a little off would look like: rates of the wind angles, sensors, servos,
+masses."""
 RESOLVED_ROWS = 0.01
-"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms
-is off by as much. Lags of servos and delays of gyros and wind vanes that are not there come to .007
-to .018 rows (rms). Three times this is the least time that counts as an effect."""
+"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
+servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time
+that counts as an effect."""
 UNKNOWN_ROWS = 0.5
-"""A delay or lag below this share of a row is no effect in an autopilot's log, nor is a rate limit
-that delays a doublet by less: the log does not say when within a row a command changed, and a
-simulator's flights act as much early."""
+"""A delay or lag below this share of a row is no effect in an autopilot's log, nor is a rate limit that delays a doublet by
+less: the log does not say when within a row a command changed, and a simulator's flights act as much early."""
 QUIETER = 0.5
-"""Least share of its card's noise that a sensor in calm air is taken to have: below it, what a
-simulation's own steps in time do could look like effects."""
+"""Least share of its card's noise that a sensor in calm air is taken to have: below it, what a simulation's own steps in time do
+could look like effects."""
 COLOURED_P = 1e-7
-"""Chance below which residuals in calm air are called coloured: so small that only what is seen on
-a plot passes.
-"""
+"""Chance below which residuals in calm air are called coloured: so small that only what is seen on a plot passes."""
 FAR = 5.0
-"""Test flights that lie this many times as far from either model as the train flights do are not of
-the same aircraft or not sound; a difference between the models is lost in what is wrong with them.
-"""
+"""Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
+sound; a difference between the models is lost in what is wrong with them."""
 DISAGREES = 0.12
-"""Share of samples outside the 95 % interval from which a region is told: that of residuals a
-quarter above what is allowed.
-"""
+"""Share of samples outside the 95 % interval from which a region is told: that of residuals a quarter above what is allowed."""
 ODDS = 1.0
-"""Gain asked besides of what is no coefficient's term: a part of the aircraft once, a sensor twice,
-one channel of a sensor alone four times. It decides between candidates that explain the same, no
-more."""
+"""Gain asked besides of what is no coefficient's term: a part of the aircraft once, a sensor twice, one channel of a sensor alone
+four times. It decides between candidates that explain the same, no more."""
 # The language of coefficient terms: ``alpha*beta``, ``abs(beta)*beta``, ``p_hat^2``,
 # ``1/h_over_b``; values and property names.
 #
@@ -180,10 +162,7 @@ class Term:
         )
 
     def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
-        """(n,) values from those of the variables, each (n,).
-
-        Raises KeyError for a variable that is not there.
-        """
+        """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
         each = [
             (np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power)
             for f in self.factors
@@ -192,19 +171,15 @@ class Term:
 
 
 def parse(text: str) -> Term:
-    """The term of a text such as ``alpha*beta``.
-
-    Raises ValueError saying what was received and what is allowed.
-    """
+    """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
     gathered: dict[tuple[str, bool], int] = {}
     for part in text.replace(" ", "").split("*"):
         found = _FACTOR.fullmatch(part)
         name = (found["absolute"] or found["plain"]) if found else ""
         if found is None or name not in VARIABLES:
             raise ValueError(
-                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable),"
-                f" variable^n and 1/variable with variable one of {', '.join(VARIABLES)}, joined"
-                " by *"
+                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable), variable^n and 1/variable with "
+                f"variable one of {', '.join(VARIABLES)}, joined by *"
             )
         key = (name, found["absolute"] is not None)
         gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (
@@ -259,16 +234,14 @@ HALE = "Hale (2016), section 2.7.2"
 class Effect:
     """One candidate.
 
-    coefficient  CX..Cn, or None where ``subsystem`` (stall, actuator.<surface>, propulsion, mass,
-    sensor.<channel>, ground) counts
-    term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...) name,
-    physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
+    coefficient  CX..Cn, or None where ``subsystem`` (stall, actuator.<surface>, propulsion, mass, sensor.<channel>, ground) counts
+    term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...)
+    name, physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
     unit         of the value
-    positive     whether only a positive value is physics: no sensor is early, no servo faster than
-    its command (one with a lag
+    positive     whether only a positive value is physics: no sensor is early, no servo faster than its command (one with a lag
                  in the XML may be faster than that)
-    odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for
-    what every textbook lists"""
+    odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for what every textbook lists
+    """
 
     coefficient: str | None
     subsystem: str | None
@@ -485,9 +458,8 @@ _TERMS: dict[str, tuple[str, str, str]] = {
 _P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
 _COUPLED = (_R2, "effect/Cl/p_hat*q_hat", "effect/Cn/q_hat*r_hat")
 TWINS: dict[tuple[str, str], tuple[str, ...]] = {(_P2, _IXZ): _COUPLED, (_IXZ, _P2): _COUPLED}
-"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment
-Ixz (r^2 - p^2), and moments with p q and q r; its linear part the rate derivatives take up (rigid
-body, e.g. Etkin and Reid eq 4.7,2)."""
+"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment Ixz (r^2 - p^2), and moments with
+p q and q r; its linear part the rate derivatives take up (rigid body, e.g. Etkin and Reid eq 4.7,2)."""
 
 
 def words(term: str) -> str:
@@ -504,10 +476,7 @@ def words(term: str) -> str:
 
 
 def coefficient_effect(coefficient: str, term: str) -> Effect:
-    """The effect of a term in a coefficient; term in any order of factors.
-
-    Raises ValueError for what is neither.
-    """
+    """The effect of a term in a coefficient; term in any order of factors. Raises ValueError for what is neither."""
     if coefficient not in COEFFICIENTS:
         raise ValueError(f"coefficient '{coefficient}': allowed are {', '.join(COEFFICIENTS)}")
     parsed = parse(term)
@@ -565,8 +534,7 @@ def read_effects(path: Path) -> list[Effect]:
     rows = data.get("effect")
     if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
         raise LogError(
-            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and"
-            " term",
+            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term",
             path,
         )
     out: list[Effect] = []
@@ -581,8 +549,7 @@ def read_effects(path: Path) -> list[Effect]:
             )
         if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
-        # The texts go into pages and into comments of the refined XML, which has no place for
-        # control characters.
+        # The texts go into pages and into comments of the refined XML, which has no place for control characters.
         for key, text in row.items():
             if len(text) > _MOST_CHARACTERS:
                 raise LogError(
@@ -598,8 +565,7 @@ def read_effects(path: Path) -> list[Effect]:
             raise LogError(str(error), path, where) from None
         if effect.key in numbers:
             raise LogError(
-                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give"
-                " each effect once",
+                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give each effect once",
                 path,
                 where,
             )
@@ -636,10 +602,7 @@ _AIRCRAFT = (
         "ground",
         "lift",
         "lift gained near the ground",
-        (
-            "the ground holds up the wing's downwash: normal force grows by a share that falls off"
-            " as exp(-2 h/b)"
-        ),
+        "the ground holds up the wing's downwash: normal force grows by a share that falls off as exp(-2 h/b)",
         "low height",
         "1",
     ),
@@ -724,8 +687,7 @@ def subsystem_effects(
     delays: Sequence[str],
     parts: Sequence[str] = (),
 ) -> list[Effect]:
-    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for
-    delays) at hand.
+    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand.
 
     parts: channels of a sensor with several, whose filter may be another than the others'.
     """

@@ -1,6 +1,4 @@
-"""What a refinement did to the gap: channels and coefficients of flights under two models, start
-states and biases their own.
-"""
+"""What a refinement did to the gap: channels and coefficients of flights under two models, start states and biases their own."""
 
 from __future__ import annotations
 
@@ -40,9 +38,7 @@ from uqharness.simulator import Aircraft
 
 @dataclass(frozen=True)
 class Replays:
-    """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their
-    channels: what `compare` shows.
-    """
+    """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their channels: what `compare` shows."""
 
     flown: Flown
     residual: list[FloatArray]
@@ -51,11 +47,10 @@ class Replays:
 
 @dataclass(frozen=True)
 class Shown:
-    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their
-    noise (m,), coefficient residuals [(n, 6)] and their noise (6,), white [(n, m)] residuals over
-    their noise, cost: sum of their squares; logdet (S,): of each segment, the logarithms of that
-    noise, summed, where the model has a say in it (predictions; 0 for replays). replays: of flights
-    shown by predictions, the same model's replays, where they were asked for."""
+    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
+    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares; logdet (S,): of each
+    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays).
+    replays: of flights shown by predictions, the same model's replays, where they were asked for."""
 
     flown: Flown
     residual: list[FloatArray]
@@ -82,12 +77,11 @@ class Shown:
 
 
 def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
-    """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a
-    point, and sensors that have its effects; only start states, biases and (of logs) delays are
-    estimated.
+    """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a point, and sensors that have its
+    effects; only start states, biases and (of logs) delays are estimated.
 
-    Biases and delays are sought from those of the point; start states from those it has, or as
-    measured, and in air, where one-step predictions take the place of replays, always as measured.
+    Biases and delays are sought from those of the point; start states from those it has, or as measured, and in air, where
+    one-step predictions take the place of replays, always as measured.
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, setup) as bench:
@@ -131,8 +125,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
                 )
                 deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
             except np.linalg.LinAlgError:
-                # A model so far outside what it was made for that no filter follows it: what it
-                # says at the measured states.
+                # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
                 reached, rows = unfiltered(bench.model, bench.straight, setup, start, map_, gusts)
                 deviations = [setup.noise] * len(rows)
                 logdet = [float((np.isfinite(r) * np.log(setup.noise)).sum()) for r in rows]
@@ -150,9 +143,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
 def _replayed(
     model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None
 ) -> Flown:
-    """Replays from the start states, biases and delays that fit best, as `compare` has them; near:
-    where they are sought from.
-    """
+    """Replays from the start states, biases and delays that fit best, as `compare` has them; near: where they are sought from."""
     flown = fly(model, setup, start, map_)
     if not np.isfinite(flown.cost):
         return flown
@@ -168,10 +159,7 @@ def _replayed(
 
 
 def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
-    """Flights shown by predictions with their replays besides; arguments of `show`.
-
-    Noise and delays are those of `compare`.
-    """
+    """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
     setup = side.setup
     with Bench(aircraft, setup) as bench:
         noise = known_noise(aircraft, setup.measured, setup.outputs)
@@ -187,17 +175,13 @@ def _residual(setup: Setup, flown: Flown) -> list[FloatArray]:
 
 
 def _told_noise(aircraft: Aircraft, setup: Setup) -> FloatArray:
-    """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an
-    estimator computed.
-    """
+    """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an estimator computed."""
     computed = np.isin(setup.outputs, estimated_channels(setup))
     return np.where(computed, setup.noise, known_noise(aircraft, setup.measured, setup.outputs))
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list[FloatArray]:
-    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where
-    none was judged.
-    """
+    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
     both = ((rows_late(setup, s, point), r) for s, r in zip(setup.segments, rows, strict=True))
     return [
         np.nan_to_num(
@@ -208,8 +192,8 @@ def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list
 
 
 def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: Gusts) -> Gusts:
-    """The air of some flights, estimated with a model and sensors as they are at a point; near:
-    that of others, which stays where no filter follows the flights with such a model."""
+    """The air of some flights, estimated with a model and sensors as they are at a point; near: that of others, which stays where
+    no filter follows the flights with such a model."""
     with Bench(aircraft, setup) as bench:
         setup = with_sensors_of(setup, aircraft)
         start = replace(at, starts=tuple(s.start for s in setup.segments))
@@ -231,9 +215,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
 
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
-    """G of refinement.json: channels of replays, as `compare` has them; predictions: where those
-    judged, their errors.
-    """
+    """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
     was, now = before.replays or before, after.replays or after
 
     def rows(
@@ -265,9 +247,7 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
 @dataclass(frozen=True)
 class Left:
-    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose
-    residual is not white.
-    """
+    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
 
     above: dict[str, float]
     coloured: tuple[str, ...]
