@@ -26,58 +26,62 @@ from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_tex
 # are not here: smaller ones give the same answer.
 
 FAMILY = 0.02
-"""Chance that the best of all candidates, or of all smooth terms, passes where nothing is missing: at most one null in fifty."""
+"""Probability that the best of all candidates, or of all smooth terms, passes if nothing is
+missing."""
 DIFFERENT = 3.0
-"""Standard errors, or |t| above a limit, that are no chance: 3 in 1,000. Its square is a gain that is none."""
+"""Standard errors beyond which a difference is not chance (3 in 1,000). Its square is a negligible
+gain."""
 CERTAIN_T = 10.0
-"""|t| that no chance and no colour of residuals reaches: a candidate with as much is told though it was not chosen,
-and moments that gain its square in twice the log likelihood; air whose gusts across the path gain less is calm."""
+"""|t| that neither chance nor coloured residuals reach: such candidates are reported though not
+chosen. Moments that gain its square in twice the log likelihood are reported; air whose gusts
+across the path gain less is calm."""
 OVERWHELMING = 15.0
-"""|t| from which what linearisation leaves of an effect is itself above the limit: it flies before others are chosen."""
+"""|t| above which the linearisation error of an effect exceeds the limit: it is simulated before
+others are chosen."""
 COMPARABLE = 0.5
-"""Share of the strongest's gain, or |t|, from which another is its equal until both have flown. A servo's lag and rate limit are
-half of one another."""
+"""Share of the strongest candidate's gain, or |t|, above which another is simulated as well. A
+servo's lag and rate limit reach half of one another."""
 ALIKE = 0.99
-"""Correlation from which two candidates are one: at |t| 7 their gains differ by 1."""
+"""Correlation above which two candidates count as one: at |t| 7 their gains differ by 1."""
 UNLIKE = 0.3
-"""Correlation below which a candidate is asked although flights contradict each other in the best one: a tenth of the variance in
-common."""
+"""Correlation below which another candidate is tried although flights contradict each other in the
+best one: a tenth of the variance in common."""
 INSEPARABLE_SHARE = 0.1
-"""Share of its information that an effect must keep beside a confounded one to be distinguished from it. In theory nothing is left;
-replays and filters leave a little."""
+"""Share of its information that an effect must keep with a confounded one present to be
+distinguished from it."""
 SEVERAL = 3
-"""Effects asked for beside what flew that may be one cause's shares, and candidates that fly in its place."""
+"""Additional effects that may be shares of one cause, and candidates simulated in its place."""
 EARNED = 0.6
-"""Share of limit^2 by which each effect must lower the cost of the flight itself: a linearised gain is not reached to the last.
-Flown, an effect of less than its square root times the limit is none."""
+"""Share of limit^2 by which each effect must lower the cost of the simulation, since the linearised
+gain is not fully reached. A simulated effect below its square root times the limit is dropped."""
 STANDS = 0.5
-"""Standard errors by which a number that JSBSim reads once may differ from the one flown: the error that stays is a ninth of the
-interval's."""
+"""Tolerance, in standard errors, of values that JSBSim reads once."""
 GUST_LIMIT = 6.0
-"""|t| asked of an effect in turbulence, where the air's spectrum is a model, too."""
+"""|t| required in turbulence, where the spectrum of the air is a model as well."""
 GUST_ODDS = 30.0
-"""Gain asked besides of what a gust model that is a little off would look like: rates of the wind angles, sensors, servos,
-masses."""
+"""Additional gain required of candidates that a slightly wrong gust model resembles: rates of the
+wind angles, sensors, servos, masses."""
 RESOLVED_ROWS = 0.01
-"""Standard error, in rows, that a time has besides its own: a servo's lag by Tustin's rule at 10 ms is off by as much. Lags of
-servos and delays of gyros and wind vanes that are not there come to .007 to .018 rows (rms). Three times this is the least time
-that counts as an effect."""
+"""Additional standard error of times, in rows: estimates of absent lags and delays are .007 to .018
+rows (rms). Three times this is the smallest time that counts as an effect."""
 UNKNOWN_ROWS = 0.5
-"""A delay or lag below this share of a row is no effect in an autopilot's log, nor is a rate limit that delays a doublet by
-less: the log does not say when within a row a command changed, and a simulator's flights act as much early."""
+"""Delay or lag, in rows, below which nothing is reported in autopilot logs, which do not record
+when within a row a command changed; the same for a rate limit that delays a doublet by less."""
 QUIETER = 0.5
-"""Least share of its card's noise that a sensor in calm air is taken to have: below it, what a simulation's own steps in time do
-could look like effects."""
+"""Smallest share of the card's noise assumed for a sensor in calm air; below it the simulation's
+time steps could look like effects."""
 COLOURED_P = 1e-7
-"""Chance below which residuals in calm air are called coloured: so small that only what is seen on a plot passes."""
+"""Probability below which residuals in calm air are called coloured: small enough to be visible on
+a plot."""
 FAR = 5.0
-"""Test flights that lie this many times as far from either model as the train flights do are not of the same aircraft or not
-sound; a difference between the models is lost in what is wrong with them."""
+"""Ratio of hold-out to train residuals above which hold-out flights withdraw nothing: another
+aircraft, or faulty flights."""
 DISAGREES = 0.12
-"""Share of samples outside the 95 % interval from which a region is told: that of residuals a quarter above what is allowed."""
+"""Share of samples outside the 95 % interval above which a region is reported: that of residuals a
+quarter larger than allowed."""
 ODDS = 1.0
-"""Gain asked besides of what is no coefficient's term: a part of the aircraft once, a sensor twice, one channel of a sensor alone
-four times. It decides between candidates that explain the same, no more."""
+"""Additional gain required of effects that are no coefficient term: a part of the aircraft once, a
+sensor twice, one channel of a sensor four times. It decides between candidates of equal gain."""
 # The language of coefficient terms: ``alpha*beta``, ``abs(beta)*beta``, ``p_hat^2``,
 # ``1/h_over_b``; values and property names.
 #
