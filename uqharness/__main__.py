@@ -1,15 +1,16 @@
 """Where the ``uqharness`` command starts, and ``python -m uqharness``.
 
-Every process that is spawned reads the file its parent was started from: what this file imports, each worker of a campaign
-imports as well, and the command line with all its commands would be 130 MB and more than a second in each of them.
-"""
+Every process that is spawned reads the file its parent was started from: what this file imports,
+each worker of a campaign imports as well, and the command line with all its commands would be 130
+MB and more than a second in each of them."""
 
 import os
 import sys
 
 
 def _leave_working_folder() -> None:
-    """Take the working folder, which ``python -m`` puts first, off the path: a ``socket.py`` there is not Python's own.
+    """Take the working folder, which ``python -m`` puts first, off the path: a ``socket.py`` there
+    is not Python's own.
 
     It stays if this package lives there.
     """

@@ -1,4 +1,6 @@
-"""Arguments of functions in Python: refused by name, with what was given and what is needed, in one sentence."""
+"""Arguments of functions in Python: refused by name, with what was given and what is needed, in one
+sentence.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ _SHORT.maxstring = _SHORT.maxother = 80
 
 
 def require(name: str, value: object, fits: bool, needed: str) -> None:
-    """Raise BadInputError unless the value of the argument ``name`` ``fits``; ``needed`` says what does, as "a path"."""
+    """Raise BadInputError unless the value of the argument ``name`` ``fits``; ``needed`` says what
+    does, as "a path".
+    """
     if not fits:
         shown = str(value) if isinstance(value, Real) else _SHORT.repr(value)
         raise BadInputError(f"{name} = {shown}: {needed} is needed")
@@ -49,7 +53,10 @@ def number(
     needed: str = "a finite number",
     fits: Callable[[float], bool] = math.isfinite,
 ) -> float:
-    """A number, numpy's too; True and False are none. NaN and infinity must fit what is asked for."""
+    """A number, numpy's too; True and False are none.
+
+    NaN and infinity must fit what is asked for.
+    """
     real = isinstance(value, Real) and not isinstance(value, bool)
     require(name, value, real and fits(float(value)), needed)
     return float(value)

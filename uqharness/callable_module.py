@@ -1,4 +1,6 @@
-"""Packages that are functions as well: ``uq.report(folder)`` beside ``uqharness.report``, which Python sets under the same name."""
+"""Packages that are functions as well: ``uq.report(folder)`` beside ``uqharness.report``, which
+Python sets under the same name.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from typing import Any
 
 
 def make_callable(package: str, module: str) -> None:
-    """Let ``package`` be called as the function of its last name in ``module``, which is loaded at the first call."""
+    """Let ``package`` be called as the function of its last name in ``module``, which is loaded at
+    the first call.
+    """
     name = package.rpartition(".")[2]
 
     def function() -> Any:

@@ -1,10 +1,10 @@
 """SHA256SUMS: digests of every file in a folder of results, so that damage to any of them is seen.
 
-The file has the format of ``sha256sum``, which can check it too (``sha256sum -c SHA256SUMS``). Comment lines name the folders
-within that have such a file of their own, and the last line has the digest of all lines before it. A campaign, a study and a
-refinement write it when they are complete; files that are written into the folder later are entered as they are written. Files that
-nobody entered are the user's and are not judged.
-"""
+The file has the format of ``sha256sum``, which can check it too (``sha256sum -c SHA256SUMS``).
+Comment lines name the folders within that have such a file of their own, and the last line has the
+digest of all lines before it. A campaign, a study and a refinement write it when they are complete;
+files that are written into the folder later are entered as they are written. Files that nobody
+entered are the user's and are not judged."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ LOCK = "run.lock"
 PART = ".part"
 """Ending of a file that is being written; one that a killed process left behind may be deleted."""
 
-_HEADER = b"# Files of this folder as uqharness wrote them. Check: uqharness campaign verify, sha256sum -c"
+_HEADER = (
+    b"# Files of this folder as uqharness wrote them. Check: uqharness campaign verify,"
+    b" sha256sum -c"
+)
 _FIRST = _HEADER[:12]
 _FOLDER = b"# folder "
 _LAST = b"# uqharness: SHA-256 of the lines above: "
@@ -39,7 +42,9 @@ class SumsError(ValueError):
 
 @dataclass(frozen=True)
 class Sums:
-    """``files``: digest by path below the folder, "/" between parts; ``folders``: those within that have a file of their own."""
+    """``files``: digest by path below the folder, "/" between parts; ``folders``: those within that
+    have a file of their own.
+    """
 
     files: dict[str, str] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
@@ -56,7 +61,9 @@ class Fault:
 
 @dataclass(frozen=True)
 class Earlier:
-    """Faults of a folder before a command that writes its sums anew: recorded digest and damaged digest by path."""
+    """Faults of a folder before a command that writes its sums anew: recorded digest and damaged
+    digest by path.
+    """
 
     damaged: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
@@ -95,8 +102,8 @@ def read_sums(folder: Path) -> Sums | None:
 def write_sums(folder: Path, earlier: Earlier | None = None) -> None:
     """Enter every file of a folder that is complete. Raises BadInputError.
 
-    A file that was damaged ``earlier`` and has not been written since keeps the digest that it does not fit.
-    """
+    A file that was damaged ``earlier`` and has not been written since keeps the digest that it does
+    not fit."""
     files: dict[str, str] = {}
     folders: list[str] = []
     try:
@@ -159,7 +166,9 @@ def take_away(folder: Path) -> Earlier:
 
 
 def enter(path: Path) -> None:
-    """Enter a file that has just been written, or removed, in the sums that list it, if there are any. Raises OSError."""
+    """Enter a file that has just been written, or removed, in the sums that list it, if there are
+    any. Raises OSError.
+    """
     if path.name in (SUMS, LOCK) or path.name.endswith(PART):
         return
     # The absolute path is not resolved: a link in a folder's place is not a folder of the results.
@@ -185,7 +194,9 @@ def enter(path: Path) -> None:
 
 
 def _files(folder: Path, folders: list[str]) -> Iterator[Path]:
-    """Regular files below a folder; folders with sums of their own are left out and named in ``folders``."""
+    """Regular files below a folder; folders with sums of their own are left out and named in
+    ``folders``.
+    """
     for place, inner, names in os.walk(folder):
         for name in sorted(inner):
             path = Path(place, name)

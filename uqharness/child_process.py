@@ -1,8 +1,8 @@
-"""Child processes: what every one of this program is started with, a module of this program run in one, and how it ended.
+"""Child processes: what every one of this program is started with, a module of this program run in
+one, and how it ended.
 
-A foreign aircraft may end the interpreter that loads it, or never come back: whatever loads one first runs as ``python -m`` of its
-own, with a time limit, and answers with a line of JSON.
-"""
+A foreign aircraft may end the interpreter that loads it, or never come back: whatever loads one
+first runs as ``python -m`` of its own, with a time limit, and answers with a line of JSON."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sysid.foreign.regular_files import ParseError, parse_json
 from sysid.parallel import ONE_THREAD
 from uqharness.errors import BadInputError
 
-# Python puts the working folder before everything else where code is handed to it on the command line, as multiprocessing does: a
-# `socket.py` there would be imported.
+# Python puts the working folder before everything else where code is handed to it on the command
+# line, as multiprocessing does: a `socket.py` there would be imported.
 CHILD_ENVIRONMENT = {**ONE_THREAD, "PYTHONSAFEPATH": "1"}
 _ANSWER = "uqharness-answer "
 _LAST_WORDS = 300
@@ -32,7 +32,9 @@ _one_at_a_time = threading.RLock()
 
 @contextlib.contextmanager
 def child_settings() -> Iterator[None]:
-    """Children started inside inherit CHILD_ENVIRONMENT; this process's own environment is as before afterwards."""
+    """Children started inside inherit CHILD_ENVIRONMENT; this process's own environment is as
+    before afterwards.
+    """
     before = {name: os.environ.get(name) for name in CHILD_ENVIRONMENT}
     os.environ.update(CHILD_ENVIRONMENT)
     try:
@@ -47,10 +49,11 @@ def child_settings() -> Iterator[None]:
 
 @contextlib.contextmanager
 def main_not_imported() -> Iterator[None]:
-    """Processes spawned inside do not run the script again that this one was started with, guard or not.
+    """Processes spawned inside do not run the script again that this one was started with, guard or
+    not.
 
-    What they are to do must then come from a module: nothing that the script defines is known to them.
-    """
+    What they are to do must then come from a module: nothing that the script defines is known to
+    them."""
     script = vars(sys.modules["__main__"])
     with _one_at_a_time:
         before: dict[str, Any] = {
@@ -68,8 +71,8 @@ def main_not_imported() -> Iterator[None]:
 class Ended:
     """How a child ended.
 
-    code    exit code, minus the number of the signal that ended it; None where it was killed because its time was over
-    answer  what it said by `give_answer`; empty where it did not
+    code    exit code, minus the number of the signal that ended it; None where it was killed
+    because its time was over answer  what it said by `give_answer`; empty where it did not
     said    what else it, or a library in it, wrote to standard output, in one line
     errors  the end of what it wrote to standard error, in one line
     """
@@ -85,9 +88,8 @@ def run_module(
 ) -> Ended:
     """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds.
 
-    python: interpreter of another environment, whose own libraries count; None: this one. Raises BadInputError where it cannot be
-    started.
-    """
+    python: interpreter of another environment, whose own libraries count; None: this one. Raises
+    BadInputError where it cannot be started."""
     command = [str(python or sys.executable), "-m", module, *map(str, arguments)]
     environment = child_environment() if python is None else other_environment()
     try:
@@ -104,7 +106,8 @@ def run_module(
         return Ended(None, {}, "", "")
     except OSError as error:
         raise BadInputError(
-            f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is needed"
+            f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is"
+            " needed"
         ) from None
     lines = done.stdout.splitlines()
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
@@ -140,7 +143,9 @@ def ending(code: int | None) -> str:
 
 
 def other_environment() -> dict[str, str]:
-    """The same for an interpreter of another environment: this package, unless it is installed there, and none of our libraries."""
+    """The same for an interpreter of another environment: this package, unless it is installed
+    there, and none of our libraries.
+    """
     here = Path(__file__).resolve().parents[1]
     ours = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
     kept = {name: value for name, value in os.environ.items() if name not in ours}
@@ -149,7 +154,9 @@ def other_environment() -> dict[str, str]:
 
 
 def child_environment() -> dict[str, str]:
-    """The environment in which ``python -m`` finds this package, wherever it was imported from, and nothing of its folder."""
+    """The environment in which ``python -m`` finds this package, wherever it was imported from, and
+    nothing of its folder.
+    """
     here = str(Path(__file__).resolve().parents[1])
     foreign = {"", os.curdir, os.getcwd()}
     places = [here, *(place for place in sys.path if place not in foreign)]
@@ -157,7 +164,9 @@ def child_environment() -> dict[str, str]:
 
 
 def run_command(words: Sequence[str]) -> tuple[int, str, str]:
-    """Run a command of this program in a process of its own: its exit code, standard output and standard error."""
+    """Run a command of this program in a process of its own: its exit code, standard output and
+    standard error.
+    """
     done = subprocess.run(
         [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
     )

@@ -1,4 +1,6 @@
-"""Errors a user can act on. The command line prints their text and exits with 2; anything else is a defect of ours."""
+"""Errors a user can act on. The command line prints their text and exits with 2; anything else is a
+defect of ours.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,11 @@ from sysid.errors import shortened
 
 
 class BadInputError(Exception):
-    """Input that cannot be used. The text says what was received, what is allowed, and what to do next.
+    """Input that cannot be used. The text says what was received, what is allowed, and what to do
+    next.
 
-    ``lines`` are one sentence each: a file's mistakes may be several. What a file has put into one does not break it in two.
-    """
+    ``lines`` are one sentence each: a file's mistakes may be several. What a file has put into one
+    does not break it in two."""
 
     def __init__(self, *lines: str) -> None:
         text = "\n".join(" ".join(line.split("\n")) for line in lines)
@@ -20,7 +23,9 @@ class BadInputError(Exception):
 
 
 class EnginesDifferError(Exception):
-    """The batch engine and JSBSim flew the same case otherwise, so the campaign's results are not valid."""
+    """The batch engine and JSBSim flew the same case otherwise, so the campaign's results are not
+    valid.
+    """
 
 
 class TerminatedError(KeyboardInterrupt):

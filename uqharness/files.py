@@ -26,12 +26,12 @@ from uqharness.errors import BadInputError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in place at once.
+    """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in
+    place at once.
 
-    The sums of a folder of results that is complete are brought up to date (:mod:`uqharness.checksums`).
-    A reader, or a crash, finds the old file or the new one. Folders on the way are made. Raises BadInputError where that
-    cannot be done.
-    """
+    The sums of a folder of results that is complete are brought up to date
+    (:mod:`uqharness.checksums`). A reader, or a crash, finds the old file or the new one. Folders
+    on the way are made. Raises BadInputError where that cannot be done."""
     temporary = path.with_name(f".{path.name}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -84,7 +84,9 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def finite(value: Any) -> Any:
-    """A document, or a part of it, with null for numbers that are not finite: what JSON can hold."""
+    """A document, or a part of it, with null for numbers that are not finite: what JSON can
+    hold.
+    """
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -95,19 +97,19 @@ def finite(value: Any) -> Any:
 
 
 def inner_folder(folder: Path, *parts: str) -> Path:
-    """The folder ``folder``/parts, made if need be. ``folder`` may be a link of the user's own; a part may not.
+    """The folder ``folder``/parts, made if need be. ``folder`` may be a link of the user's own; a
+    part may not.
 
-    A results folder that came from elsewhere could have a link in it, and files would be written where that leads. Raises
-    BadInputError.
-    """
+    A results folder that came from elsewhere could have a link in it, and files would be written
+    where that leads. Raises BadInputError."""
     place = folder
     try:
         for part in parts:
             place = place / part
             if place.is_symlink():
                 raise BadInputError(
-                    f"{place}: is a link to {os.readlink(place)}; files are written into a results folder's own folders alone: "
-                    "remove the link"
+                    f"{place}: is a link to {os.readlink(place)}; files are written into a results"
+                    " folder's own folders alone: remove the link"
                 )
             place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -116,7 +118,8 @@ def inner_folder(folder: Path, *parts: str) -> Path:
 
 
 def check_out(path: Path, option: str = "--out") -> None:
-    """Refuse, before work is spent on it, an ``option`` that no file or folder can be made at; missing folders are made later.
+    """Refuse, before work is spent on it, an ``option`` that no file or folder can be made at;
+    missing folders are made later.
 
     Raises BadInputError where something on the way is no folder, or one that may not be written to.
     """
@@ -127,12 +130,16 @@ def check_out(path: Path, option: str = "--out") -> None:
         raise BadInputError(f"{option} {path}: {there} is no folder; choose another path")
     if not os.access(there, os.W_OK):
         raise BadInputError(
-            f"{option} {path}: {there} may not be written to; choose another path or change its rights"
+            f"{option} {path}: {there} may not be written to; choose another path or change its"
+            " rights"
         )
 
 
 def check_page(path: Path, option: str = "--out") -> None:
-    """The same for a page, a file whose name ends in .html. Raises BadInputError for another ending and for a folder."""
+    """The same for a page, a file whose name ends in .html.
+
+    Raises BadInputError for another ending and for a folder.
+    """
     if path.suffix.lower() != ".html":
         raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
     if path.is_dir():
@@ -141,17 +148,21 @@ def check_page(path: Path, option: str = "--out") -> None:
 
 
 def check_folder(path: Path) -> None:
-    """The same for a folder of results, which may exist already. Raises BadInputError where a file has its name."""
+    """The same for a folder of results, which may exist already.
+
+    Raises BadInputError where a file has its name.
+    """
     check_out(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
 
 
 def open_no_link(path: Path, make: bool = True) -> int:
-    """Open a file for reading and writing in a folder that may come from elsewhere; its content stays.
+    """Open a file for reading and writing in a folder that may come from elsewhere; its content
+    stays.
 
-    Raises OSError where the name is a link, or the file is no regular one or has a second name: it may be any file of the user's.
-    """
+    Raises OSError where the name is a link, or the file is no regular one or has a second name: it
+    may be any file of the user's."""
     flags = os.O_RDWR | (os.O_CREAT if make else 0)
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
         flags |= getattr(os, name, 0)
@@ -168,11 +179,11 @@ def open_no_link(path: Path, make: bool = True) -> int:
 
 
 def lock_at_once(descriptor: int) -> bool:
-    """Take the lock of an open, writable file; False if another process has it. The system drops it when this process ends.
+    """Take the lock of an open, writable file; False if another process has it. The system drops it
+    when this process ends.
 
-    It is a record lock: children do not inherit it, a second one of the same process succeeds, and closing any handle of that
-    file in this process gives it back.
-    """
+    It is a record lock: children do not inherit it, a second one of the same process succeeds, and
+    closing any handle of that file in this process gives it back."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -199,14 +210,18 @@ def lock_at_once(descriptor: int) -> bool:
 _INSTALLED = Path(__file__).resolve().parent / "data"
 
 PROJECT_ROOT = _INSTALLED if _INSTALLED.is_dir() else Path(__file__).resolve().parent.parent
-"""Folder that holds ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``. Read, never written to."""
+"""Folder that holds ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``.
+
+Read, never written to.
+"""
 
 
 def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path:
-    """The campaign file of that path (here, then in the project), or of the project's campaign of that name.
+    """The campaign file of that path (here, then in the project), or of the project's campaign of
+    that name.
 
-    ``file`` is what is taken where a folder or a name is given. Raises BadInputError naming what there is.
-    """
+    ``file`` is what is taken where a folder or a name is given. Raises BadInputError naming what
+    there is."""
     given = Path(name_or_path)
     for root in (Path(), PROJECT_ROOT, PROJECT_ROOT / "campaigns"):
         for path in (root / given, root / given / file):
@@ -214,8 +229,8 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
                 return path
     known = sorted(path.parent.name for path in (PROJECT_ROOT / "campaigns").glob(f"*/{file}"))
     raise BadInputError(
-        f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder with a {file}, "
-        f"and no name of one under campaigns/ (there: {', '.join(known) or 'none'})"
+        f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder"
+        f" with a {file}, and no name of one under campaigns/ (there: {', '.join(known) or 'none'})"
     )
 
 
@@ -232,14 +247,19 @@ _TRIES = 20
 
 
 class Scratch:
-    """A temporary folder, removed with all that is in it by ``close``, at the end of a ``with``, or with its process."""
+    """A temporary folder, removed with all that is in it by ``close``, at the end of a ``with``, or
+    with its process.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._finish = weakref.finalize(self, _discard, path, os.getpid())
 
     def close(self) -> None:
-        """Remove the folder; may be called again. What cannot be removed now is removed with the process's own folder."""
+        """Remove the folder; may be called again.
+
+        What cannot be removed now is removed with the process's own folder.
+        """
         self._finish()
 
     def __fspath__(self) -> str:
@@ -279,7 +299,9 @@ def scratch_folder(purpose: str = "") -> Scratch:
 
 
 def without_scratch(text: str) -> str:
-    """A message with the place of a process's own copies left out: "c310/c310.xml:68" is the user's aircraft all the same."""
+    """A message with the place of a process's own copies left out: "c310/c310.xml:68" is the user's
+    aircraft all the same.
+    """
     return _COPY.sub("", text)
 
 
@@ -292,7 +314,8 @@ class _Home:
 
 
 _making = threading.Lock()
-# By process: after a fork the parent's entry is in the child's memory and is not the child's folder.
+# By process: after a fork the parent's entry is in the child's memory and is not the child's
+# folder.
 _homes: dict[int, _Home] = {}
 
 
@@ -311,7 +334,8 @@ def _own_home() -> _Home:
     if number not in _homes:
         sweep()
         _homes[number] = _new_home()
-        # Runs in children that multiprocessing ends as well, and after a parent's own children have been ended.
+        # Runs in children that multiprocessing ends as well, and after a parent's own children have
+        # been ended.
         Finalize(None, _leave, args=(number,), exitpriority=-100)
     return _homes[number]
 
@@ -322,20 +346,23 @@ def _new_home() -> _Home:
             path = Path(tempfile.mkdtemp(prefix=f"uqharness-{os.getpid()}-"))
         except OSError as error:
             raise BadInputError(
-                f"no folder for temporary files can be made ({error.strerror or error}); set TMPDIR to one that you may write to"
+                f"no folder for temporary files can be made ({error.strerror or error}); set TMPDIR"
+                " to one that you may write to"
             ) from None
         handle = _open_lock(path, os.O_CREAT)
         if handle is None:
             continue
         if lock_at_once(handle):
             os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-            # Another process may have taken the folder for an orphan's in the instant before the lock.
+            # Another process may have taken the folder for an orphan's in the instant before the
+            # lock.
             with contextlib.suppress(OSError):
                 if os.path.samestat(os.stat(path / LOCK), os.fstat(handle)):
                     return _Home(path, handle)
         os.close(handle)
     raise BadInputError(
-        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to another folder"
+        f"{tempfile.gettempdir()}: no folder for temporary files can be kept there; set TMPDIR to"
+        " another folder"
     )
 
 
@@ -349,14 +376,17 @@ def _leave(number: int) -> None:
 
 
 def sweep() -> None:
-    """Remove the folders of this user's processes on this machine that have ended without doing so."""
+    """Remove the folders of this user's processes on this machine that have ended without
+    doing so.
+    """
     own = {home.path.name for number, home in _homes.items() if number == os.getpid()}
     for path in _candidates():
         if path.name in own:
             continue  # not even opened: closing a second handle would drop the lock
         handle = _open_lock(path, 0)
         if handle is None:
-            # Made and killed before its lock was there. One that is being made just now is made again.
+            # Made and killed before its lock was there. One that is being made just now is made
+            # again.
             with contextlib.suppress(OSError):
                 path.rmdir()
             continue
@@ -397,13 +427,17 @@ def _open_lock(folder: Path, flags: int) -> int | None:
 
 
 def _of_this_machine(handle: int) -> bool:
-    """False for a folder on a shared disk whose owner runs elsewhere: that its lock is felt here is not certain."""
+    """False for a folder on a shared disk whose owner runs elsewhere: that its lock is felt here is
+    not certain.
+    """
     text = os.read(handle, 1000).decode("utf-8", "replace")
     return not text or text.endswith(f" on {socket.gethostname()}\n")
 
 
 def _remove(path: Path, lock: int) -> None:
-    """Remove a folder whose lock this process holds; the lock last, so that what is left of a failed attempt is found again."""
+    """Remove a folder whose lock this process holds; the lock last, so that what is left of a
+    failed attempt is found again.
+    """
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(path)):
             if entry.name == LOCK:

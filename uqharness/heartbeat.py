@@ -1,8 +1,8 @@
 """What a command or a function says while it works and nothing else does.
 
-After 5 s `heartbeat` says what is done and how long it has taken: on a terminal by a line that moves, in a pipe by a line every 30 s,
-in a notebook by one line that is replaced. `uqharness.cli.progress` draws bars and names the stage. UQHARNESS_QUIET=1 silences it.
-"""
+After 5 s `heartbeat` says what is done and how long it has taken: on a terminal by a line that
+moves, in a pipe by a line every 30 s, in a notebook by one line that is replaced.
+`uqharness.cli.progress` draws bars and names the stage. UQHARNESS_QUIET=1 silences it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ _RECENT_S = 60.0
 
 
 class Rate:
-    """Rate of work from what was done recently: the first seconds of a command compile and load, and tell nothing of the rest."""
+    """Rate of work from what was done recently: the first seconds of a command compile and load,
+    and tell nothing of the rest.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -43,7 +45,8 @@ class Rate:
             marks.append((now, done))
             while len(marks) > 2 and marks[1][0] <= now - _RECENT_S:
                 marks.popleft()
-            # What ended first carried the start of everything; from the third mark on it is left out.
+            # What ended first carried the start of everything; from the third mark on it is left
+            # out.
             if len(marks) > 2 and marks[0][1] == 0.0:
                 marks.popleft()
         (begun, before), (last, latest) = marks[0], marks[-1]
@@ -80,7 +83,9 @@ def _write(stream: TextIO, text: str) -> None:
 
 @contextmanager
 def notebook_line(name: str) -> Iterator[None]:
-    """In a Jupyter notebook, show one line that is replaced while a function works; nothing in a script."""
+    """In a Jupyter notebook, show one line that is replaced while a function works; nothing in a
+    script.
+    """
     display = _notebook_display()
     if display is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -116,7 +121,8 @@ def heartbeat(
     every_s: float = EVERY_S,
     show: Callable[[str], None] | None = None,
 ) -> Iterator[None]:
-    """Say on standard error that a command is at work, its stage and the time that it has taken, wherever no bar says so.
+    """Say on standard error that a command is at work, its stage and the time that it has taken,
+    wherever no bar says so.
 
     ``show`` takes the line, in place of standard error, and an empty one at the end.
     """

@@ -1,10 +1,12 @@
-"""Functions run in a worker process, because JSBSim may end the process in which an aircraft from anywhere flies.
+"""Functions run in a worker process, because JSBSim may end the process in which an aircraft from
+anywhere flies.
 
-A <mod> whose divisor becomes 0 in flight is SIGFPE, a C++ exception that nobody catches is SIGABRT: no Python code can survive
-either. `run_isolated` runs a function of a module in one worker that stays for the next call, and turns the worker's death into
-ProcessEndedError. Log records of "uqharness" and calls of functions among the arguments come back to this process; SIGINT is passed
-on. The command line runs in a child process already (see uqharness.cli.start), so that `isolated` functions run there directly.
-"""
+A <mod> whose divisor becomes 0 in flight is SIGFPE, a C++ exception that nobody catches is SIGABRT:
+no Python code can survive either. `run_isolated` runs a function of a module in one worker that
+stays for the next call, and turns the worker's death into ProcessEndedError. Log records of
+"uqharness" and calls of functions among the arguments come back to this process; SIGINT is passed
+on. The command line runs in a child process already (see uqharness.cli.start), so that `isolated`
+functions run there directly."""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 SUPERVISED = "UQHARNESS_SUPERVISED"
-"""Environment variable: number of a process whose parent reports how it ends, as the command line's does."""
+"""Environment variable: number of a process whose parent reports how it ends, as the command line's
+does.
+"""
 _GOODBYE_S = 10.0
 _NOT_FLYING = -1.0
 
@@ -41,14 +45,15 @@ _NOT_FLYING = -1.0
 class ProcessEndedError(BadInputError):
     """The process that loaded or flew an aircraft ended.
 
-    ``reason`` is the sentence without advice, ``time_s`` how far the flight had come [s]; None: in no flight.
-    """
+    ``reason`` is the sentence without advice, ``time_s`` how far the flight had come [s]; None: in
+    no flight."""
 
     def __init__(self, code: int | None, time_s: float | None) -> None:
         flown = "" if time_s is None else f" after {time_s:.2f} s of the flight"
         self.time_s, self.reason = time_s, f"JSBSim's process ended with {ending(code)}{flown}"
         super().__init__(
-            f"{self.reason}; look for what the aircraft or the run script computes there, such as a <mod> by zero"
+            f"{self.reason}; look for what the aircraft or the run script computes there, such as a"
+            " <mod> by zero"
         )
 
 
@@ -80,7 +85,10 @@ class _NamedFunction:
 
 
 def run_unsupervised(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-    """Call the function in the worker, but directly in a process whose end its parent reports. See `run_isolated`."""
+    """Call the function in the worker, but directly in a process whose end its parent reports.
+
+    See `run_isolated`.
+    """
     if _is_supervised():
         return function(*args, **kwargs)
     return run_isolated(function, *args, **kwargs)
@@ -93,10 +101,9 @@ def _is_supervised() -> bool:
 def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     """Call a module's function in the worker; its result, or its exception.
 
-    Arguments and result are pickled; functions among the arguments are called in this process. In the worker itself, and in a
-    campaign's workers, whose end is met by their parent, the function is called directly. Raises ProcessEndedError where the worker
-    dies.
-    """
+    Arguments and result are pickled; functions among the arguments are called in this process. In
+    the worker itself, and in a campaign's workers, whose end is met by their parent, the function
+    is called directly. Raises ProcessEndedError where the worker dies."""
     if _in_worker or multiprocessing.current_process().daemon:
         return function(*args, **kwargs)
     with _one_call:
@@ -109,7 +116,10 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
 
 
 def report_time(time_s: float) -> None:
-    """Note the time of a flight [s], for the sentence about its process's death. Costs a fraction of a microsecond."""
+    """Note the time of a flight [s], for the sentence about its process's death.
+
+    Costs a fraction of a microsecond.
+    """
     if _clock is not None:
         _clock.value = time_s
 
@@ -168,7 +178,8 @@ class _Worker:
                 self._process.exitcode, None if time_s == _NOT_FLYING else time_s
             ) from None
         except BaseException:
-            # Ctrl-C, or a callback's exception: the function ends in the worker as it would have done here.
+            # Ctrl-C, or a callback's exception: the function ends in the worker as it would have
+            # done here.
             self._interrupt()
             raise
 

@@ -1,5 +1,5 @@
-"""Worker processes: how many, with what settings, ended with their parent; an ordered map over them, and a place for what many
-jobs read."""
+"""Worker processes: how many, with what settings, ended with their parent; an ordered map over
+them, and a place for what many jobs read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _KEPT = 4
 
 
 def usable_cores() -> int:
-    """Cores this process may use, which in a container or under a scheduler are fewer than the machine has."""
+    """Cores this process may use, which in a container or under a scheduler are fewer than the
+    machine has.
+    """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -68,24 +70,27 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """So many spawned processes, of one thread each, that import nothing from the working folder and not the script that asks.
+    """So many spawned processes, of one thread each, that import nothing from the working folder
+    and not the script that asks.
 
-    They run functions of modules, none of a script. An exception that leaves the block, Ctrl-C and SIGTERM among them, ends them at
-    once.
-    """
+    They run functions of modules, none of a script. An exception that leaves the block, Ctrl-C and
+    SIGTERM among them, ends them at once."""
     context = multiprocessing.get_context("spawn")
     with child_settings(), _Pool(count, mp_context=context, initializer=end_with_parent) as pool:
         try:
             yield pool
         except BaseException:
-            # Leaving the pool would wait for all that was asked of it: minutes after Ctrl-C or SIGTERM.
+            # Leaving the pool would wait for all that was asked of it: minutes after Ctrl-C or
+            # SIGTERM.
             pool.end()
             raise
 
 
 @contextmanager
 def worker_map(workers: int | None = None) -> Iterator[Processes]:
-    """An ordered `map` over worker processes, as many as there are cores (8 at most) unless told; one: this process."""
+    """An ordered `map` over worker processes, as many as there are cores (8 at most) unless told;
+    one: this process.
+    """
     count = process_count(workers)
     if count == 1:
         yield ALONE
@@ -115,8 +120,8 @@ class _Workers:
 
 
 class _InFile:
-    """Written once, as data that is not run where it is read; each process that needs it reads it once, while it is among the
-    last few."""
+    """Written once, as data that is not run where it is read; each process that needs it reads it
+    once, while it is among the last few."""
 
     def __init__(self, path: str) -> None:
         self._path = path

@@ -59,9 +59,9 @@ def read_table(path: Path) -> pa.Table:
 def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
     """The table with its texts written out, unless that takes more memory than a table may.
 
-    A dictionary holds a text once, and each row refers to it: sixteen kilobytes can stand for gigabytes. Column chunks are
-    therefore decoded one after another with their dictionaries kept, and counted before a text is written out.
-    """
+    A dictionary holds a text once, and each row refers to it: sixteen kilobytes can stand for
+    gigabytes. Column chunks are therefore decoded one after another with their dictionaries kept,
+    and counted before a text is written out."""
     texts = [field.name for field in schema if _is_text(field.type)]
     written, held = 0, 0
     parts: list[pa.Table] = []
@@ -76,8 +76,8 @@ def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
                         written += _text_bytes(chunk)
             if held + written > _MOST_MEMORY_BYTES or written > _most_text(len(content)):
                 raise BadInputError(
-                    f"{path}: its texts would take {(held + written) / 1e9:.3g} GB of memory, and it has "
-                    f"{len(content) / 1e6:.3g} MB: it is damaged or made to fill the memory"
+                    f"{path}: its texts would take {(held + written) / 1e9:.3g} GB of memory, and"
+                    f" it has {len(content) / 1e6:.3g} MB: it is damaged or made to fill the memory"
                 )
         table = pa.concat_tables(parts) if parts else file.read()
     columns = [
@@ -88,7 +88,9 @@ def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
 
 
 def _most_text(file_bytes: int) -> float:
-    """Bytes of texts that a file of a size may hold: the reasons of a million failed flights compress a hundredfold."""
+    """Bytes of texts that a file of a size may hold: the reasons of a million failed flights
+    compress a hundredfold.
+    """
     return _TEXT_BASE_BYTES + _TEXT_PER_BYTE * file_bytes
 
 
@@ -109,7 +111,8 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
-    """A parquet table from bytes that were read from ``path``. What it says of its size is looked at before memory is asked for.
+    """A parquet table from bytes that were read from ``path``. What it says of its size is looked
+    at before memory is asked for.
 
     ``rows``: how many the manifest lists. Raises BadInputError.
     """
@@ -118,7 +121,8 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
             found = file.metadata
             if rows is not None and found.num_rows != rows:
                 raise BadInputError(
-                    f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the campaign again"
+                    f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the"
+                    " campaign again"
                 )
             groups = [
                 found.row_group(number).total_byte_size for number in range(found.num_row_groups)
@@ -126,10 +130,12 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
             wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
             if wanted > _MOST_MEMORY_BYTES:
                 raise BadInputError(
-                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most {_MOST_MEMORY_BYTES / 1e9:g} GB"
+                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most"
+                    f" {_MOST_MEMORY_BYTES / 1e9:g} GB"
                 )
             table = _decoded(content, file.schema_arrow, path)
-            # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them as they come.
+            # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them
+            # as they come.
             table.validate(full=True)
             # What others have noted for their own readers may be anything, and would steer ours.
             return table.replace_schema_metadata(None)

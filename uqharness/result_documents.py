@@ -1,9 +1,9 @@
-"""What the documents of results must hold for a page to be written from them: fit.json, compare.json and others; refinement.json
-in `refinement_document`.
+"""What the documents of results must hold for a page to be written from them: fit.json,
+compare.json and others; refinement.json in `refinement_document`.
 
-Folders of results are passed on, edited and damaged. A page is written from a document that has passed here, so that a missing key
-or a text in place of a number is told of the file. Keys that no page reads may be anything.
-"""
+Folders of results are passed on, edited and damaged. A page is written from a document that has
+passed here, so that a missing key or a text in place of a number is told of the file. Keys that no
+page reads may be anything."""
 
 from __future__ import annotations
 
@@ -287,7 +287,10 @@ class Study(Part):
 
 
 def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
-    """The content of a document that has ``shape``. Raises BadInputError naming the file and what is wrong with it."""
+    """The content of a document that has ``shape``.
+
+    Raises BadInputError naming the file and what is wrong with it.
+    """
     try:
         document = parse_json(read_regular(path, _MOST_BYTES))
     except OSError as error:
@@ -399,7 +402,9 @@ class State(Part):
 
 
 class Left(Part):
-    """A place where something is left: in words, as a candidate that is asked for, or as a coefficient and what it depends on."""
+    """A place where something is left: in words, as a candidate that is asked for, or as a
+    coefficient and what it depends on.
+    """
 
     words: str = ""
     t: float = 0.0
@@ -554,7 +559,9 @@ class Gaps(Part):
 
 
 class Curve(Part):
-    """A smooth term by its state: value, ends of its 95 % band, and how many samples of the train flights lie near."""
+    """A smooth term by its state: value, ends of its 95 % band, and how many samples of the train
+    flights lie near.
+    """
 
     at: list[float]
     value: list[float]
@@ -575,7 +582,9 @@ class Curve(Part):
 
 
 class Shape(Part):
-    """A form that physics has a name for: its correlation with the curve, and what it would leave of the channel."""
+    """A form that physics has a name for: its correlation with the curve, and what it would leave
+    of the channel.
+    """
 
     form: str
     correlation: float

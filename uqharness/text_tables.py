@@ -69,7 +69,9 @@ def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def plain_cell(text: str) -> str:
-    """A cell that no spreadsheet takes for a formula: a text that begins like one gets an apostrophe; numbers stay."""
+    """A cell that no spreadsheet takes for a formula: a text that begins like one gets an
+    apostrophe; numbers stay.
+    """
     if not text.startswith(("=", "+", "-", "@", "\t", "\r")) or text == "-":
         return text
     try:
@@ -88,8 +90,8 @@ def csv_rows(
 ) -> list[dict[str, str]]:
     """Rows of a CSV table as text.
 
-    Raises BadInputError where a column is missing, ``numbers`` are none, or what stands in ``maybe`` is neither empty nor a number.
-    """
+    Raises BadInputError where a column is missing, ``numbers`` are none, or what stands in
+    ``maybe`` is neither empty nor a number."""
     try:
         reader = csv.DictReader(io.StringIO(content.decode("utf-8"), newline=""))
         rows = list(reader)
@@ -104,7 +106,8 @@ def csv_rows(
         # A row that was cut off lacks its last columns, whether anybody asks for them or not.
         if None in row or None in row.values():
             raise BadInputError(
-                f"{path}:{line}: has another number of columns than the first line; make the table again"
+                f"{path}:{line}: has another number of columns than the first line; make the table"
+                " again"
             )
         wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
         if wrong or any(row[name] is None for name in texts):

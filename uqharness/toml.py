@@ -1,4 +1,6 @@
-"""What is wrong with a TOML file, said of the file: section, key, line, what was received, what is allowed."""
+"""What is wrong with a TOML file, said of the file: section, key, line, what was received, what is
+allowed.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
 def explain(
     document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]
 ) -> tuple[int, str]:
-    """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and validated as ``document``."""
+    """(line, sentence) of one of pydantic's errors about ``data``, which was read from ``text`` and
+    validated as ``document``.
+    """
     location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
     line = line_of(text, location)
     name = _name(location)
@@ -41,7 +45,10 @@ def explain(
         hint = f"did you mean {near[0]}? " if near else ""
         return (
             line,
-            f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed: {', '.join(known)}",
+            (
+                f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed:"
+                f" {', '.join(known)}"
+            ),
         )
     if error["type"] == "missing":
         return line, f"{name}: required and not there"
@@ -53,7 +60,9 @@ def explain(
 
 
 def _name(location: tuple[Any, ...]) -> str:
-    """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no location."""
+    """``[aleatory] wind_mps`` or ``[epistemic.parameters] fit``; the file itself for no
+    location.
+    """
     if not location:
         return "the file"
     if len(location) >= 2 and isinstance(location[1], int) and (location[0],) in _TABLES:
@@ -68,7 +77,8 @@ def _name(location: tuple[Any, ...]) -> str:
 
 def dotted(parts: tuple[Any, ...]) -> str:
     """Parts of a key as TOML writes them."""
-    # Imported here and below: every worker of a campaign loads this module, and what it says is said when something is wrong.
+    # Imported here and below: every worker of a campaign loads this module, and what it says is
+    # said when something is wrong.
     import tomlkit
 
     return ".".join(tomlkit.key(str(part)).as_string() for part in parts)
@@ -102,7 +112,9 @@ def _model_within(annotation: Any) -> Any:
 
 
 def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
-    """``location`` without pydantic's own marks (names of union members): the part that exists in the file."""
+    """``location`` without pydantic's own marks (names of union members): the part that exists in
+    the file.
+    """
     found: list[Any] = []
     for position, part in enumerate(location):
         in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
@@ -117,8 +129,8 @@ def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple
 def line_of(text: str, location: tuple[Any, ...]) -> int:
     """Line of a key; of its section's header where the key is missing; 1 where that is missing too.
 
-    Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over several lines is not looked into.
-    """
+    Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over
+    several lines is not looked into."""
     wanted = [str(part) for part in location]
     best_depth, best_line = 0, 1
     section: list[str] = []
@@ -144,7 +156,8 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             if key:
                 inside = section + _parts(key.group(1))
             depth = _common(inside, wanted) if key else 0
-            # A key within an inline table that spans lines is nearer the mistake than the table's first line.
+            # A key within an inline table that spans lines is nearer the mistake than the table's
+            # first line.
             if _common(inside, wanted) == len(inside) < len(wanted) and inside:
                 mark = rf"(?:^|[{{,\s])[\"']?{re.escape(wanted[len(inside)])}[\"']?\s*="
                 depth = len(inside) + 1 if re.search(mark, line) else depth
@@ -165,7 +178,9 @@ def _common(found: list[str], wanted: list[str]) -> int:
 
 
 def as_toml(value: Any) -> str:
-    """A value as it would stand in the file; Python's own text of what is no string, number, boolean or list."""
+    """A value as it would stand in the file; Python's own text of what is no string, number,
+    boolean or list.
+    """
     import tomlkit
 
     if isinstance(value, (tuple, list)):
@@ -190,7 +205,9 @@ class Section(BaseModel):
 
 
 def listed(value: Any) -> Any:
-    """A single value stands for a list of one; TOML's lists become tuples, which strict validation wants."""
+    """A single value stands for a list of one; TOML's lists become tuples, which strict validation
+    wants.
+    """
     return tuple(value) if isinstance(value, list) else (value,)
 
 

@@ -1,4 +1,6 @@
-"""Two models flown side by side: which outputs differ, when first, by how much, and which lines of XML differ."""
+"""Two models flown side by side: which outputs differ, when first, by how much, and which lines of
+XML differ.
+"""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
 """A flight in another environment: its own Python interpreter, with its own version of JSBSim.
 
-``python -m uqharness.differences.elsewhere JOB.json OUT.npz`` is the child; `fly_elsewhere` starts it.
-"""
+``python -m uqharness.differences.elsewhere JOB.json OUT.npz`` is the child; `fly_elsewhere` starts
+it."""
 
 from __future__ import annotations
 
@@ -39,12 +39,16 @@ GROUPS = (
     "airspeed and angles",
     "path",
 )
-"""In the order of cause and effect within a frame: a force off the centre of gravity makes a moment, a moment makes no force."""
+"""In the order of cause and effect within a frame: a force off the centre of gravity makes a
+moment, a moment makes no force.
+"""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One compared number: name, unit, group of GROUPS, where JSBSim has it, and the size below which it is called zero."""
+    """One compared number: name, unit, group of GROUPS, where JSBSim has it, and the size below
+    which it is called zero.
+    """
 
     name: str
     unit: str
@@ -59,7 +63,9 @@ class Channel:
 
 
 def channels_of(aircraft: Aircraft, fdm: Any, others: tuple[str, ...] = ()) -> list[Channel]:
-    """Channels of an aircraft's model ``fdm``; coefficients by its own reference area and lengths. others: properties besides."""
+    """Channels of an aircraft's model ``fdm``; coefficients by its own reference area and lengths.
+    others: properties besides.
+    """
     S, b, c = (float(fdm[f"metrics/{name}"]) for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
     known = fdm.get_property_manager()
     out = [
@@ -177,8 +183,8 @@ _MOTION = (
 class How:
     """A flight of at most ``most_s`` in steps of ``dt_s`` [s], its air and its seed.
 
-    one_ulp_off: from a start that is one unit in the last place away; properties: set before the flight.
-    """
+    one_ulp_off: from a start that is one unit in the last place away; properties: set before the
+    flight."""
 
     most_s: float
     dt_s: float
@@ -233,7 +239,8 @@ class RefusedError(BadInputError):
 def fly_elsewhere(
     python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How
 ) -> tuple[dict[str, FloatArray], str]:
-    """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the version of its JSBSim.
+    """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the
+    version of its JSBSim.
 
     Parameters
     ----------
@@ -268,8 +275,9 @@ def fly_elsewhere(
             said = ended.errors or ended.said or "nothing was said"
             end = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
             raise BadInputError(
-                f"{python}: the flight {end}: {said}; an environment is needed that has JSBSim 1.3 and what uqharness needs "
-                "(pip install uqharness, then pip install jsbsim==VERSION)"
+                f"{python}: the flight {end}: {said}; an environment is needed that has JSBSim 1.3"
+                " and what uqharness needs (pip install uqharness, then pip install"
+                " jsbsim==VERSION)"
             )
         with np.load(out) as found:
             signals = dict(zip(found["names"].tolist(), found["columns"], strict=True))

@@ -85,8 +85,8 @@ def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
     bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
     if not bounded:
         raise BadInputError(
-            f"--bounds: aircraft '{aircraft.name}' has none; add them with uqharness instrument {aircraft.name} --bounds "
-            "model-form.json"
+            f"--bounds: aircraft '{aircraft.name}' has none; add them with uqharness instrument"
+            f" {aircraft.name} --bounds model-form.json"
         )
     return [
         {

@@ -1,8 +1,8 @@
 """An aircraft as it stood in a revision of a git repository: ``REVISION:PATH``.
 
-The repository may be somebody else's. Its configuration can name programs (filters, hooks, remotes that hold missing objects, a
-file-system monitor), so git never sees it: git runs in an empty repository of ours that borrows the objects and the references.
-"""
+The repository may be somebody else's. Its configuration can name programs (filters, hooks, remotes
+that hold missing objects, a file-system monitor), so git never sees it: git runs in an empty
+repository of ours that borrows the objects and the references."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ _EXAMPLE = "give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
 
 
 def named_revision(text: str) -> tuple[str, str] | None:
-    """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a drive letter."""
+    """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a
+    drive letter.
+    """
     revision, colon, path = text.partition(":")
     if not colon or len(revision) < 2 or not path or _exists(text):
         return None
@@ -40,7 +42,10 @@ def named_revision(text: str) -> tuple[str, str] | None:
 
 
 def aircraft_at(text: str, scratch: Path) -> Aircraft:
-    """An aircraft by name, folder or ``REVISION:PATH``, the last unpacked under ``scratch``. Raises BadInputError."""
+    """An aircraft by name, folder or ``REVISION:PATH``, the last unpacked under ``scratch``.
+
+    Raises BadInputError.
+    """
     found = named_revision(text)
     if found is None:
         return find_aircraft(text)
@@ -70,7 +75,9 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
 
 @dataclass(frozen=True)
 class _Repository:
-    """``top``: the working folder; ``folder``: its .git; ``common``: where objects and references are."""
+    """``top``: the working folder; ``folder``: its .git; ``common``: where objects and references
+    are.
+    """
 
     top: Path
     folder: Path
@@ -94,7 +101,9 @@ def _find_repository(start: Path) -> _Repository | None:
 
 
 def _path_within(path: str, top: Path) -> str | None:
-    """A path, relative to the working folder or absolute, as git writes it below ``top``; None outside and at ``top`` itself."""
+    """A path, relative to the working folder or absolute, as git writes it below ``top``; None
+    outside and at ``top`` itself.
+    """
     full = posixpath.normpath(posixpath.join(Path.cwd().as_posix(), path))
     inside = posixpath.relpath(full, top.as_posix())
     return None if "\0" in path or inside == "." or inside.split("/")[0] == ".." else inside
@@ -108,8 +117,8 @@ class _Reader:
         objects = repository.common / "objects"
         if (objects / "info" / "alternates").exists():
             raise BadInputError(
-                f"{requested}: the repository keeps objects elsewhere (objects/info/alternates), and "
-                f"these are not read; make a full clone of it and run there"
+                f"{requested}: the repository keeps objects elsewhere (objects/info/alternates),"
+                " and these are not read; make a full clone of it and run there"
             )
         for name in ("objects", "refs"):
             (place / name).mkdir()
@@ -139,12 +148,15 @@ class _Reader:
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
             raise BadInputError(
-                f"{self._requested}: the repository has no revision {revision[:_SHOWN]!r}; {_EXAMPLE}"
+                f"{self._requested}: the repository has no revision {revision[:_SHOWN]!r};"
+                f" {_EXAMPLE}"
             )
         return name
 
     def files(self, commit: str, folder: str) -> dict[str, bytes]:
-        """Content of every regular file below a folder of a commit, by path; sizes are looked at before anything is read."""
+        """Content of every regular file below a folder of a commit, by path; sizes are looked at
+        before anything is read.
+        """
         listing = self._run(["ls-tree", "-r", "-l", "-z", commit, "--", folder], _LISTING_BYTES)
         sizes: dict[str, tuple[str, int]] = {}
         for line in filter(None, listing.split(b"\0")):
@@ -161,12 +173,13 @@ class _Reader:
         total = sum(size for _, size in sizes.values())
         if not sizes:
             raise BadInputError(
-                f"{self._requested}: the revision has no folder {folder[:_SHOWN]} with files; {_EXAMPLE}"
+                f"{self._requested}: the revision has no folder {folder[:_SHOWN]} with files;"
+                f" {_EXAMPLE}"
             )
         if len(sizes) > MOST_FILES or total > MOST_BYTES:
             raise BadInputError(
-                f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an aircraft "
-                f"may have {MOST_FILES} of {in_words(MOST_BYTES)}"
+                f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an"
+                f" aircraft may have {MOST_FILES} of {in_words(MOST_BYTES)}"
             )
         names = "".join(f"{blob}\n" for blob, _ in sizes.values())
         most = total + 200 * len(sizes)
@@ -180,7 +193,9 @@ class _Reader:
         return files
 
     def _run(self, words: Sequence[str], most_bytes: int, given: bytes = b"") -> bytes:
-        """What a git command prints; BadInputError where it fails, prints more than ``most_bytes`` or takes too long."""
+        """What a git command prints; BadInputError where it fails, prints more than ``most_bytes``
+        or takes too long.
+        """
         output = self._place / "output"
         try:
             with output.open("wb") as handle:
@@ -201,8 +216,8 @@ class _Reader:
             ) from None
         except subprocess.TimeoutExpired:
             raise BadInputError(
-                f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository is "
-                "damaged or made to hold it up"
+                f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository"
+                " is damaged or made to hold it up"
             ) from None
         if done.returncode and words[0] != "rev-parse":
             lines = done.stderr.decode(errors="replace").strip().splitlines()
@@ -229,7 +244,9 @@ def _limits(most_bytes: int) -> Callable[[], None]:
 
 
 def _config(common: Path) -> str:
-    """Our own configuration; of the repository's, only the kind of its hashes matters, which its own words tell."""
+    """Our own configuration; of the repository's, only the kind of its hashes matters, which its
+    own words tell.
+    """
     sha256 = False
     path = common / "config"
     if path.is_file():

@@ -1,4 +1,7 @@
-"""The evidence that a folder of results holds, laid out as those who judge a model read it. Reads files; flies and fits nothing."""
+"""The evidence that a folder of results holds, laid out as those who judge a model read it.
+
+Reads files; flies and fits nothing.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""What a folder of results holds: its parts in the order in which they were made, the files they rest on, what is missing."""
+"""What a folder of results holds: its parts in the order in which they were made, the files they
+rest on, what is missing.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ _LEFTOVERS = (
     ("model-form.xml", "bounds", "model-form.json"),
     ("campaign-before.toml", STUDY, "study.json"),
 )
-"""File that a command leaves beside its mark, from which a folder that has lost its mark is known."""
+"""File that a command leaves beside its mark, from which a folder that has lost its mark is
+known.
+"""
 _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     "identify": (HISTORIES, "aircraft"),
     "refine": (HISTORIES, "model.diff", "aircraft"),
@@ -64,9 +68,8 @@ _DEEPEST = 3
 class Step:
     """One command's results.
 
-    kind      identify, refine, ...; place: its folder within the folder of results, "." for that itself
-    document  what its mark says; None where that cannot be read
-    """
+    kind      identify, refine, ...; place: its folder within the folder of results, "." for that
+    itself document  what its mark says; None where that cannot be read"""
 
     kind: str
     place: str
@@ -87,7 +90,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Source:
-    """A file that the dossier rests on; command and version are of the step that wrote it, "" where not recorded."""
+    """A file that the dossier rests on; command and version are of the step that wrote it, "" where
+    not recorded.
+    """
 
     file: str
     sha256: str
@@ -97,7 +102,9 @@ class Source:
 
 @dataclass
 class Evidence:
-    """A folder's content. missing: sentences, of what should be there and is not, or is not as it was written."""
+    """A folder's content. missing: sentences, of what should be there and is not, or is not as it
+    was written.
+    """
 
     folder: Path
     steps: list[Step] = field(default_factory=list)
@@ -109,7 +116,9 @@ class Evidence:
         return [s for s in self.steps if s.kind == kind and s.document is not None]
 
     def histories(self, step: Step) -> list[History]:
-        """Segments of a step, none where they cannot be read; that is then said among what is missing."""
+        """Segments of a step, none where they cannot be read; that is then said among what is
+        missing.
+        """
         try:
             return read_histories(step.folder / HISTORIES)
         except BadInputError as error:
@@ -117,7 +126,9 @@ class Evidence:
             return []
 
     def say_error(self, error: BadInputError) -> None:
-        """Add an error's words, without the place of the folder: a copy elsewhere gives the same dossier."""
+        """Add an error's words, without the place of the folder: a copy elsewhere gives the same
+        dossier.
+        """
         self.say(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
 
     def say(self, text: str) -> None:
@@ -129,12 +140,12 @@ class Evidence:
 def read_evidence(folder: Path) -> Evidence:
     """Everything of a folder of results that can be read.
 
-    A folder that is incomplete or damaged is no error: what is wrong stands in ``missing``. Raises BadInputError for a folder that
-    no command of this program wrote.
-    """
+    A folder that is incomplete or damaged is no error: what is wrong stands in ``missing``. Raises
+    BadInputError for a folder that no command of this program wrote."""
     if not folder.is_dir():
         raise BadInputError(
-            f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or identify"
+            f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or"
+            " identify"
         )
     found = Evidence(folder)
     for place in _folders(folder):
@@ -183,7 +194,8 @@ def _read_place(found: Evidence, place: Path) -> None:
         if kind not in known and (place / leftover).is_file():
             known.add(kind)
             found.say(
-                f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be told"
+                f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be"
+                " told"
             )
             found.steps.append(Step(kind, here, place, None))
 
@@ -250,7 +262,9 @@ def _read_companions(found: Evidence, step: Step) -> None:
 
 
 def _place_in_order(found: Evidence, step: Step) -> tuple[float, int, str]:
-    """Stages as a study orders them; else what a chain of commands would do first, refinements after what they began from."""
+    """Stages as a study orders them; else what a chain of commands would do first, refinements
+    after what they began from.
+    """
     for study in found.of(STUDY):
         assert study.document is not None
         order = [stage.get("folder") for stage in study.document["stages"]]
@@ -262,7 +276,9 @@ def _place_in_order(found: Evidence, step: Step) -> tuple[float, int, str]:
 
 
 def _generation(found: Evidence, step: Step, seen: frozenset[str]) -> int:
-    """How many other steps of the folder stand between a step's aircraft and an aircraft from elsewhere."""
+    """How many other steps of the folder stand between a step's aircraft and an aircraft from
+    elsewhere.
+    """
     words = step.command.split()
     for other in found.steps:
         name = Path(other.place).name
@@ -321,7 +337,9 @@ ENGINE_CHECK = "engine-check.csv"
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor, what it is about, and what the folder holds of it; no evidence is "not assessed"."""
+    """A factor, what it is about, and what the folder holds of it; no evidence is "not
+    assessed".
+    """
 
     name: str
     about: str
@@ -370,7 +388,8 @@ def _data(found: Evidence, _: Match) -> list[str]:
             for k in ("train", "test")
         )
         said.append(
-            f"{_credibility_at(step)}: effects chosen on {train}, shown on the hold-out flights {test}"
+            f"{_credibility_at(step)}: effects chosen on {train}, shown on the hold-out flights"
+            f" {test}"
         )
     return said
 
@@ -389,8 +408,9 @@ def _verification(found: Evidence, _: Match) -> list[str]:
             excused = sum(row.verdict == "excused" for row in rows)
             flights = len({row.case_id for row in rows})
             said.append(
-                f"{_credibility_at(step)}: {flights} flights flown by a second engine as well; of {len(rows)} metrics {alike} are alike, "
-                f"{excused} excused with a reason, {len(rows) - alike - excused} differ (engine-check.csv)"
+                f"{_credibility_at(step)}: {flights} flights flown by a second engine as well; of"
+                f" {len(rows)} metrics {alike} are alike, {excused} excused with a reason,"
+                f" {len(rows) - alike - excused} differ (engine-check.csv)"
             )
     for step in found.of("identify"):
         converged = (
@@ -407,8 +427,9 @@ def _validation(found: Evidence, match: Match) -> list[str]:
     }
     if match.judged:
         said.append(
-            f"proof of match: {len(match.judged)} segments judged by objective tests, {counts[PASS]} pass, {counts[FAIL]} fail, "
-            f"{counts[UNSURE]} inconclusive; {len(match.missing)} tests are not in the data"
+            f"proof of match: {len(match.judged)} segments judged by objective tests,"
+            f" {counts[PASS]} pass, {counts[FAIL]} fail, {counts[UNSURE]} inconclusive;"
+            f" {len(match.missing)} tests are not in the data"
         )
     for step in found.of("refine"):
         test = _credibility_document(step)["gap"]["test"]
@@ -424,14 +445,16 @@ def _validation(found: Evidence, match: Match) -> list[str]:
             worst = max(ratios, key=lambda c: ratios[c])
             whose = "rms of one-step predictions" if predicted else "rms"
             said.append(
-                f"{_credibility_at(step)}: on the hold-out flights {whose} over noise is at most {ratios[worst]:.2f} ({worst})"
+                f"{_credibility_at(step)}: on the hold-out flights {whose} over noise is at most"
+                f" {ratios[worst]:.2f} ({worst})"
             )
     for step in found.of("compare"):
         reached = (
             "reaches" if _credibility_document(step)["reached_noise_floor"] else "does not reach"
         )
         said.append(
-            f"{_credibility_at(step)}: the model {reached} the noise floor on {_credibility_document(step)['flight']}"
+            f"{_credibility_at(step)}: the model {reached} the noise floor on"
+            f" {_credibility_document(step)['flight']}"
         )
     return said
 
@@ -444,8 +467,9 @@ def _inputs(found: Evidence, _: Match) -> list[str]:
             said.append(f"{_credibility_at(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
         air = _credibility_document(step)["campaign"]["aleatory"]
         said.append(
-            f"{_credibility_at(step)}: wind {_list(air['wind_mps'])} m/s, turbulence {_list(air['turbulence'])} (Dryden, source "
-            f"{air['turbulence_source']}); no measured air"
+            f"{_credibility_at(step)}: wind {_list(air['wind_mps'])} m/s, turbulence"
+            f" {_list(air['turbulence'])} (Dryden, source {air['turbulence_source']}); no"
+            " measured air"
         )
     return said
 
@@ -470,12 +494,14 @@ def _uncertainty(found: Evidence, _: Match) -> list[str]:
         shares = {c: row["0.95"] for c, row in _credibility_document(step)["coverage"].items()}
         low, high = min(shares.values()), max(shares.values())
         said.append(
-            f"{_credibility_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's samples lie inside the 95 % intervals"
+            f"{_credibility_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
+            " samples lie inside the 95 % intervals"
         )
     for step in found.of("campaign"):
         cases = _credibility_document(step).get("cases", "?")
         said.append(
-            f"{_credibility_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory uncertainty by {cases} flights"
+            f"{_credibility_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory"
+            f" uncertainty by {cases} flights"
         )
     return said
 
@@ -485,7 +511,8 @@ def _robustness(found: Evidence, _: Match) -> list[str]:
     for step in found.of("campaign"):
         if (step.folder / "sensitivity.csv").is_file():
             said.append(
-                f"{_credibility_at(step)}: share of each coefficient in the width of every p-box (sensitivity.csv)"
+                f"{_credibility_at(step)}: share of each coefficient in the width of every p-box"
+                " (sensitivity.csv)"
             )
         epistemic = _credibility_document(step)["campaign"]["epistemic"]
         inner = epistemic.get("interior")

@@ -1,4 +1,6 @@
-"""Proof of match: which objective tests the segments of a flight contain, and whether the model stays within their tolerances."""
+"""Proof of match: which objective tests the segments of a flight contain, and whether the model
+stays within their tolerances.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,9 @@ REGULATION = "14 CFR Part 60, Appendix A, Attachment 2, Table A2A"
 class Band:
     """A tolerance of a channel throughout a time history.
 
-    channel   of a flight record, in its unit; absolute: half width in that unit; share: of the measured value, 0 for none
-    of_peak   the share is of the greatest measured value, not of that of each moment
+    channel   of a flight record, in its unit; absolute: half width in that unit; share: of the
+    measured value, 0 for none of_peak   the share is of the greatest measured value, not of that of
+    each moment
     one_of    bands with the same word are alternatives, of which one has to hold
     """
 
@@ -48,8 +51,9 @@ class Oscillation:
     """Tolerances of a mode that the controls, once at rest, leave to itself.
 
     channel     in which it is measured
-    period_s    absolute tolerance of the period [s], 0 for none; the greater of it and period_share counts
-    half_share  of the time to half or double amplitude; damping: absolute, of the damping ratio; one of the two has to hold
+    period_s    absolute tolerance of the period [s], 0 for none; the greater of it and period_share
+    counts half_share  of the time to half or double amplitude; damping: absolute, of the damping
+    ratio; one of the two has to hold
     cycles      that the test needs; 0: as many as tell the time to half or double amplitude
     shortest_s, longest_s  periods [s] that are looked for
     """
@@ -69,10 +73,9 @@ class Test:
     """One test of the table.
 
     entry      number of its line; tolerance: in words, as the table means it
-    control    that makes the manoeuvre; "" for none
-    before_s, after_s  record that it needs before and after the input
-    peak_radps  least and greatest peak of the measured rate with which the input counts as such; None: any
-    """
+    control    that makes the manoeuvre; "" for none before_s, after_s  record that it needs before
+    and after the input peak_radps  least and greatest peak of the measured rate with which the
+    input counts as such; None: any"""
 
     entry: str
     title: str
@@ -181,8 +184,8 @@ class Mode:
     period_s   of the oscillation as seen, 2 pi over the damped frequency, and its standard error
     damping    ratio, + where it dies away, and its standard error
     half_s     time to half amplitude, or to double where it grows; infinite without damping
-    cycles     periods in the record; amplitude: at its beginning, in the record's unit; left: rms of what it does not explain
-    """
+    cycles     periods in the record; amplitude: at its beginning, in the record's unit; left: rms
+    of what it does not explain"""
 
     period_s: float
     period_std_s: float
@@ -195,7 +198,8 @@ class Mode:
 
 
 def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: float) -> Mode | None:
-    """Damped sinusoid beside a straight line, by least squares; None where no period within the limits fits the record.
+    """Damped sinusoid beside a straight line, by least squares; None where no period within the
+    limits fits the record.
 
     Parameters
     ----------
@@ -204,11 +208,8 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
     shortest_s, longest_s : float
         Periods [s] that are looked for; none longer than the record.
 
-    Notes
-    -----
-    Amplitude, phase and line are linear and are solved for at each frequency and decay rate (variable projection, Golub and Pereyra
-    1973). Standard errors are of white residuals.
-    """
+    Notes ----- Amplitude, phase and line are linear and are solved for at each frequency and decay
+    rate (variable projection, Golub and Pereyra 1973). Standard errors are of white residuals."""
     known = np.isfinite(y)
     t, z = time_s[known] - time_s[0], y[known]
     if t.size < 12:
@@ -239,7 +240,8 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
     left = float(np.sqrt(np.sum(fit.fun**2) / max(t.size - 6, 1)))
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * left**2
     natural = math.hypot(omega, decay)
-    # Damping ratio is decay over the natural frequency: its derivatives by frequency and decay rate.
+    # Damping ratio is decay over the natural frequency: its derivatives by frequency and decay
+    # rate.
     slope = np.array([-decay * omega, omega**2]) / natural**3
     weights = np.linalg.lstsq(_base(t, fit.x), z, rcond=None)[0]
     period = 2.0 * math.pi / omega
@@ -266,7 +268,9 @@ def _base(t: FloatArray, x: FloatArray) -> FloatArray:
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"
 _MOVED = 0.3
-"""Of a control's largest travel in a segment, from which it counts as moved; the test's own control must move and no other."""
+"""Of a control's largest travel in a segment, from which it counts as moved; the test's own control
+must move and no other.
+"""
 _AT_REST = 0.05  # of its travel within the segment
 _NOISE_ROOM = (
     4.0  # a record of some hundred samples reaches this many standard deviations by noise alone
@@ -281,10 +285,12 @@ _SHARE_SEEN = 0.01  # amplitude over the whole response: less is rounding or dri
 class Row:
     """One tolerance in one segment.
 
-    quantity   channel of a record, or ``period``, ``time to half amplitude``, ``damping ratio`` (``_s`` and no unit)
-    worst      largest difference of measured minus model, in the channel's unit, at at_s; band: half width there
-    share      of the samples inside; measured, model: of an oscillation; answer: one of PASS, FAIL, UNSURE; why: of the last
-    """
+    quantity   channel of a record, or ``period``, ``time to half amplitude``, ``damping ratio``
+    (``_s`` and no unit)
+    worst      largest difference of measured minus model, in the channel's unit, at at_s; band:
+    half width there
+    share      of the samples inside; measured, model: of an oscillation; answer: one of PASS, FAIL,
+    UNSURE; why: of the last"""
 
     quantity: str
     worst: float
@@ -304,7 +310,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Judged:
-    """A test in a segment: its rows, the answer they give together, and the reason where that is neither pass nor fail."""
+    """A test in a segment: its rows, the answer they give together, and the reason where that is
+    neither pass nor fail.
+    """
 
     test: Test
     segment: History
@@ -331,9 +339,11 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
     Parameters
     ----------
     segments
-        Channels as measured, controls by their names, and the model's channels with ``suffix`` behind their names.
+        Channels as measured, controls by their names, and the model's channels with ``suffix``
+        behind their names.
     noise
-        Channel -> standard deviation of its sensor's noise, in the channel's unit; None or absent where it is not known.
+        Channel -> standard deviation of its sensor's noise, in the channel's unit; None or absent
+        where it is not known.
     """
     travel = {
         c: max((_travel(s.columns[c]) for s in segments if c in s.columns), default=0.0)
@@ -351,7 +361,9 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
 
 
 def limits(band: Band, measured: FloatArray) -> FloatArray:
-    """Half width (n,) of a tolerance about what was measured: the less restrictive of its absolute value and its share."""
+    """Half width (n,) of a tolerance about what was measured: the less restrictive of its absolute
+    value and its share.
+    """
     size = np.abs(measured)
     if band.of_peak:
         size = np.full(measured.size, np.max(size, initial=0.0, where=np.isfinite(size)))
@@ -392,7 +404,10 @@ def _judge(
             f"{x:g} s {w}" for x, w in ((test.before_s, "before"), (test.after_s, "after")) if x
         )
         what = f"the {test.control} input" if test.control else "the last input"
-        return f"{needs} {what} are needed; the records have {max(before, 0.0):.1f} s before and {max(after, 0.0):.1f} s after"
+        return (
+            f"{needs} {what} are needed; the records have {max(before, 0.0):.1f} s before and"
+            f" {max(after, 0.0):.1f} s after"
+        )
     if test.oscillation is not None:
         return _mode_of(test, test.oscillation, segment, suffix, end)
     lacking = [
@@ -407,7 +422,10 @@ def _judge(
         peak = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
         if not test.peak_radps[0] <= peak <= test.peak_radps[1]:
             low, high = (math.degrees(x) for x in test.peak_radps)
-            return f"inputs with a peak of {low:g} to {high:g} deg/s are needed; the peak is {math.degrees(peak):.3g} deg/s"
+            return (
+                f"inputs with a peak of {low:g} to {high:g} deg/s are needed; the peak is"
+                f" {math.degrees(peak):.3g} deg/s"
+            )
     judged = segment if test.control else _from(segment, end)
     rows = [_row(band, judged, suffix, noise.get(band.channel)) for band in test.bands]
     if all(row is None for row in rows):
@@ -495,7 +513,10 @@ def _mode_of(
         or log.cycles < _LEAST_CYCLES
         or log.amplitude <= max(_SEEN * log.left, _SHARE_SEEN * response)
     ):
-        return f"no oscillation of {_LEAST_CYCLES:g} cycles or more is seen after the input; the records have {t[-1] - t[0]:.1f} s"
+        return (
+            f"no oscillation of {_LEAST_CYCLES:g} cycles or more is seen after the input; the"
+            f" records have {t[-1] - t[0]:.1f} s"
+        )
     if model is None:
         return Judged(test, segment, (), FAIL, "the model does not oscillate there")
     rows = _mode_rows(asked, log, model, float(t[0]))
@@ -562,7 +583,9 @@ def _travel(values: FloatArray | None) -> float:
 
 
 def _input(segment: History, moved: Sequence[str]) -> tuple[float, float]:
-    """When the moved controls first leave where they stand and last come to rest [s]; both the first time where none moves."""
+    """When the moved controls first leave where they stand and last come to rest [s]; both the
+    first time where none moves.
+    """
     t = segment.time_s
     first, last = float(t[-1]), float(t[0])
     for control in moved:

@@ -1,13 +1,14 @@
-"""Gains of an autopilot of ArduPlane's structure from the parameters of an ArduPlane: what is taken, what is not and why. Pure.
+"""Gains of an autopilot of ArduPlane's structure from the parameters of an ArduPlane: what is
+taken, what is not and why. Pure.
 
-The autopilot (docs/autopilot.md) has ArduPlane's loops and names: a parameter NAME is the property ``ap/NAME`` in the same unit,
-with the same law, so its value is taken unchanged. The tables below have the exceptions: older names, limits that 0 switches off,
-and two filters that the autopilot has as one. PX4's loops have other forms (torques of -1..1 in place of angles of 45 deg, another
-TECS, NPFG in place of L1), so its parameters have no equal here; its files are refused.
+The autopilot (docs/autopilot.md) has ArduPlane's loops and names: a parameter NAME is the property
+``ap/NAME`` in the same unit, with the same law, so its value is taken unchanged. The tables below
+have the exceptions: older names, limits that 0 switches off, and two filters that the autopilot has
+as one. PX4's loops have other forms (torques of -1..1 in place of angles of 45 deg, another TECS,
+NPFG in place of L1), so its parameters have no equal here; its files are refused.
 
-Source: ArduPlane 4.7 (AP_L1_Control, AP_TECS, AP_RollController, AP_PitchController, AP_YawController) and its parameter
-documentation, ardupilot.org/plane/docs/parameters.html.
-"""
+Source: ArduPlane 4.7 (AP_L1_Control, AP_TECS, AP_RollController, AP_PitchController,
+AP_YawController) and its parameter documentation, ardupilot.org/plane/docs/parameters.html."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ from uqharness.errors import BadInputError
 
 PREFIX = "ap/"
 NO_LIMIT = 1000.0
-"""In place of a rate limit or a filter's band that 0 switches off [deg/s or Hz]: far beyond what an aeroplane does."""
+"""In place of a rate limit or a filter's band that 0 switches off [deg/s or Hz]: far beyond what an
+aeroplane does.
+"""
 _OLD: Mapping[str, tuple[str, float]] = {
     "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
     "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
@@ -92,7 +95,9 @@ _PX4 = (
 
 @dataclass(frozen=True)
 class Gain:
-    """A parameter that is taken: its ``name`` in the file, the property it sets, and the value in that property's unit."""
+    """A parameter that is taken: its ``name`` in the file, the property it sets, and the value in
+    that property's unit.
+    """
 
     name: str
     prop: str
@@ -103,9 +108,8 @@ class Gain:
 class AutopilotGains:
     """What a parameter file gives to an autopilot.
 
-    taken    gains in the file's order              ignored  name -> reason, of parameters of these loops
-    others   number of parameters of other parts of the autopilot
-    """
+    taken    gains in the file's order              ignored  name -> reason, of parameters of these
+    loops others   number of parameters of other parts of the autopilot"""
 
     taken: tuple[Gain, ...]
     ignored: Mapping[str, str]
@@ -113,7 +117,10 @@ class AutopilotGains:
 
     @property
     def properties(self) -> dict[str, float]:
-        """Property -> value, for a flight. The derivative terms are computed where one of their gains is not 0."""
+        """Property -> value, for a flight.
+
+        The derivative terms are computed where one of their gains is not 0.
+        """
         found = {gain.prop: gain.value for gain in self.taken}
         if any(found.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
             found[f"{PREFIX}RATE_D_ON"] = 1.0
@@ -135,17 +142,17 @@ class AutopilotGains:
 def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]) -> AutopilotGains:
     """The gains for an aircraft with these ``properties``.
 
-    Raises ValueError, its first word the parameter's name, for a value that no loop can have, and without a name for PX4's
-    parameters and for an aircraft or a file without any such gain.
-    """
+    Raises ValueError, its first word the parameter's name, for a value that no loop can have, and
+    without a name for PX4's parameters and for an aircraft or a file without any such gain."""
     if not any(name.startswith(PREFIX) for name in properties):
         raise ValueError(
-            "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and so on)"
+            "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and"
+            " so on)"
         )
     if any(name in parameters for name in _PX4):
         raise ValueError(
-            "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have another meaning "
-            "(docs/autopilot.md). Give an ArduPlane parameter file"
+            "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have"
+            " another meaning (docs/autopilot.md). Give an ArduPlane parameter file"
         )
     today = dict(_today(parameters))
     taken, ignored = [], {}
@@ -176,14 +183,17 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
             others += 1
     if not taken:
         raise ValueError(
-            f"none of the {len(parameters)} parameters is a gain of this autopilot, such as RLL_RATE_P"
+            f"none of the {len(parameters)} parameters is a gain of this autopilot, such as"
+            " RLL_RATE_P"
         )
     _in_order(today)
     return AutopilotGains(tuple(taken), ignored, others)
 
 
 def _today(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
-    """Parameters under today's names, in today's units; where both names are there the newer one counts."""
+    """Parameters under today's names, in today's units; where both names are there the newer one
+    counts.
+    """
     for name, value in parameters.items():
         now, factor = _OLD.get(name, (name, 1.0))
         if name == now or now not in parameters:
@@ -233,8 +243,8 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
     Raises
     ------
     BadInputError
-        With file and line: no such file, a line that is no parameter, a value that a loop cannot have, PX4's parameters, and an
-        aircraft or a file without such gains.
+        With file and line: no such file, a line that is no parameter, a value that a loop cannot
+        have, PX4's parameters, and an aircraft or a file without such gains.
     """
     try:
         with open_regular(path) as file:
@@ -255,7 +265,9 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
 
 
 def _line_of(text: str, message: str) -> str:
-    """'line 3: ' of the parameter whose name begins the message; the last line counts, as it does in reading."""
+    """'line 3: ' of the parameter whose name begins the message; the last line counts, as it does
+    in reading.
+    """
     name = message.split()[0]
     found = [
         n

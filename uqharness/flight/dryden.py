@@ -1,12 +1,13 @@
-"""Dryden turbulence after MIL-F-8785C, low altitude (10 to 1000 ft): spectra, standard deviations and sampled gusts.
+"""Dryden turbulence after MIL-F-8785C, low altitude (10 to 1000 ft): spectra, standard deviations
+and sampled gusts.
 
-Axes: x along the flight path (level: along the heading), y right, z down. ``u, v, w`` is the velocity of the air;
-``p, q, r`` the rotation of the AIR: q = -dw/dx and r = +dv/dx, smoothed over the span. An aircraft's aerodynamics see
-its own rates less these.
+Axes: x along the flight path (level: along the heading), y right, z down. ``u, v, w`` is the
+velocity of the air; ``p, q, r`` the rotation of the AIR: q = -dw/dx and r = +dv/dx, smoothed over
+the span. An aircraft's aerodynamics see its own rates less these.
 
-The gusts are samples of the continuous process, exact at any step (``gust_filters``). q comes from the noise of w and r from that
-of v, so that they belong together. The samples are the same bytes on every processor. Paragraphs: MIL-F-8785C (1980).
-"""
+The gusts are samples of the continuous process, exact at any step (``gust_filters``). q comes from
+the noise of w and r from that of v, so that they belong together. The samples are the same bytes on
+every processor. Paragraphs: MIL-F-8785C (1980)."""
 
 from __future__ import annotations
 
@@ -70,8 +71,9 @@ class FirstOrder:
 class Lateral:
     """w of variance 1 with the lateral spectrum, and dw/dt smoothed by 1/(1 + T_span s).
 
-    States (z1, z2, y): z1 = 1/(1 + T s) noise, z2 = 1/(1 + T s) z1, y = 1/(1 + T_span s) w, with
-    w = sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 noise = sqrt(T) (sqrt(3) z1 + (1 - sqrt(3)) z2) and slope (w - y)/T_span.
+    States (z1, z2, y): z1 = 1/(1 + T s) noise, z2 = 1/(1 + T s) z1, y = 1/(1 + T_span s) w, with w
+    = sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 noise = sqrt(T) (sqrt(3) z1 + (1 - sqrt(3)) z2) and
+    slope (w - y)/T_span.
 
     to_w    the two factors of z1 and z2 in w
     step    transition matrix, lower triangular
@@ -108,9 +110,9 @@ def lateral(dt_s: float, T_s: float, T_span_s: float) -> Lateral:
 def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matrix]:
     """Transition matrix and a factor R with R'R = covariance of the noise gathered in one step.
 
-    The integral of e^(A s) B B' e^(A' s) is summed by Gauss and Legendre (12 nodes, exact to rounding for steps up to the
-    shortest time constant; longer ones are cut up) and factored without forming it: it is all but singular.
-    """
+    The integral of e^(A s) B B' e^(A' s) is summed by Gauss and Legendre (12 nodes, exact to
+    rounding for steps up to the shortest time constant; longer ones are cut up) and factored
+    without forming it: it is all but singular."""
     pieces = max(1, math.ceil(dt * max(abs(a) for row in A for a in row)))
     half = 0.5 * dt / pieces
     vectors = []
@@ -138,11 +140,12 @@ class GustFilters:
 def numpy_recursion(
     drive: FloatArray, powers: FloatArray, inverse: FloatArray, last: float
 ) -> FloatArray:
-    """x' = keep x + drive from x = ``last``, in segments: ``last`` and the states of the steps, (n + 1,).
+    """x' = keep x + drive from x = ``last``, in segments: ``last`` and the states of the steps, (n
+    + 1,).
 
-    ``powers`` are keep, keep^2 and so on to the end of a segment, ``inverse`` their inverses. Within a segment
-    x[k] = keep^k (x[0] + sum of keep^-j drive[j]), a running sum for numpy; x goes on from one segment to the next.
-    """
+    ``powers`` are keep, keep^2 and so on to the end of a segment, ``inverse`` their inverses.
+    Within a segment x[k] = keep^k (x[0] + sum of keep^-j drive[j]), a running sum for numpy; x goes
+    on from one segment to the next."""
     out = np.empty(drive.size + 1)
     out[0] = last
     sums = drive.reshape(-1, powers.size) * inverse
@@ -161,7 +164,9 @@ Recur = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
 
 
 class UnitGusts:
-    """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noise of u, v, w and p."""
+    """Gusts of unit intensity, a page of samples at a time; ``normals`` are the noise of u, v, w
+    and p.
+    """
 
     def __init__(
         self, filters: GustFilters, normals: Sequence[Source], recur: Recur = numpy_recursion
@@ -189,7 +194,9 @@ class UnitGusts:
         return other
 
     def exchange(self, other: Callable[[int, Source], Source]) -> None:
-        """Go on with other noise: ``other`` of the place of u, v, w, p (0 to 3) and its present source."""
+        """Go on with other noise: ``other`` of the place of u, v, w, p (0 to 3) and its present
+        source.
+        """
         self._normals = tuple(other(place, source) for place, source in enumerate(self._normals))
 
     def page(self) -> FloatArray:
@@ -201,7 +208,8 @@ class UnitGusts:
         return self._filtered(noise)
 
     def branched(self, step: int, normals: Sequence[Source]) -> tuple[UnitGusts, FloatArray] | None:
-        """Gusts whose noise is ``normals`` from that step of the last page on, and that page (6, PAGE_STEPS); they go on behind it.
+        """Gusts whose noise is ``normals`` from that step of the last page on, and that page (6,
+        PAGE_STEPS); they go on behind it.
 
         None where ``keeps_noise`` was not set when the page was made.
         """
@@ -264,7 +272,9 @@ class _FirstOrderGusts:
         return other
 
     def page(self, noise: FloatArray) -> FloatArray:
-        """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary distribution."""
+        """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary
+        distribution.
+        """
         drive = self._spread * noise
         if not self._begun:
             drive[0] = noise[0]
@@ -284,7 +294,9 @@ class _LateralGusts:
         return other
 
     def page(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """w and its slope, both (PAGE_STEPS,), of normals (3, PAGE_STEPS); the first are drawn from the stationary distribution."""
+        """w and its slope, both (PAGE_STEPS,), of normals (3, PAGE_STEPS); the first are drawn from
+        the stationary distribution.
+        """
         one = self._filter
         drives = [one.factor[0][i] * noise[0] for i in range(3)]
         drives[1] += one.factor[1][1] * noise[1]
@@ -345,7 +357,9 @@ def _stationary(A: Matrix, B: Sequence[float]) -> list[list[float]]:
 
 
 def _triangular(rows: Sequence[Sequence[float]]) -> Matrix:
-    """R of the QR decomposition by Gram and Schmidt, in the modified order, its diagonal positive."""
+    """R of the QR decomposition by Gram and Schmidt, in the modified order, its diagonal
+    positive.
+    """
     columns = [list(column) for column in zip(*rows, strict=True)]
     n = len(columns)
     R = [[0.0] * n for _ in range(n)]
@@ -414,8 +428,8 @@ class DrydenParameters:
 def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> DrydenParameters:
     """Scale lengths, intensities and the span's time constants.
 
-    ``h_m`` is the height above the ground; below 10 ft the values of 10 ft hold. L_v = L_u and sigma_v = sigma_u.
-    """
+    ``h_m`` is the height above the ground; below 10 ft the values of 10 ft hold. L_v = L_u and
+    sigma_v = sigma_u."""
     _positive(V_mps=V_mps, b_m=b_m)
     if not W20_kt >= 0.0:
         raise BadInputError(f"W20_kt = {W20_kt}: the wind at 20 ft is 0 or more knots")
@@ -430,7 +444,8 @@ def dryden_parameters(V_mps: float, h_m: float, W20_kt: float, b_m: float) -> Dr
     sigma_w = 0.1 * W20_kt * KT_MPS  # 3.7.3.4: sigma_w = 0.1 u20
     sigma_u = sigma_w / exact.power(profile, 0.4)  # 3.7.3.4, figure 11: sigma_u = sigma_v
     T_p = 4.0 * b_m / (math.pi * V_mps)
-    # 3.7.5, Phi_p: sigma_p^2 = integral of sigma_w^2/(V L_w) 0.8 (pi L_w/4b)^(1/3) / (1 + (4 b w/pi V)^2) over w from 0
+    # 3.7.5, Phi_p: sigma_p^2 = integral of sigma_w^2/(V L_w) 0.8 (pi L_w/4b)^(1/3) / (1 + (4 b w/pi
+    # V)^2) over w from 0
     thickness = exact.power(math.pi * L_w / (4.0 * b_m), 1.0 / 3.0)
     sigma_p = sigma_w * math.sqrt(0.8 * thickness * math.pi / (2.0 * T_p) / (V_mps * L_w))
     return DrydenParameters(
@@ -451,8 +466,9 @@ def refuse_above_ceiling(turbulence: str, h_m: float) -> None:
     """Raise BadInputError if a flight begins higher than the low-altitude model reaches."""
     if not h_m <= TURBULENCE_CEILING_M:
         raise BadInputError(
-            f'turbulence = "{turbulence}": the flight begins {h_m:.0f} m above the ground, and the low-altitude model of '
-            f"MIL-F-8785C reaches to {TURBULENCE_CEILING_M:g} m (1000 ft); {BELOW_CEILING}"
+            f'turbulence = "{turbulence}": the flight begins {h_m:.0f} m above the ground, and the'
+            f" low-altitude model of MIL-F-8785C reaches to {TURBULENCE_CEILING_M:g} m (1000 ft);"
+            f" {BELOW_CEILING}"
         )
 
 
@@ -464,7 +480,8 @@ def dryden_psd(
     W20_kt: float,
     b_m: float,
 ) -> FloatArray:
-    """One-sided spectral density over angular frequency; its integral from 0 to infinity is the variance.
+    """One-sided spectral density over angular frequency; its integral from 0 to infinity is the
+    variance.
 
     Unit (m/s)^2 s for u, v, w and (rad/s)^2 s for p, q, r.
     """
@@ -519,9 +536,9 @@ def dryden_gusts(
 ) -> GustSeries:
     """``n`` samples of all six gusts at constant airspeed and height.
 
-    ``seed`` is the root seed or a sequence that begins with it, such as (root, aleatory id). u, v with r, w with q, and
-    p draw from a stream each; W20 scales the result and nothing else: all intensities share one history.
-    """
+    ``seed`` is the root seed or a sequence that begins with it, such as (root, aleatory id). u, v
+    with r, w with q, and p draw from a stream each; W20 scales the result and nothing else: all
+    intensities share one history."""
     return next(gust_blocks(n, dt_s, V_mps, h_m, W20_kt, b_m, seed, max(n, 1)))
 
 
@@ -535,7 +552,9 @@ def gust_blocks(
     seed: int | Sequence[int],
     block: int,
 ) -> Iterator[GustSeries]:
-    """The same ``n`` samples, to the bit, as series of at most ``block``: the memory of a day is that of a block."""
+    """The same ``n`` samples, to the bit, as series of at most ``block``: the memory of a day is
+    that of a block.
+    """
     if n < 1:
         raise BadInputError(f"n = {n}: at least one sample is needed")
     gusts = DrydenGusts(dryden_parameters(V_mps, h_m, W20_kt, b_m), dt_s, seed)
@@ -552,10 +571,10 @@ def gust_blocks(
 class DrydenGusts:
     """The same samples without end, a page of PAGE_STEPS at a time.
 
-    ``seed`` as of ``dryden_gusts``; behind each of ``splits`` the noise is another. ``pairs`` and ``recur`` may be compiled forms
-    of ``numpy_pairs`` and ``numpy_recursion``.
-    ``copy.deepcopy`` gives gusts that go on from where these stand; ``branched`` those that left within the last page.
-    """
+    ``seed`` as of ``dryden_gusts``; behind each of ``splits`` the noise is another. ``pairs`` and
+    ``recur`` may be compiled forms of ``numpy_pairs`` and ``numpy_recursion``. ``copy.deepcopy``
+    gives gusts that go on from where these stand; ``branched`` those that left within the last
+    page."""
 
     def __init__(
         self,
@@ -605,7 +624,8 @@ class DrydenGusts:
         self._unit.keeps_noise = True
 
     def branched(self, split: Split) -> tuple[DrydenGusts, FloatArray] | None:
-        """Gusts that left these at a split within the last page, and that page (6, PAGE_STEPS); they go on behind it.
+        """Gusts that left these at a split within the last page, and that page (6, PAGE_STEPS);
+        they go on behind it.
 
         None where the page's noise was not kept. Raises ValueError for a split elsewhere.
         """

@@ -1,4 +1,7 @@
-"""Fly one mission: conditions and seeds in, recorded signals and scores out. The campaign's hot loop is here."""
+"""Fly one mission: conditions and seeds in, recorded signals and scores out.
+
+The campaign's hot loop is here.
+"""
 
 from __future__ import annotations
 
@@ -64,13 +67,15 @@ def absolute_statistics(error: NDArray[np.float64]) -> tuple[float, float, float
 
 
 def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: float) -> int:
-    """Number of excursions of ``|distance|`` (n,) [m] beyond ``radius_m``, re-armed at ``radius_m - rearm_m``.
+    """Number of excursions of ``|distance|`` (n,) [m] beyond ``radius_m``, re-armed at ``radius_m -
+    rearm_m``.
 
     A flight that begins outside counts one. ValueError unless 0 <= rearm_m < radius_m.
     """
     if not 0.0 <= rearm_m < radius_m:
         raise ValueError(
-            f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius {radius_m} m"
+            f"rearm_m = {rearm_m} must be at least 0 and less than the excursion radius"
+            f" {radius_m} m"
         )
     magnitude = np.abs(distance)
     outside = magnitude > radius_m
@@ -132,7 +137,10 @@ def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
 
 
 def from_start_signals(straight: bool) -> dict[str, Source]:
-    """What deviations from the start are made of; any JSBSim aircraft has it. ``straight``: the flight is to go straight on."""
+    """What deviations from the start are made of; any JSBSim aircraft has it.
+
+    ``straight``: the flight is to go straight on.
+    """
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
     table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {
         "load_factor": Source("accelerations/Nz")
@@ -175,17 +183,19 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
                     f"the card names no {key} under [metrics]",
                 )
             else:
-                # What was flown counts, however the flight ended: a campaign bounds the rest from above.
+                # What was flown counts, however the flight ended: a campaign bounds the rest from
+                # above.
                 metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
     return _result(recorded, metrics, undefined, recorded.signals.get("altitude", np.zeros(0)))
 
 
 def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """Deviations of height, speed and heading from where scoring begins, and the largest load factor.
+    """Deviations of height, speed and heading from where scoring begins, and the largest load
+    factor.
 
-    A flight that is to go straight on has a path, the line on which scoring began; any other has none, and its cross-track errors
-    and excursions are undefined. Loss of control is judged by bank and incidence.
-    """
+    A flight that is to go straight on has a path, the line on which scoring began; any other has
+    none, and its cross-track errors and excursions are undefined. Loss of control is judged by bank
+    and incidence."""
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok" and recorded.signals["height_m"].size > 0
@@ -219,7 +229,9 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
 
 
 def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
-    """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight is not to go straight on."""
+    """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight
+    is not to go straight on.
+    """
     if "north_m" not in recorded.signals:
         return None
     north, east, vn, ve = (
@@ -263,11 +275,11 @@ _HARDEST_FPS2 = 320.0
 
 
 class GroundWatch:
-    """Runs an initialised flight block by block and sees every step in which a contact point touches the ground.
+    """Runs an initialised flight block by block and sees every step in which a contact point
+    touches the ground.
 
-    A flight that starts on its contact points is not airborne, and may touch the ground, until the first step without contact.
-    ``block_s`` is the time between two calls of `advance`.
-    """
+    A flight that starts on its contact points is not airborne, and may touch the ground, until the
+    first step without contact. ``block_s`` is the time between two calls of `advance`."""
 
     def __init__(self, fdm: Any, aircraft: Aircraft, block_s: float) -> None:
         units = _units(fdm)
@@ -283,7 +295,9 @@ class GroundWatch:
         self._airborne = not self._touching()
 
     def advance(self, run: Callable[[int], None], steps: int) -> str:
-        """Run ``steps`` steps, or up to the first contact of an airborne flight; what touched, empty where nothing did."""
+        """Run ``steps`` steps, or up to the first contact of an airborne flight; what touched,
+        empty where nothing did.
+        """
         if not self._near():
             run(steps)
             self._airborne = True
@@ -297,7 +311,10 @@ class GroundWatch:
         return "the centre of gravity" if self._height() <= 0.0 else ""
 
     def _near(self) -> bool:
-        """Whether a contact point could reach the ground within a block. Each step is looked at only then: it costs time."""
+        """Whether a contact point could reach the ground within a block.
+
+        Each step is looked at only then: it costs time.
+        """
         fall_ft = 2.0 * abs(self._climb()) * self._block_s + 0.5 * _HARDEST_FPS2 * self._block_s**2
         return bool(self._points) and self._height() < self._reach_ft + fall_ft
 
@@ -307,7 +324,10 @@ class GroundWatch:
 
 @dataclass(frozen=True)
 class ContactPoint:
-    """A gear or structure contact point; ``at_in`` [in] in the structural frame. ``retracts``: it counts while the gear is down."""
+    """A gear or structure contact point; ``at_in`` [in] in the structural frame.
+
+    ``retracts``: it counts while the gear is down.
+    """
 
     name: str
     at_in: tuple[float, float, float]
@@ -329,7 +349,9 @@ def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
 
 
 def _units(fdm: Any) -> list[str]:
-    """Contact points as property folders, in the order of the XML: gear and structure are counted together."""
+    """Contact points as property folders, in the order of the XML: gear and structure are counted
+    together.
+    """
     exists = fdm.get_property_manager().hasNode
     found = []
     for number in range(int(fdm["gear/num-units"])):
@@ -396,14 +418,16 @@ _MAX_SEED = 2**31 - 2
 def fly(spec: FlightSpec) -> FlightResult:
     """Fly one mission and score it.
 
-    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult with its status and reason.
-    Raises BadInputError for what cannot start: unknown aircraft, script or property, impossible values.
-    """
+    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult
+    with its status and reason. Raises BadInputError for what cannot start: unknown aircraft, script
+    or property, impossible values."""
     return _flown(spec, one_ulp_off=False)
 
 
 def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
-    """The same flight from a velocity over the ground that is one unit in the last place larger: what rounding alone may change."""
+    """The same flight from a velocity over the ground that is one unit in the last place larger:
+    what rounding alone may change.
+    """
     return _flown(spec, one_ulp_off=True)
 
 
@@ -449,12 +473,16 @@ def _from_start(mission: StagedMission) -> bool:
 
 
 def staged_mission(spec: FlightSpec) -> StagedMission:
-    """The mission of a flight, staged once for as long as aircraft and script stay what they are. Raises BadInputError."""
+    """The mission of a flight, staged once for as long as aircraft and script stay what they are.
+
+    Raises BadInputError.
+    """
     return _staged(str(spec.aircraft), str(spec.script), _fingerprint(spec))
 
 
 def _fingerprint(spec: FlightSpec) -> str:
-    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is keyed by what it was made from.
+    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is
+    # keyed by what it was made from.
     script = find_script(spec.script)
     return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
 
@@ -475,12 +503,13 @@ def record_mission(
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
 ) -> Recorded:
-    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at ``spec.record_rate_hz``.
+    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at
+    ``spec.record_rate_hz``.
 
-    Rows are taken after a step, so the accelerations of a row have seen the command of that row. ``one_ulp_off``: from a velocity
-    over the ground that is one unit in the last place larger. ``splits``: where the flight branches; ValueError unless its gusts
-    are the host's and nothing transient moves. Raises BadInputError.
-    """
+    Rows are taken after a step, so the accelerations of a row have seen the command of that row.
+    ``one_ulp_off``: from a velocity over the ground that is one unit in the last place larger.
+    ``splits``: where the flight branches; ValueError unless its gusts are the host's and nothing
+    transient moves. Raises BadInputError."""
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
@@ -534,7 +563,9 @@ def record_mission(
 
 
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
-    """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are recorded."""
+    """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are
+    recorded.
+    """
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / row_s, 9))
     return burn, math.ceil(
         round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9)
@@ -573,7 +604,9 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
 
 
 def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
-    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a divisor is zero."""
+    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a
+    divisor is zero.
+    """
     rows = np.empty((len(read), len(table)))
     divisor = len(table)
     for column, source in enumerate(table.values()):
@@ -586,7 +619,10 @@ def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
 
 
 def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
-    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened. Raises BadInputError."""
+    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened.
+
+    Raises BadInputError.
+    """
     if spec.turbulence not in TURBULENCE_W20_KT:
         raise BadInputError(
             f"turbulence '{spec.turbulence}': allowed are {', '.join(TURBULENCE_W20_KT)}"
@@ -603,16 +639,18 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name in spec.properties:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
-    # A script may leave the integrators of a recorded flight for some frames: at a jump a multistep rule has to begin anew.
+    # A script may leave the integrators of a recorded flight for some frames: at a jump a multistep
+    # rule has to begin anew.
     chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
     with_air = has_air(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps), and JSBSim's own turbulence by "
-            'itself is wrong in a wind and above sea level (docs/jsbsim-traps.md): use turbulence_source = "spec" '
-            '(--turbulence-source spec), or add <system file="air"/> to its XML'
+            f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps),"
+            " and JSBSim's own turbulence by itself is wrong in a wind and above sea level"
+            ' (docs/jsbsim-traps.md): use turbulence_source = "spec" (--turbulence-source spec),'
+            ' or add <system file="air"/> to its XML'
         )
     fdm["simulation/randomseed"] = spec.seed_noise
     fdm["atmosphere/randomseed"] = spec.seed_turbulence
@@ -625,8 +663,8 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         fdm["sensor/noise"] = float(spec.sensor_noise)
     elif spec.sensor_noise:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly it with sensor_noise = false "
-            "(without --noise)"
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly"
+            " it with sensor_noise = false (without --noise)"
         )
     for name, value in as_model_has(fdm, spec.properties).items():
         if name not in CHANGEABLE:
@@ -638,7 +676,8 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT_M
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT_M
         if not with_air:
-            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction is where the wind blows to.
+            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction
+            # is where the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
             fdm["ic/vw-mag-fps"] = spec.wind_mps / FT_M
 
@@ -652,13 +691,16 @@ def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> No
     ]
     if lacking:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient model error can act on it: make its "
-            "model-form.xml anew (uqharness instrument), or fly it with [epistemic] transient = false"
+            f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient"
+            " model error can act on it: make its model-form.xml anew (uqharness instrument), or"
+            " fly it with [epistemic] transient = false"
         )
 
 
 def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
-    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's plugin does not have."""
+    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's
+    plugin does not have.
+    """
     exists = fdm.get_property_manager().hasNode
     found: dict[str, float] = {}
     for name, value in properties.items():
@@ -671,7 +713,9 @@ def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
-    """Blow the steady wind through JSBSim's own properties where no air system does; initialising would have undone it."""
+    """Blow the steady wind through JSBSim's own properties where no air system does; initialising
+    would have undone it.
+    """
     if has_air(fdm):
         return
     toward = math.radians(spec.wind_from_deg + 180.0)
@@ -681,7 +725,9 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
 
 
 def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
-    """BadInputError for a setting that initialising has overwritten: it would have no effect and no message."""
+    """BadInputError for a setting that initialising has overwritten: it would have no effect and no
+    message.
+    """
     for name, value in properties.items():
         kept = fdm[name]
         if (
@@ -690,6 +736,6 @@ def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
             and abs(kept - value) > 1e-9 * max(abs(value), 1.0)
         ):
             raise BadInputError(
-                f"property {name} was set to {value:g} and stands at {kept:g} after initialising: the model computes it, "
-                "so it cannot be set"
+                f"property {name} was set to {value:g} and stands at {kept:g} after initialising:"
+                " the model computes it, so it cannot be set"
             )

@@ -1,7 +1,7 @@
 """Flying-quality levels of MIL-F-8785C for the modes of a linear model.
 
-The numbers are the specification's tables; levels are 1, 2, 3, or 4 for worse than Level 3. They were written for piloted aircraft:
-for a small unmanned one they are a yardstick, not a requirement.
+The numbers are the specification's tables; levels are 1, 2, 3, or 4 for worse than Level 3. They
+were written for piloted aircraft: for a small unmanned one they are a yardstick, not a requirement.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ SHORT_PERIOD_DAMPING = {
     "B": ((0.30, 2.00), (0.20, 2.00), 0.15),
     "C": ((0.35, 1.30), (0.25, 2.00), 0.15),
 }
-# 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2 bound is Level 3's too.
+# 3.2.2.1.1, Figs 1-3: CAP = wn^2/(n/alpha) in g rad^-1 s^-2 for Levels 1 and 2; the lower Level 2
+# bound is Level 3's too.
 CAP = {
     "A": ((0.28, 3.6), (0.16, 10.0)),
     "B": ((0.085, 3.6), (0.038, 10.0)),
@@ -52,7 +53,9 @@ ROLL_SPIRAL_RADPS = (0.5, 0.3, 0.15)
 
 @dataclass(frozen=True)
 class Assessment:
-    """One requirement met or not: the criterion, its value and unit, the level reached (1..4), the paragraph."""
+    """One requirement met or not: the criterion, its value and unit, the level reached (1..4), the
+    paragraph.
+    """
 
     mode: str
     criterion: str
@@ -68,7 +71,8 @@ def assess(
     """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
     if category not in CATEGORIES or aircraft_class not in CLASSES:
         raise ValueError(
-            f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)} and {', '.join(CLASSES)}"
+            f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)}"
+            f" and {', '.join(CLASSES)}"
         )
     by_name: dict[str, list[Mode]] = {name: [] for name in MODE_NAMES}
     for mode in found:
@@ -242,11 +246,11 @@ OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
 def level_edges(
     mode: str, category: str, aircraft_class: str, imag: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts ``imag`` (n,) [rad/s] above 0.
+    """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts
+    ``imag`` (n,) [rad/s] above 0.
 
-    Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge here. ValueError for a mode
-    that is not of `OSCILLATORY`.
-    """
+    Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge
+    here. ValueError for a mode that is not of `OSCILLATORY`."""
     if mode == "short_period":
         (one, _), (two, _), three = SHORT_PERIOD_DAMPING[category]
         return _damped(one, imag), _damped(two, imag), _damped(three, imag)
@@ -263,7 +267,10 @@ def level_edges(
 
 
 def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, float, float]:
-    """Largest real root [1/s] of roll or spiral at Levels 1, 2 and 3. ValueError for another mode."""
+    """Largest real root [1/s] of roll or spiral at Levels 1, 2 and 3.
+
+    ValueError for another mode.
+    """
     if mode == "roll":
         one, two, three = (-1.0 / constant for constant in roll_limits_s(category, aircraft_class))
     elif mode == "spiral":
@@ -274,7 +281,9 @@ def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, f
 
 
 def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Smallest and largest CAP [1/(g s^2)] at Levels 1 and 2; the smallest of Level 2 is that of Level 3 too."""
+    """Smallest and largest CAP [1/(g s^2)] at Levels 1 and 2; the smallest of Level 2 is that of
+    Level 3 too.
+    """
     return CAP[category]
 
 
@@ -311,7 +320,9 @@ class Locus:
 def usual_speeds(
     V_mps: float, low: float | None = None, high: float | None = None
 ) -> tuple[float, ...]:
-    """Speeds [m/s] in even steps from ``low`` to ``high``; without them from 0.7 to 1.6 times ``V_mps``."""
+    """Speeds [m/s] in even steps from ``low`` to ``high``; without them from 0.7 to 1.6 times
+    ``V_mps``.
+    """
     first, last = SLOWEST * V_mps if low is None else low, FASTEST * V_mps if high is None else high
     return tuple(float(v) for v in np.linspace(first, last, STEPS + 1))
 
@@ -336,10 +347,9 @@ def root_locus(
 ) -> Locus:
     """Modes at each of ``speeds`` [m/s], all else as in ``condition``.
 
-    Speeds are tried from the condition's own outwards. A trim that does not exist costs ten times as much as one that does, so
-    behind two speeds in a row without one the others on that side are listed as not tried. first: the point at the condition's
-    own speed, where it is known.
-    """
+    Speeds are tried from the condition's own outwards. A trim that does not exist costs ten times
+    as much as one that does, so behind two speeds in a row without one the others on that side are
+    listed as not tried. first: the point at the condition's own speed, where it is known."""
     centre = condition.V_mps
     points = {} if first is None else {first.V_mps: first}
     refused: dict[float, str] = {}
@@ -352,7 +362,8 @@ def root_locus(
             done += 1
             if len(failed) >= _GIVEN_UP:
                 refused[V] = (
-                    f"not tried: {beyond} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do not trim"
+                    f"not tried: {beyond} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do"
+                    " not trim"
                 )
             elif V not in points:
                 trim = find_trim(aircraft, replace(condition, V_mps=V))

@@ -1,20 +1,22 @@
 """Gain, phase and delay margins of a control loop, measured in flight.
 
-A multisine is added to one controller's output while every loop stays closed, in calm air and without sensor noise. What
-the controller puts out and what is applied (output + injection) are recorded; at the injected frequencies
+A multisine is added to one controller's output while every loop stays closed, in calm air and
+without sensor noise. What the controller puts out and what is applied (output + injection) are
+recorded; at the injected frequencies
 
     L(jw) = - output / applied
 
-is the loop opened at that output with all the others closed: servo, airframe, sensors, control law, computing delay
-and hold included, nothing modelled. Where the autopilot mixes the output into a second actuator, the injection is mixed in
-too: the loop is open on both paths, and L is proportional to the gains of its controller.
+is the loop opened at that output with all the others closed: servo, airframe, sensors, control law,
+computing delay and hold included, nothing modelled. Where the autopilot mixes the output into a
+second actuator, the injection is mixed in too: the loop is open on both paths, and L is
+proportional to the gains of its controller.
 
-The multisine is flown with both signs, and the difference is read: what does not change sign with it, such as the turn of the
-loiter and the loss of speed that follows any deflection, cancels out.
+The multisine is flown with both signs, and the difference is read: what does not change sign with
+it, such as the turn of the loiter and the loss of speed that follows any deflection, cancels out.
 
-Margins follow from L and from the fact that the flight was stable: growing or shrinking the gain first loses stability where
-k L(jw) = -1, so the nearest crossings of the negative real axis on either side of -1 are the margins, for conditionally
-stable loops too.
+Margins follow from L and from the fact that the flight was stable: growing or shrinking the gain
+first loses stability where k L(jw) = -1, so the nearest crossings of the negative real axis on
+either side of -1 are the margins, for conditionally stable loops too.
 
 The simulator is handed in (`make_fdm`); nothing here knows JSBSim.
 """
@@ -49,7 +51,9 @@ class Simulator(Protocol):
 
 @dataclass(frozen=True)
 class Mixed:
-    """A second actuator that the autopilot moves by the same output: by ``sign`` times the property ``gain``."""
+    """A second actuator that the autopilot moves by the same output: by ``sign`` times the property
+    ``gain``.
+    """
 
     inject: str
     gain: str
@@ -58,7 +62,9 @@ class Mixed:
 
 @dataclass(frozen=True)
 class Loop:
-    """One control loop: where to inject and what to record, and a multisine that suits its bandwidth."""
+    """One control loop: where to inject and what to record, and a multisine that suits its
+    bandwidth.
+    """
 
     name: str
     inject: str
@@ -104,10 +110,13 @@ def _loop(
 
 
 MAX_SCATTER = 0.1
-"""Largest difference between the records of either sign, as a share of |L|, at a line that margins are read from."""
+"""Largest difference between the records of either sign, as a share of |L|, at a line that margins
+are read from.
+"""
 _FEWEST_LINES = 10
 
-# Amplitudes: large against the rounding of the log, small against servo rate (240 deg/s), throttle slew and the throws.
+# Amplitudes: large against the rounding of the log, small against servo rate (240 deg/s), throttle
+# slew and the throws.
 LOOPS: Mapping[str, Loop] = {
     "elevator": _loop("elevator", "deg", 0.3, 0.2, 60.0, 100.0),
     # +aileron is right wing down and +rudder nose left: the mixing moves the rudder the other way.
@@ -144,7 +153,10 @@ CALM_STRAIGHT: Mapping[str, float] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Distances of a stable loop from instability. Infinite where the measured band holds no crossing."""
+    """Distances of a stable loop from instability.
+
+    Infinite where the measured band holds no crossing.
+    """
 
     gain_up_dB: float  # smallest increase of gain that loses stability
     gain_down_dB: float  # smallest decrease that does, as a positive number; inf: none
@@ -174,12 +186,16 @@ class LoopMargins:
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
-        """The lines that the margins were read from: where L is very large, almost nothing is applied to divide by."""
+        """The lines that the margins were read from: where L is very large, almost nothing is
+        applied to divide by.
+        """
         return np.asarray(self.scatter < MAX_SCATTER)
 
 
 def multisine(lines: NDArray[np.int64], samples: int, rms: float) -> Floats:
-    """Sum of equal cosines at whole `lines` per period, Schroeder's phases (low peak), one period of `samples`."""
+    """Sum of equal cosines at whole `lines` per period, Schroeder's phases (low peak), one period
+    of `samples`.
+    """
     count = len(lines)
     index = np.arange(count)
     phase = -np.pi * index * (index + 1) / count
@@ -197,7 +213,9 @@ def choose_lines(
 
 
 def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
-    """Margins of a loop known to be stable, from L at rising frequencies (log-linear between them)."""
+    """Margins of a loop known to be stable, from L at rising frequencies (log-linear
+    between them).
+    """
     log_w = np.log(frequency_radps)
     log_gain = np.log(np.abs(response))
     phase = np.unwrap(np.angle(response))
@@ -260,10 +278,10 @@ def measure_loop(
 ) -> LoopMargins:
     """Fly, inject, and read the margins of one loop.
 
-    `make_fdm` returns a simulator with the aircraft loaded and its initial conditions set; `condition` is set before
-    initialising. `periods` are read with either sign of the injection, after one that lets the transient die.
-    `on_progress` is told the share of the flight that is flown, 0..1. Raises ValueError where the flight does not stay finite
-    or does not repeat itself.
+    `make_fdm` returns a simulator with the aircraft loaded and its initial conditions set;
+    `condition` is set before initialising. `periods` are read with either sign of the injection,
+    after one that lets the transient die. `on_progress` is told the share of the flight that is
+    flown, 0..1. Raises ValueError where the flight does not stay finite or does not repeat itself.
     """
     if periods < 1:
         raise ValueError(f"periods {periods}: at least 1 is read")
@@ -306,7 +324,8 @@ def measure_loop(
     good = scatter < MAX_SCATTER
     if np.count_nonzero(good) < _FEWEST_LINES:
         raise ValueError(
-            f"{loop.name}: the records of either sign of the injection disagree, the flight was not steady"
+            f"{loop.name}: the records of either sign of the injection disagree, the flight was not"
+            " steady"
         )
     return LoopMargins(
         loop=loop.name,
@@ -318,7 +337,9 @@ def measure_loop(
 
 
 def _fly_period(fdm: Simulator, loop: Loop, excitation: Floats) -> tuple[Floats, Floats]:
-    """Controller's output and what is applied, (samples,) each, over one period of the injection."""
+    """Controller's output and what is applied, (samples,) each, over one period of the
+    injection.
+    """
     output, applied = np.empty(excitation.size), np.empty(excitation.size)
     mixed = [(item.inject, item.sign * fdm[item.gain]) for item in loop.mixed]
     for i, value in enumerate(excitation.tolist()):

@@ -1,10 +1,11 @@
-"""Standard normal numbers of raw random bits, by IEEE operations alone: the same bytes on every processor.
+"""Standard normal numbers of raw random bits, by IEEE operations alone: the same bytes on every
+processor.
 
-numpy's own normals call the C library's exponential and logarithm, whose last bits differ between processors and versions. Here
-two numbers of 64 random bits become two independent standard normals (Box and Muller, 1958), the logarithm and the sine
-written out as polynomials. The functions take numpy arrays, or any other values with the same operations, which are given as
-``m``: a compiler of the same expressions gives the same bits.
-"""
+numpy's own normals call the C library's exponential and logarithm, whose last bits differ between
+processors and versions. Here two numbers of 64 random bits become two independent standard normals
+(Box and Muller, 1958), the logarithm and the sine written out as polynomials. The functions take
+numpy arrays, or any other values with the same operations, which are given as ``m``: a compiler of
+the same expressions gives the same bits."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ from sysid.digests import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
 GROUP = 16
-"""Raw numbers that are turned at once: number k of the first half goes with number k of the second half."""
+"""Raw numbers that are turned at once: number k of the first half goes with number k of the second
+half.
+"""
 
 _CHUNK = 8192
 """Pairs computed at once, so that they stay in the processor's cache."""
@@ -33,7 +36,8 @@ _ROOT_HALF_BITS = 0x3FE6A09E00000000
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 """ln 2 in two parts, the first of 32 bits: its product with k is exact."""
 
-# Chebyshev fits: (log((1 + s)/(1 - s))/s - 2)/s^2 over s^2 to 0.0295, error 3e-16; sin(pi x/2)/x over x^2 to 1/4, error 5e-18.
+# Chebyshev fits: (log((1 + s)/(1 - s))/s - 2)/s^2 over s^2 to 0.0295, error 3e-16; sin(pi x/2)/x
+# over x^2 to 1/4, error 5e-18.
 _LOG = (
     0.666666666666667,
     0.39999999999899444,
@@ -55,7 +59,9 @@ _SINE = (
 
 
 class Operations(Protocol):
-    """What is done with bits and roots; sums, products and quotients are the values' own operators."""
+    """What is done with bits and roots; sums, products and quotients are the values' own
+    operators.
+    """
 
     def bits(self, x: Any) -> Any:
         """The 64 bits of a double as an integer."""
@@ -70,7 +76,9 @@ class Operations(Protocol):
         """The smaller of two doubles."""
 
     def integer(self, operation: str, a: Any, b: Any) -> Any:
-        """Of 64-bit integers: add, sub, and, or, xor, shl, shr (which fills with zeros); ``b`` may be a Python integer."""
+        """Of 64-bit integers: add, sub, and, or, xor, shl, shr (which fills with zeros); ``b`` may
+        be a Python integer.
+        """
 
 
 class NumpyOperations:
@@ -116,7 +124,9 @@ Pairs = Callable[[NDArray[np.int64]], FloatArray]
 
 
 def logarithm(x: Any, m: Operations) -> Any:
-    """Natural logarithm of normal doubles between 2^-1021 and 2^1023, to 1 unit in the last place."""
+    """Natural logarithm of normal doubles between 2^-1021 and 2^1023, to 1 unit in the last
+    place.
+    """
     shifted = m.integer("add", m.bits(x), (1024 << 52) - _ROOT_HALF_BITS)
     # The exponent in the low bits of 2^52 is a double without a conversion.
     k = m.double(m.integer("or", m.integer("shr", shifted, 52), _bits_of(2.0**52))) - (
@@ -132,9 +142,8 @@ def logarithm(x: Any, m: Operations) -> Any:
 def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
     """Two independent standard normals of two numbers of 64 random bits; the largest is 8.5.
 
-    The first gives the radius, sqrt(-2 log v) with v of 52 bits in (0, 1]; of the second 52 bits give an angle between -45 and
-    45 degrees, two others turn it into the four quadrants.
-    """
+    The first gives the radius, sqrt(-2 log v) with v of 52 bits in (0, 1]; of the second 52 bits
+    give an angle between -45 and 45 degrees, two others turn it into the four quadrants."""
     v = 2.0 - _one_to_two(first, m)
     radius = m.sqrt(logarithm(v, m) * -2.0)
     x = _one_to_two(second, m) - 1.5
@@ -160,10 +169,11 @@ def numpy_pairs(raw: NDArray[np.int64]) -> FloatArray:
 
 
 class Normals:
-    """A stream of standard normals, drawn from a numpy bit generator (such as PCG64) that nobody else uses from here on.
+    """A stream of standard normals, drawn from a numpy bit generator (such as PCG64) that nobody
+    else uses from here on.
 
-    The numbers do not depend on how they are cut into calls. ``pairs`` may be a compiled form of ``numpy_pairs``.
-    """
+    The numbers do not depend on how they are cut into calls. ``pairs`` may be a compiled form of
+    ``numpy_pairs``."""
 
     def __init__(self, generator: np.random.BitGenerator, pairs: Pairs = numpy_pairs) -> None:
         self._generator, self._pairs = generator, pairs
@@ -268,12 +278,15 @@ def power(x: float, y: float) -> float:
 
 
 def normal_quantile(p: float) -> float:
-    """x that a standard normal is below with probability ``p``, to some 1e-15/(1 - p); p between 1e-9 and 1 - 1e-9."""
+    """x that a standard normal is below with probability ``p``, to some 1e-15/(1 - p); p between
+    1e-9 and 1 - 1e-9.
+    """
     if not 1e-9 <= p <= 1.0 - 1e-9:
         raise ValueError(f"p = {p}: a probability from 1e-9 to 1 - 1e-9 is needed")
     x = 0.0
     for _ in range(100):
-        # 1/2 + density (x + x^3/3 + x^5/15 + ...): Newton's steps from 0 never pass the root, for the distribution bends inwards.
+        # 1/2 + density (x + x^3/3 + x^5/15 + ...): Newton's steps from 0 never pass the root, for
+        # the distribution bends inwards.
         density = exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
         term = total = x
         for n in range(3, 301, 2):
@@ -324,13 +337,17 @@ KINDS = {
     "transient": 7,
     "branch": 8,
 }
-"""Stream kinds and their numbers; a number once given is never reused, or old campaigns could not be repeated."""
+"""Stream kinds and their numbers; a number once given is never reused, or old campaigns could not
+be repeated.
+"""
 
 _LARGEST = 2**31 - 2
 
 
 def flight_seed(root_seed: int, aleatory_id: int, kind: str) -> int:
-    """Seed in 1..2^31-2 for JSBSim's generator (31 bits, where 0 and 1 would be the same stream)."""
+    """Seed in 1..2^31-2 for JSBSim's generator (31 bits, where 0 and 1 would be the same
+    stream).
+    """
     if kind not in ("turbulence", "noise"):
         raise ValueError(f"kind '{kind}': must be turbulence or noise")
     sequence = np.random.SeedSequence(entropy=root_seed, spawn_key=(KINDS[kind], aleatory_id))
@@ -352,7 +369,9 @@ def transient_stream(root_seed: int, aleatory_id: int, coefficient: str) -> np.r
 def branch_stream(
     root_seed: int, aleatory_id: int, level: int, branch: int, kind: str, number: int
 ) -> np.random.SeedSequence:
-    """Seed sequence of one stream of the kind behind a split: of the branch of that number at that level, in that air."""
+    """Seed sequence of one stream of the kind behind a split: of the branch of that number at that
+    level, in that air.
+    """
     return np.random.SeedSequence(
         entropy=root_seed,
         spawn_key=(KINDS["branch"], aleatory_id, level, branch, KINDS[kind], number),
@@ -373,7 +392,9 @@ def named_stream(root_seed: int, kind: str, name: str) -> np.random.SeedSequence
 def numbered_stream(
     root_seed: int, kind: str, number: int, name: str = ""
 ) -> np.random.SeedSequence:
-    """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same however many follow."""
+    """Seed sequence of the n-th draw (of what bears that name): the first n draws are the same
+    however many follow.
+    """
     return np.random.SeedSequence(
         entropy=root_seed, spawn_key=(KINDS[kind], *(_words(name) if name else ()), number)
     )
@@ -393,7 +414,8 @@ def _words(name: str) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Split:
-    """A branch leaves behind ``frame`` frames; ``turbulence_row``: rows that JSBSim's own turbulence has drawn by then.
+    """A branch leaves behind ``frame`` frames; ``turbulence_row``: rows that JSBSim's own
+    turbulence has drawn by then.
 
     root, aleatory_id, level, branch: the key of its streams, together with each stream's kind.
     """
@@ -424,9 +446,8 @@ class Source(Protocol):
 class Spliced:
     """The numbers of one source up to a step, of another from there.
 
-    per_step: numbers of a step. Calls take whole steps, and the numbers of one call stand in so many rows of a number a step.
-    done: steps that ``before`` has given already.
-    """
+    per_step: numbers of a step. Calls take whole steps, and the numbers of one call stand in so
+    many rows of a number a step. done: steps that ``before`` has given already."""
 
     def __init__(
         self, before: Source, behind: Source, step: int, per_step: int = 1, done: int = 0
@@ -464,7 +485,9 @@ def spliced(
     per_step: int = 1,
     done: int = 0,
 ) -> Source:
-    """A source that goes on behind each split with the normals of its branch; ``first`` has given ``done`` steps already."""
+    """A source that goes on behind each split with the normals of its branch; ``first`` has given
+    ``done`` steps already.
+    """
     for split in splits:
         first = Spliced(
             first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done

@@ -45,11 +45,11 @@ _OPTIONAL = {
 def recorded_flight(
     aircraft: Aircraft, script: Script, spec: FlightSpec
 ) -> tuple[pd.DataFrame, Recorded]:
-    """Fly ``spec`` from its start on, in a worker process: the flight record, and how the flight ended.
+    """Fly ``spec`` from its start on, in a worker process: the flight record, and how the flight
+    ended.
 
-    A flight that ends its process is flown again up to the last row before: the same seeds give the same rows. Raises
-    BadInputError.
-    """
+    A flight that ends its process is flown again up to the last row before: the same seeds give the
+    same rows. Raises BadInputError."""
     try:
         recorded = run_isolated(_recorded, aircraft, script, spec)
     except ProcessEndedError as error:
@@ -77,14 +77,16 @@ def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
             optional |= {
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
-        # Without a sensors system nothing in the aircraft is told of noise; the record has it all the same.
+        # Without a sensors system nothing in the aircraft is told of noise; the record has it all
+        # the same.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
         flown = spec if has_sensors else replace(spec, sensor_noise=False)
         return record_mission(mission, flown, table, optional, keep_burn_in=True)
 
 
 def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
-    """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of second order.
+    """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of
+    second order.
 
     Raises BadInputError for a duration, wind, direction, rate or seed that cannot be flown.
     """
@@ -110,7 +112,9 @@ def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
 
 
 def start_of(recorded: Recorded) -> dict[str, float]:
-    """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above sea level [m]."""
+    """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above
+    sea level [m].
+    """
     return {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
 
 
@@ -129,10 +133,11 @@ def to_record(
     manoeuvre: str,
     named: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
-    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi, noise where asked for.
+    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi,
+    noise where asked for.
 
-    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between; without any it is ``manoeuvre``.
-    """
+    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between;
+    without any it is ``manoeuvre``."""
     # Imported here: a second of loading that no other command should pay.
     import pandas as pd
 
@@ -143,7 +148,8 @@ def to_record(
     if spec.sensor_noise:
         for name, std in (aircraft.card.sensors.noise_std or MEMS_NOISE_STD).items():
             if name in columns:
-                # One stream a channel, named by the channel: adding a sensor changes no other's noise.
+                # One stream a channel, named by the channel: adding a sensor changes no other's
+                # noise.
                 stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])
                 columns[name] = columns[name] + std * drawn(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
@@ -167,12 +173,13 @@ def write_record(
 ) -> tuple[str, ...]:
     """Write ``table`` by the path's suffix; the columns that the format has no place for.
 
-    ``aircraft``, whose card turns surface angles into servo pulses, and ``start`` (lat_deg, lon_deg, alt_m) serve DataFlash alone.
-    Raises BadInputError for another suffix, a folder that cannot be written, or a card without servo tables.
-    """
+    ``aircraft``, whose card turns surface angles into servo pulses, and ``start`` (lat_deg,
+    lon_deg, alt_m) serve DataFlash alone. Raises BadInputError for another suffix, a folder that
+    cannot be written, or a card without servo tables."""
     if path.suffix not in FORMATS:
         raise BadInputError(
-            f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received '{path.suffix}'"
+            f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received"
+            f" '{path.suffix}'"
         )
     if path.suffix == ".bin":
         return _write_dataflash(table, path, aircraft, start or {})
@@ -242,7 +249,8 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
     missing = [name for name in NEEDED if name not in record]
     if missing:
         raise BadInputError(
-            f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs {', '.join(NEEDED)}"
+            f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs"
+            f" {', '.join(NEEDED)}"
         )
     time_s = np.asarray(record["time_s"])
     at = np.arange(time_s[0], time_s[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
@@ -262,7 +270,9 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
 def geodetic(
     north_m: FloatArray, east_m: FloatArray, lat_deg: float, lon_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Latitude and longitude (n,) [deg] of points on the local plane of a start point, from its two radii of curvature."""
+    """Latitude and longitude (n,) [deg] of points on the local plane of a start point, from its two
+    radii of curvature.
+    """
     lat0 = math.radians(lat_deg)
     w = 1.0 - _ECCENTRICITY_2 * math.sin(lat0) ** 2
     meridian = _RADIUS_M * (1.0 - _ECCENTRICITY_2) / w**1.5

@@ -17,31 +17,38 @@ TURBULENCE_W20_KT: Mapping[str, float] = MappingProxyType(
 """Wind at 20 ft for each intensity, knots (MIL-F-8785C 3.7.3.2, Fig 7)."""
 
 TURBULENCE_CEILING_M = 304.8
-"""Height above the ground up to which the low-altitude model of MIL-F-8785C is defined: 1000 ft (3.7.3.4)."""
+"""Height above the ground up to which the low-altitude model of MIL-F-8785C is defined: 1000 ft
+(3.7.3.4).
+"""
 
 BELOW_CEILING = (
-    'begin lower, or fly with turbulence = "none", or with turbulence_source = "jsbsim" if the aircraft has the air '
-    "system (docs/air.md)"
+    'begin lower, or fly with turbulence = "none", or with turbulence_source = "jsbsim" if the'
+    " aircraft has the air system (docs/air.md)"
 )
 """What to do about a flight that begins above TURBULENCE_CEILING_M."""
 
 DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
-"""Which Dryden model flies unless asked otherwise: the one without a mean gust in a turn (docs/air.md)."""
+"""Which Dryden model flies unless asked otherwise: the one without a mean gust in a turn
+(docs/air.md).
+"""
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 """Body-axis force and moment coefficients, in the order in which they are always listed."""
 
 STATUSES = ("ok", "diverged", "ground-contact", "crashed", "timeout")
-"""How a flight ends. crashed: an exception, the loss of its process, and in campaigns older than ground-contact the ground."""
+"""How a flight ends. crashed: an exception, the loss of its process, and in campaigns older than
+ground-contact the ground.
+"""
 
 
 @dataclass(frozen=True)
 class LevelDriver:
-    """How the levels of one epistemic sample move in flight: ``kind`` white (redrawn each step) or walk (reflecting random walk).
+    """How the levels of one epistemic sample move in flight: ``kind`` white (redrawn each step) or
+    walk (reflecting random walk).
 
-    ``coefficients`` move, each in the stream (root seed, epistemic id, coefficient); ``rates_per_sqrt_s`` (1/sqrt(s), one per
-    coefficient) belong to a walk and are empty for white. Levels that stand still are plain ``properties``.
-    """
+    ``coefficients`` move, each in the stream (root seed, epistemic id, coefficient);
+    ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) belong to a walk and are empty for white.
+    Levels that stand still are plain ``properties``."""
 
     kind: Literal["white", "walk"]
     root_seed: int
@@ -52,11 +59,12 @@ class LevelDriver:
 
 @dataclass(frozen=True)
 class TransientDriver:
-    """How the transient model error moves in flight: reflecting random walks of uq/<C>/transient-level in -1..1.
+    """How the transient model error moves in flight: reflecting random walks of
+    uq/<C>/transient-level in -1..1.
 
-    Each of ``coefficients`` walks in the stream (root seed, aleatory id, coefficient): chance, the same at every corner of one air.
-    ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) are of the walk's width, as those of a LevelDriver.
-    """
+    Each of ``coefficients`` walks in the stream (root seed, aleatory id, coefficient): chance, the
+    same at every corner of one air. ``rates_per_sqrt_s`` (1/sqrt(s), one per coefficient) are of
+    the walk's width, as those of a LevelDriver."""
 
     root_seed: int
     aleatory_id: int
@@ -68,11 +76,11 @@ class TransientDriver:
 class FlightSpec:
     """One flight of a mission script, complete: the same spec gives the same bytes in any process.
 
-    ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored. ``seed_turbulence`` and ``seed_noise`` are
-    the streams of the air and of the sensors (any integers >= 0). ``properties`` are set after loading, before initialising
-    (levels, bounds, coefficients, gains); they win over the script's own run properties. ``levels`` moves uq/<C>/level each step,
-    ``transient`` uq/<C>/transient-level.
-    """
+    ``duration_s`` is scored and follows ``burn_in_s``, which is flown and not scored.
+    ``seed_turbulence`` and ``seed_noise`` are the streams of the air and of the sensors (any
+    integers >= 0). ``properties`` are set after loading, before initialising (levels, bounds,
+    coefficients, gains); they win over the script's own run properties. ``levels`` moves
+    uq/<C>/level each step, ``transient`` uq/<C>/transient-level."""
 
     aircraft: Path
     script: Path
@@ -97,10 +105,10 @@ class FlightSpec:
 class FlightResult:
     """Outcome of one flight.
 
-    ``status`` is one of STATUSES; ``reason`` says why it is not ``ok``. ``metrics`` holds finite numbers, or NaN where the
-    quantity is undefined (the reason is then in ``undefined[name]``). ``signals`` is the record of the scored part,
-    (samples,) arrays at ``record_rate_hz`` by name, ``time_s`` included; empty if it was not kept.
-    """
+    ``status`` is one of STATUSES; ``reason`` says why it is not ``ok``. ``metrics`` holds finite
+    numbers, or NaN where the quantity is undefined (the reason is then in ``undefined[name]``).
+    ``signals`` is the record of the scored part, (samples,) arrays at ``record_rate_hz`` by name,
+    ``time_s`` included; empty if it was not kept."""
 
     status: str
     reason: str

@@ -1,4 +1,7 @@
-"""The step loop of a flight: JSBSim's run() with what the host feeds in before each step. Throughput is decided here."""
+"""The step loop of a flight: JSBSim's run() with what the host feeds in before each step.
+
+Throughput is decided here.
+"""
 
 from __future__ import annotations
 
@@ -58,19 +61,20 @@ BLOCK_STEPS = 8192
 def level_blocks(
     driver: LevelDriver | TransientDriver, steps: int, dt_s: float, block_steps: int = BLOCK_STEPS
 ) -> Iterator[FloatArray]:
-    """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of COEFFICIENTS.
+    """Levels of ``steps`` steps as arrays (<= block_steps, 6), columns in the order of
+    COEFFICIENTS.
 
-    A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same driver gives the same levels,
-    whatever the block. ValueError for a kind that is not white or walk, a step that is not positive, or a rate below 0.
-    """
+    A coefficient that the driver does not move stays at 0.5, of a transient one at 0. The same
+    driver gives the same levels, whatever the block. ValueError for a kind that is not white or
+    walk, a step that is not positive, or a rate below 0."""
     levels = Levels(driver, dt_s)
     for first in range(0, steps, block_steps):
         yield levels.take(min(block_steps, steps - first))
 
 
 class Levels:
-    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``. Behind each of ``splits`` transient levels, which
-    belong to the air, walk on otherwise.
+    """The same without end. ``pairs`` may be a compiled form of ``numpy_pairs``. Behind each of
+    ``splits`` transient levels, which belong to the air, walk on otherwise.
 
     ``copy.deepcopy`` gives levels that go on from where these stand.
     """
@@ -98,7 +102,10 @@ class Levels:
 
 
 def reflect(position: FloatArray) -> FloatArray:
-    """Fold a free path into 0..1: mirrors at every whole number. A Gaussian walk folded so is a walk with reflecting ends."""
+    """Fold a free path into 0..1: mirrors at every whole number.
+
+    A Gaussian walk folded so is a walk with reflecting ends.
+    """
     # To the bit what np.mod(position, 2.0) gives, in a third of its time.
     folded = position - 2.0 * np.floor(0.5 * position)
     return np.minimum(folded, 2.0 - folded)
@@ -125,7 +132,9 @@ class _White:
 
 
 class _Walk:
-    """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where it began."""
+    """f(0) is uniform: at the rates that flights show, a walk needs most of an hour to forget where
+    it began.
+    """
 
     def __init__(
         self,
@@ -137,7 +146,8 @@ class _Walk:
     ) -> None:
         if not rate_per_sqrt_s >= 0.0:
             raise ValueError(f"walk rate {rate_per_sqrt_s}: 0 or more per square root of a second")
-        # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec sqrt(rate_rec/rate_sim) = rate sqrt(dt)
+        # Eq 3.38 with the rates where the print has periods: sigma_sim = sigma_rec
+        # sqrt(rate_rec/rate_sim) = rate sqrt(dt)
         self._sigma = rate_per_sqrt_s * math.sqrt(dt_s)
         self._next = float(np.random.Generator(generator).random())
         self._normals = spliced_to(Normals(generator, pairs))
@@ -146,7 +156,8 @@ class _Walk:
         path = np.empty(size + 1)
         path[0] = self._next
         np.multiply(self._normals.take(size), self._sigma, out=path[1:])
-        # Summed one after the other from the carried position: a block's end is no place where rounding differs.
+        # Summed one after the other from the carried position: a block's end is no place where
+        # rounding differs.
         np.cumsum(path, out=path)
         self._next = float(path[-1])
         return reflect(path[:-1])
@@ -199,7 +210,8 @@ _GUSTS = tuple(
     f"air/host/{name}"
     for name in ("u-mps", "v-mps", "w-mps", "p-rad_sec", "q-rad_sec", "r-rad_sec")
 )
-# All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than asking.
+# All six at once: a coefficient that does not move gets a level nobody reads, which is cheaper than
+# asking.
 _LEVELS = tuple(f"uq/{name}/level" for name in COEFFICIENTS)
 _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 
@@ -207,11 +219,11 @@ _TRANSIENTS = tuple(f"uq/{name}/transient-level" for name in COEFFICIENTS)
 def stepper(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
 ) -> Callable[[int], None]:
-    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each. Call it after initialising.
+    """A function that runs n steps, at most ``steps`` in all, feeding gusts and levels before each.
+    Call it after initialising.
 
-    Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises ValueError where JSBSim's own
-    turbulence or a transient model error would have to branch.
-    """
+    Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises
+    ValueError where JSBSim's own turbulence or a transient model error would have to branch."""
     if not splits:
         return _straight(fdm, spec, dt_s, steps)
     if spec.transient is not None or (
@@ -283,7 +295,8 @@ def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
 
 @lru_cache(maxsize=4096)
 def _first_row(driver: LevelDriver | TransientDriver, dt_s: float) -> tuple[float, ...]:
-    # All flights of an epistemic sample, or of an air, begin with the same; to draw it takes a millisecond.
+    # All flights of an epistemic sample, or of an air, begin with the same; to draw it takes a
+    # millisecond.
     return tuple(float(value) for value in next(level_blocks(driver, 1, dt_s))[0])
 
 
@@ -296,9 +309,13 @@ def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tupl
 
 
 def _rows(*series: Iterable[FloatArray]) -> Rows:
-    """Rows as tuples of Python floats, a block at a time: a whole hour would fill the memory. Several series stand side by side."""
+    """Rows as tuples of Python floats, a block at a time: a whole hour would fill the memory.
+
+    Several series stand side by side.
+    """
     return chain.from_iterable(
-        # array's iterator makes a float as it is asked for one: a third of the time of a list that holds them all.
+        # array's iterator makes a float as it is asked for one: a third of the time of a list that
+        # holds them all.
         zip(*(array("d", column.tobytes()) for block in blocks for column in block.T), strict=True)
         for blocks in zip(*series, strict=True)
     )
@@ -367,7 +384,8 @@ def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], No
 def _with_turned_gusts(
     fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]
 ) -> Callable[[int], None]:
-    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the heading of the frame before.
+    """Gust velocities through JSBSim's own properties, heading axes turned to north and east by the
+    heading of the frame before.
 
     JSBSim keeps the gusts' rotation to itself, so the aircraft meets u, v and w alone.
     """
@@ -416,7 +434,9 @@ def _gust_blocks(
 
 
 def has_air(fdm: Any) -> bool:
-    """Whether the aircraft carries the air system; asked by what it publishes, for a script makes any property that it sets."""
+    """Whether the aircraft carries the air system; asked by what it publishes, for a script makes
+    any property that it sets.
+    """
     return bool(fdm.get_property_manager().hasNode("air/wind-north-fps"))
 
 

@@ -63,7 +63,8 @@ from uqharness.xml import (
 
 
 def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
-    """Files to put into ``out`` (name within it to content): those that JSBSim would not find from there, or find others of.
+    """Files to put into ``out`` (name within it to content): those that JSBSim would not find from
+    there, or find others of.
 
     Empty for a stock aircraft, whose parts every JSBSim has. Raises BadInputError.
     """
@@ -94,11 +95,11 @@ def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
 
 
 def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
-    """Copy the aircraft's folder to ``out`` with the plan carried out, and the record beside it; whole or not at all.
+    """Copy the aircraft's folder to ``out`` with the plan carried out, and the record beside it;
+    whole or not at all.
 
-    ``out`` may be the aircraft's own folder; any other folder that exists has to be empty or an earlier result. Raises
-    BadInputError.
-    """
+    ``out`` may be the aircraft's own folder; any other folder that exists has to be empty or an
+    earlier result. Raises BadInputError."""
     in_place = out.exists() and out.resolve() == aircraft.folder
     if (
         out.exists()
@@ -126,10 +127,11 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
 
 
 def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
-    """Write to ``out`` what ``folder`` was before it was instrumented; (file, what became of it). ``out`` may be ``folder``.
+    """Write to ``out`` what ``folder`` was before it was instrumented; (file, what became of it).
+    ``out`` may be ``folder``.
 
-    Raises BadInputError where a file changed since in a way that leaves no clean way back; nothing is written then.
-    """
+    Raises BadInputError where a file changed since in a way that leaves no clean way back; nothing
+    is written then."""
     changes = read_record(folder)
     done = []
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
@@ -153,9 +155,11 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                 done.append(
                     (
                         name,
-                        "as it was, byte for byte"
-                        if same
-                        else "without the plugin; other changes since are kept",
+                        (
+                            "as it was, byte for byte"
+                            if same
+                            else "without the plugin; other changes since are kept"
+                        ),
                     )
                 )
         (copy / FILE_NAME).unlink()
@@ -196,7 +200,9 @@ def _swap(new: Path, out: Path, old: Path) -> None:
 
 
 def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
-    """The record of both: what an earlier instrumentation changed goes on being undone to the author's own bytes."""
+    """The record of both: what an earlier instrumentation changed goes on being undone to the
+    author's own bytes.
+    """
     out = dict(earlier)
     for name, change in now.items():
         first = earlier.get(name)
@@ -213,7 +219,8 @@ def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[s
 # so that it has them.
 
 _STEP = re.compile(r"(\w+)(?:\[@name='(\w+)'\])?")
-# Factor from the option's unit to the property's; JSBSim's inertia/ixz-slugs_ft2 is minus the product of inertia.
+# Factor from the option's unit to the property's; JSBSim's inertia/ixz-slugs_ft2 is minus the
+# product of inertia.
 _PROPERTIES: Mapping[str, tuple[str, float]] = {
     "mass_kg": ("inertia/mass-slugs", 1.0 / (SLUG_LB * LB_KG)),
     "ixx_kgm2": ("inertia/ixx-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
@@ -228,11 +235,12 @@ _PROPERTIES: Mapping[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class MassProperties:
-    """What is known of the aircraft as it flew, fuel and loads on board included; None: as the XML has it.
+    """What is known of the aircraft as it flew, fuel and loads on board included; None: as the XML
+    has it.
 
-    ``mass_kg``; moments of inertia about the centre of gravity in body axes [kg m2], ``ixz_kgm2`` the product, the integral of x z
-    over the mass; ``cg_x_m`` ... in the XML's own structural frame [m], x aft, y right, z up.
-    """
+    ``mass_kg``; moments of inertia about the centre of gravity in body axes [kg m2], ``ixz_kgm2``
+    the product, the integral of x z over the mass; ``cg_x_m`` ... in the XML's own structural frame
+    [m], x aft, y right, z up."""
 
     mass_kg: float | None = None
     ixx_kgm2: float | None = None
@@ -252,11 +260,11 @@ class MassProperties:
 def mass_insertions(
     aircraft: Aircraft, document: Document, mass: MassProperties
 ) -> tuple[Insertion, ...]:
-    """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass properties. Empty for none.
+    """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass
+    properties. Empty for none.
 
-    The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body has, and where a number is not in
-    this file.
-    """
+    The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body
+    has, and where a number is not in this file."""
     given = mass.given()
     if not given:
         return ()
@@ -269,7 +277,8 @@ def mass_insertions(
     moments = [given.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
     if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
         raise BadInputError(
-            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of the other two"
+            f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of"
+            " the other two"
         )
     wanted = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in given.items()}
     texts = numbers_for(aircraft, wanted)
@@ -301,7 +310,8 @@ def _child(document: Document, node: Node, step: str) -> Node:
         if match[2] is None or attribute(child, "name") == match[2]:
             return child
     raise BadInputError(
-        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be changed"
+        f"{document.where(node)}: <{step}> is not in this file, so that mass properties cannot be"
+        " changed"
     )
 
 
@@ -325,7 +335,10 @@ class Instrumented:
     unmeasured: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"Instrumented({str(self.folder)!r}, {self.verdict.status if self.verdict is not None else 'not flown'})"
+        return (
+            f"Instrumented({str(self.folder)!r},"
+            f" {self.verdict.status if self.verdict is not None else 'not flown'})"
+        )
 
 
 def instrument_aircraft(
@@ -338,11 +351,12 @@ def instrument_aircraft(
     dry_run: bool = False,
     mass: MassProperties | None = None,
 ) -> Instrumented:
-    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched one; ``dry_run``: write nothing;
-    ``mass``: properties that the copy is to have, and with which it is then flown beside the untouched one.
+    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched
+    one; ``dry_run``: write nothing; ``mass``: properties that the copy is to have, and with which
+    it is then flown beside the untouched one.
 
-    Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be written.
-    """
+    Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be
+    written."""
     undefined_properties(aircraft)
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
@@ -362,7 +376,8 @@ def instrument_aircraft(
         if control.unmeasured
     }
     notes += [
-        f"{name} could not be measured, so its sense and throw in airframe.toml are assumed: {reason}"
+        f"{name} could not be measured, so its sense and throw in airframe.toml are assumed:"
+        f" {reason}"
         for name, reason in unmeasured.items()
     ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
@@ -398,10 +413,11 @@ _made: dict[str, tuple[Scratch, Aircraft]] = {}
 
 
 def with_card(aircraft: Aircraft) -> Aircraft:
-    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds of zero: it flies the same.
+    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds
+    of zero: it flies the same.
 
-    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly or cannot be instrumented.
-    """
+    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly
+    or cannot be instrumented."""
     if aircraft.has_card:
         return aircraft
     key = content_hash(aircraft)
@@ -430,20 +446,24 @@ _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
 
 @dataclass(frozen=True)
 class Estimate:
-    """New value of a property and the remark that stands behind it in the XML (no double hyphen)."""
+    """New value of a property and the remark that stands behind it in the XML (no double
+    hyphen).
+    """
 
     value: float
     remark: str
 
 
 def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: Path) -> list[str]:
-    """Copy the aircraft's folder to ``out`` with the estimates in its XML; names that no XML file declares are returned.
+    """Copy the aircraft's folder to ``out`` with the estimates in its XML; names that no XML file
+    declares are returned.
 
-    The copy appears whole or not at all; an existing ``out`` is replaced only if it is an aircraft's folder. Raises BadInputError.
-    """
+    The copy appears whole or not at all; an existing ``out`` is replaced only if it is an
+    aircraft's folder. Raises BadInputError."""
     if out.exists() and not (out / "airframe.toml").is_file() and any(out.iterdir()):
         raise BadInputError(
-            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose another --out"
+            f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose"
+            " another --out"
         )
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
@@ -457,7 +477,8 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
 
 
 def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
-    """The file with another number in ``<property value="...">name</property>``; None where it does not declare the property.
+    """The file with another number in ``<property value="...">name</property>``; None where it does
+    not declare the property.
 
     An earlier remark of ours is replaced as well; the author's comments are not.
     """
@@ -469,7 +490,8 @@ def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
     rest = _REMARK.sub(b"", old).rstrip(b" \t")
-    # A remark inside a comment that runs over lines would end it early; such a line keeps its number alone.
+    # A remark inside a comment that runs over lines would end it early; such a line keeps its
+    # number alone.
     runs_on = b"<!--" in _COMMENT.sub(b"", rest)
     remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
     number = with_attribute(document, node, "value", f"{estimate.value:.8g}")
@@ -477,7 +499,9 @@ def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
-    """Write values of properties into the XML files of a folder, in place; names that no file declares are returned."""
+    """Write values of properties into the XML files of a folder, in place; names that no file
+    declares are returned.
+    """
     left = dict(values)
     for document in folder_documents(folder):
         edited = document
@@ -489,7 +513,9 @@ def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
 
 
 def _together(document: Document, left: dict[str, Estimate]) -> list[Insertion]:
-    """Edits of the declarations of a file's properties ``left``, one to a line; the properties are taken out of ``left``."""
+    """Edits of the declarations of a file's properties ``left``, one to a line; the properties are
+    taken out of ``left``.
+    """
     edits: list[Insertion] = []
     until = -1
     for name, node in declarations(document):

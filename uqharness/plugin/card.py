@@ -1,4 +1,6 @@
-"""airframe.toml for an aircraft that came without one: what JSBSim and a short flight of the aircraft could tell."""
+"""airframe.toml for an aircraft that came without one: what JSBSim and a short flight of the
+aircraft could tell.
+"""
 
 from __future__ import annotations
 
@@ -48,14 +50,21 @@ from uqharness.xml import (
 
 HOST_SYSTEM = "flightgear-host"
 SWITCH = "host/flightgear"
-"""Property that is 1 where copying is on: 0 in the XML, where the aircraft flies as its author's; the card's open loop sets it."""
+"""Property that is 1 where copying is on: 0 in the XML, where the aircraft flies as its author's;
+the card's open loop sets it.
+"""
 
 
 def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
-    """The system's XML for pairs of FlightGear's property and JSBSim's own, which is copied to it in every frame."""
+    """The system's XML for pairs of FlightGear's property and JSBSim's own, which is copied to it
+    in every frame.
+    """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        "<!-- FlightGear's properties that the aircraft reads, with what it would write there, a frame late as it does. -->",
+        (
+            "<!-- FlightGear's properties that the aircraft reads, with what it would write there,"
+            " a frame late as it does. -->"
+        ),
         f'<system name="{HOST_SYSTEM}">',
         f'  <property value="0">{SWITCH}</property>',
         f'  <channel name="FlightGear" execute="{SWITCH}">',
@@ -98,7 +107,9 @@ class Scaled:
 
 
 def coefficient_properties(documents: list[Document]) -> list[str]:
-    """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and needs no scales."""
+    """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and
+    needs no scales.
+    """
     return [
         name
         for document in documents
@@ -108,7 +119,10 @@ def coefficient_properties(documents: list[Document]) -> list[str]:
 
 
 def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
-    """Add the functions ``uq/scaled/<axis>``; the properties are declared by `scale_system`. What was scaled, in order."""
+    """Add the functions ``uq/scaled/<axis>``; the properties are declared by `scale_system`.
+
+    What was scaled, in order.
+    """
     section = edit.section
     named, edit = _names(edit)
     short = _short_names(section, named)
@@ -146,8 +160,14 @@ def scale_system(rows: list[Scaled]) -> bytes:
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<!--",
-        "  Factor and addition to each force and moment function of the aerodynamics, for identification and refinement.",
-        "  A scale multiplies the function; a bias is a coefficient: q S bias for a force, q S b bias (ROLL, YAW) or q S c bias",
+        (
+            "  Factor and addition to each force and moment function of the aerodynamics, for"
+            " identification and refinement."
+        ),
+        (
+            "  A scale multiplies the function; a bias is a coefficient: q S bias for a force, q S"
+            " b bias (ROLL, YAW) or q S c bias"
+        ),
         "  (PITCH) for a moment, positive as the axis it stands in.",
         "-->",
         f'<system name="{SYSTEM_NAME}">',
@@ -288,7 +308,9 @@ def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference)
 
 
 def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
-    """Property of each function; one without a name is given one, because nothing else can refer to it."""
+    """Property of each function; one without a name is given one, because nothing else can refer to
+    it.
+    """
     names: dict[int, str] = {}
     for axis in edit.section.axes.values():
         for k, node in enumerate(axis.functions, 1):
@@ -299,13 +321,16 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
                     axis.document,
                     Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")),
                 )
-            # JSBSim turns white space within a name into hyphens (FGPropertyManager::mkPropertyName).
+            # JSBSim turns white space within a name into hyphens
+            # (FGPropertyManager::mkPropertyName).
             names[id(node)] = re.sub(r"\s", "-", name)
     return names, edit
 
 
 def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
-    """The last part of each function's name where that is enough to distinguish them, else all of it with hyphens."""
+    """The last part of each function's name where that is enough to distinguish them, else all of
+    it with hyphens.
+    """
     nodes: list[tuple[Axis, Node]] = [
         (axis, node) for axis in section.axes.values() for node in axis.functions
     ]
@@ -337,11 +362,19 @@ _POSITIVE = {
 def card_text(
     name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool
 ) -> str:
-    """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by its properties."""
+    """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by
+    its properties.
+    """
     shown = as_toml(name)[1:-1]
     lines = [
-        f"# What XML cannot say of {shown}. Written by `uqharness instrument`, which measured the aircraft in JSBSim{_where(facts)}:",
-        "# read it before trusting it. A throw is degrees of surface per unit of the normalised command, mean of both ends, with + as",
+        (
+            f"# What XML cannot say of {shown}. Written by `uqharness instrument`, which measured"
+            f" the aircraft in JSBSim{_where(facts)}:"
+        ),
+        (
+            "# read it before trusting it. A throw is degrees of surface per unit of the normalised"
+            " command, mean of both ends, with + as"
+        ),
         "# a flight record counts (nose down, right wing down, nose left).",
         "",
         "[aircraft]",
@@ -380,7 +413,10 @@ def card_text(
     if facts.host:
         lines += [
             "",
-            "[modes.open_loop]                              # FlightGear's properties are passed on",
+            (
+                "[modes.open_loop]                              # FlightGear's properties are"
+                " passed on"
+            ),
             f'"{SWITCH}" = 1',
         ]
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
@@ -388,7 +424,10 @@ def card_text(
     if errors:
         lines += [
             "",
-            f"[metrics]                                     # from the line the flight began on: Systems/{ERRORS_SYSTEM}.xml",
+            (
+                "[metrics]                                     # from the line the flight began"
+                f" on: Systems/{ERRORS_SYSTEM}.xml"
+            ),
             'cross_track = { true = "nav/cross-track-m" }',
             'altitude = { true = "nav/altitude-error-m" }',
             'speed = { true = "nav/speed-error-mps" }',
@@ -400,7 +439,10 @@ def card_text(
     if scaled:
         lines += [
             "",
-            "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis act alike, so none is a default.",
+            (
+                "# Factors on the aircraft's own functions. The biases (uq/bias/...) of one axis"
+                " act alike, so none is a default."
+            ),
             "[parameters]",
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]

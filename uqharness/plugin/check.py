@@ -1,8 +1,11 @@
-"""Does the plugin do what it says, and nothing else? An instrumented aircraft flown beside the untouched one.
+"""Does the plugin do what it says, and nothing else? An instrumented aircraft flown beside the
+untouched one.
 
-Both fly the same ten seconds from a start in the middle of the envelope, engines running and controls moving, and every property
-that the untouched aircraft has is compared. Then one coefficient at a time is switched on for a single frame, in which the state is
-still that of the idle flight: body force and moment have to change by q S dC, q S b dC, q S c dC about the centre of gravity.
+Both fly the same ten seconds from a start in the middle of the envelope, engines running and
+controls moving, and every property that the untouched aircraft has is compared. Then one
+coefficient at a time is switched on for a single frame, in which the state is still that of the
+idle flight: body force and moment have to change by q S dC, q S b dC, q S c dC about the centre of
+gravity.
 
 An aircraft from anywhere may end its interpreter, so `check_in_child` is the way in.
 """
@@ -39,7 +42,9 @@ _MAY_CHANGE = re.compile(
 _UNINITIALISED = re.compile(
     r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c"
 )
-"""JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground, FGTurboProp::Eng_Temperature."""
+"""JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground,
+FGTurboProp::Eng_Temperature.
+"""
 _AIR_OWNS = re.compile(r"atmosphere/(turb-type|severity|windspeed_at_20ft.*|psiw-rad|wind-mag-fps)")
 _FORCES = tuple(f"forces/fb{axis}-{kind}-lbs" for kind in ("aero", "total") for axis in "xyz")
 _MOMENTS = tuple(f"moments/{axis}-{kind}-lbsft" for kind in ("aero", "total") for axis in "lmn")
@@ -47,9 +52,11 @@ _MOMENTS = tuple(f"moments/{axis}-{kind}-lbsft" for kind in ("aero", "total") fo
 
 @dataclass(frozen=True)
 class Verdict:
-    """status: works, wrong (the plugin does not keep its word), fails (untouched: does not load or fly).
+    """status: works, wrong (the plugin does not keep its word), fails (untouched: does not load or
+    fly).
 
-    properties  how many were compared; ``unsteady`` those that differ between two flights of the untouched aircraft, left out
+    properties  how many were compared; ``unsteady`` those that differ between two flights of the
+    untouched aircraft, left out
     worst       largest relative error of a force or moment increment
     """
 
@@ -62,10 +69,11 @@ class Verdict:
 
 
 def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURATION_S) -> Verdict:
-    """Fly both. BadInputError from the untouched aircraft is a verdict; from the instrumented one, too (wrong).
+    """Fly both. BadInputError from the untouched aircraft is a verdict; from the instrumented one,
+    too (wrong).
 
-    An aircraft that was given the air system on the way may differ in that system's own settings of the atmosphere.
-    """
+    An aircraft that was given the air system on the way may differ in that system's own settings of
+    the atmosphere."""
     steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
     try:
         names, first = _fly(untouched, steps, None)
@@ -78,7 +86,8 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     if first[:, height].min() <= 0.0:
         return Verdict(
             "fails",
-            f"reaches the ground after {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s",
+            "reaches the ground after"
+            f" {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s",
         )
     steady = np.all((first == again) | (np.isnan(first) & np.isnan(again)), axis=0)
     if _has_air(instrumented) and not _has_air(untouched):
@@ -151,7 +160,9 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
 def _frame(
     aircraft: Aircraft, names: Sequence[str], coefficient: str | None
 ) -> tuple[NDArray[np.float64], float, list[float]]:
-    """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta, and force or moment per unit."""
+    """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta,
+    and force or moment per unit.
+    """
     fdm, step = open_mid_envelope(aircraft)
     for k in range(SWITCHED_AFTER):
         step(k)
@@ -208,7 +219,9 @@ def _get(fdm: Any, name: str) -> float:
 def check_in_child(
     untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0
 ) -> Verdict:
-    """The same in a process of its own; its death is a verdict: fails if the untouched aircraft dies alone as well, else wrong."""
+    """The same in a process of its own; its death is a verdict: fails if the untouched aircraft
+    dies alone as well, else wrong.
+    """
     ended = run_module(__name__, untouched, instrumented, repr(duration_s), timeout_s=timeout_s)
     if ended.code is None:
         return Verdict("fails", f"no answer within {timeout_s:g} s")

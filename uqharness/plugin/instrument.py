@@ -1,8 +1,9 @@
-"""Add the model-form plugin to any JSBSim aircraft: a copy of its folder with delta coefficients, bounds, and a record for undo.
+"""Add the model-form plugin to any JSBSim aircraft: a copy of its folder with delta coefficients,
+bounds, and a record for undo.
 
-The aerodynamics gain six functions, the aircraft's XML a line per system; ``Systems/model-form.xml`` holds bounds and levels. An
-aircraft that carries the plugin already (E-SPAARO, or an earlier copy) gets new bounds and nothing else.
-"""
+The aerodynamics gain six functions, the aircraft's XML a line per system;
+``Systems/model-form.xml`` holds bounds and levels. An aircraft that carries the plugin already
+(E-SPAARO, or an earlier copy) gets new bounds and nothing else."""
 
 from __future__ import annotations
 
@@ -69,7 +70,9 @@ FORMAT = "instrument 1"
 
 @dataclass(frozen=True)
 class Change:
-    """One file: SHA-256 before and after; insertions (at bytes of the file as it was), or its old content (None: a new file)."""
+    """One file: SHA-256 before and after; insertions (at bytes of the file as it was), or its old
+    content (None: a new file).
+    """
 
     before: str
     after: str
@@ -128,7 +131,9 @@ def read_record(folder: Path) -> dict[str, Change]:
 
 
 def _inside(name: str) -> str:
-    """The name, if it can only be that of a file inside the folder: undoing writes and removes what is named. Raises ValueError."""
+    """The name, if it can only be that of a file inside the folder: undoing writes and removes what
+    is named. Raises ValueError.
+    """
     parts = name.split("/")
     hidden = any(part in ("", "..") or part.startswith(".") or len(part) > 100 for part in parts)
     if hidden or name == FILE_NAME or PureWindowsPath(name).drive or "\\" in name or "\0" in name:
@@ -151,10 +156,11 @@ def _change(row: Mapping[str, Any]) -> Change:
 
 
 def restored(path: Path, change: Change, now: bytes) -> bytes | None:
-    """The content of an edited or replaced file without the instrumentation; None: the file is to be removed.
+    """The content of an edited or replaced file without the instrumentation; None: the file is to
+    be removed.
 
-    Raises BadInputError if an edited file no longer holds the inserted text as it was written, once.
-    """
+    Raises BadInputError if an edited file no longer holds the inserted text as it was written,
+    once."""
     if not change.edited:
         return change.content
     if sha256_hex(now) == change.after:
@@ -163,8 +169,8 @@ def restored(path: Path, change: Change, now: bytes) -> bytes | None:
         if now.count(insertion.text) != 1:
             line = next(iter(insertion.text.decode("latin-1").strip().splitlines()), "")
             raise BadInputError(
-                f"{path}: changed since it was instrumented, and the lines that begin with '{line}' are not there once as they "
-                "were written; take the uq/ lines out by hand"
+                f"{path}: changed since it was instrumented, and the lines that begin with '{line}'"
+                " are not there once as they were written; take the uq/ lines out by hand"
             )
         now = now.replace(insertion.text, insertion.removed)
     return now
@@ -180,7 +186,8 @@ def _exactly(path: Path, change: Change, now: bytes) -> bytes:
     out = b"".join([*pieces, now[position:]])
     if sha256_hex(out) != change.before:
         raise BadInputError(
-            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines out by hand"
+            f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines"
+            " out by hand"
         )
     return out
 
@@ -194,7 +201,9 @@ _OWN = re.compile(r"uq/[\w./\-]+")
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where bounds come from: a model form, or constant (lower, upper) per coefficient; neither: all zero, to be written later."""
+    """Where bounds come from: a model form, or constant (lower, upper) per coefficient; neither:
+    all zero, to be written later.
+    """
 
     form: ModelForm | None = None
     constant: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -202,7 +211,8 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Plan:
-    """Files to write (relative name to content), what the record has to keep, and what to tell the reader.
+    """Files to write (relative name to content), what the record has to keep, and what to tell the
+    reader.
 
     had_plugin  the aircraft's aerodynamics read uq/<C>/delta already
     """
@@ -225,12 +235,12 @@ def plan(
 ) -> Plan:
     """What instrumenting the aircraft's folder would write. Nothing is touched.
 
-    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is scored by. ``air``: it is given this
-    project's wind and turbulence as well (Systems/air.xml), unless it has them. ``mass``: edits of its XML (see mass_insertions).
+    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is
+    scored by. ``air``: it is given this project's wind and turbulence as well (Systems/air.xml),
+    unless it has them. ``mass``: edits of its XML (see mass_insertions).
 
-    Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names that are taken, bounds on a
-    control that the card does not give.
-    """
+    Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names
+    that are taken, bounds on a control that the card does not give."""
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
     reference = coefficient_reference(aircraft, section)
@@ -251,7 +261,8 @@ def plan(
         )
         if known:
             notes.append(
-                f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are needed"
+                f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are"
+                " needed"
             )
         else:
             edit, scaled = add_scales(edit, reference)
@@ -272,8 +283,9 @@ def plan(
     files[system] = bounds_xml(aircraft, bounds)
     if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
         notes.append(
-            f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files (SHA-256 "
-            f"{bounds.form.aircraft.sha256[:12]}...); they mean something only if its aerodynamics are the same"
+            f"the bounds were made for aircraft {bounds.form.aircraft.name} with other files"
+            f" (SHA-256 {bounds.form.aircraft.sha256[:12]}...); they mean something only if its"
+            " aerodynamics are the same"
         )
     changes = {
         name: changed(_content(aircraft.folder / name), content) for name, content in files.items()
@@ -298,7 +310,9 @@ def _add_card(
     files: dict[str, bytes],
     notes: list[str],
 ) -> SectionEdit:
-    """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what is to be known in ``notes``."""
+    """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what
+    is to be known in ``notes``.
+    """
     errors = not folder_names(aircraft.folder, "nav/")
     if errors:
         files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
@@ -311,7 +325,8 @@ def _add_card(
         edit = add_system(edit, HOST_SYSTEM)
         read = ", ".join(theirs for theirs, _ in facts.host)
         notes.append(
-            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes it on"
+            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes"
+            " it on"
         )
     files["airframe.toml"] = card_text(
         aircraft.name, aircraft.xml.name, facts, scaled, errors
@@ -376,38 +391,46 @@ def _has_plugin(section: AeroSection) -> bool:
     if missing:
         name, where = next(iter(found.items()))
         raise BadInputError(
-            f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta; complete the plugin or take it out"
+            f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta;"
+            " complete the plugin or take it out"
         )
     return True
 
 
 def _refuse_taken(aircraft: Aircraft) -> None:
-    """BadInputError with file and line if the aircraft uses names of the plugin for something of its own."""
+    """BadInputError with file and line if the aircraft uses names of the plugin for something of
+    its own.
+    """
     for path in sorted(aircraft.folder.rglob("*.xml")):
         document = read_document(path)
         for node in document.root.walk():
             for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
                 if _OWN.fullmatch(text):
                     raise BadInputError(
-                        f"{document.where(node)}: '{text}' is a name of the plugin, which this aircraft does not carry; rename it, "
-                        "or undo what was left of an earlier instrumentation"
+                        f"{document.where(node)}: '{text}' is a name of the plugin, which this"
+                        " aircraft does not carry; rename it, or undo what was left of an earlier"
+                        " instrumentation"
                     )
 
 
 def _refuse_outside(section: AeroSection) -> None:
-    """BadInputError for file="../..." anywhere in the aircraft's XML: a copied folder would not find it."""
+    """BadInputError for file="../..." anywhere in the aircraft's XML: a copied folder would not
+    find it.
+    """
     for node in section.main.root.walk():
         name = attribute(node, "file")
         if name and ".." in Path(name).parts:
             raise BadInputError(
-                f'{section.main.where(node)}: <{node.tag} file="{name}"> lies outside the aircraft\'s folder, and a copy elsewhere '
-                "would not find it; move the file into the folder"
+                f'{section.main.where(node)}: <{node.tag} file="{name}"> lies outside the'
+                " aircraft's folder, and a copy elsewhere would not find it; move the file into"
+                " the folder"
             )
 
 
 def _notes(section: AeroSection) -> list[str]:
     notes = [
-        f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because a later one replaces it'
+        f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because'
+        " a later one replaces it"
         for axis in section.overridden
     ]
     induced = any(
@@ -417,7 +440,8 @@ def _notes(section: AeroSection) -> list[str]:
     )
     if induced:
         notes.append(
-            "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as more lift of any origin does"
+            "the drag follows aero/cl-squared: a delta in lift moves it from the next frame on, as"
+            " more lift of any origin does"
         )
     return notes
 
@@ -429,7 +453,8 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
         if not name:
             if declaration(section.main, "uq/active") is not None:
                 raise BadInputError(
-                    f"{section.main.where(node)}: the plugin's system stands in the aircraft's own XML; move it to a file, "
+                    f"{section.main.where(node)}: the plugin's system stands in the aircraft's own"
+                    " XML; move it to a file, "
                     f'<system file="{SYSTEM}"/>, so that bounds can replace it'
                 )
             continue
@@ -442,7 +467,8 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
                     else _system_file(aircraft, name)
                 )
     raise BadInputError(
-        f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no <system> declares uq/active; add "
+        f"{section.main.where(section.main.root)}: the aerodynamics read uq/CX/delta, but no"
+        " <system> declares uq/active; add "
         f'<system file="{SYSTEM}"/>'
     )
 
@@ -462,13 +488,16 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(
-                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin brings its own"
+                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin"
+                " brings its own"
             )
     return f"Systems/{name}.xml"
 
 
 def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
-    """The scales as [parameters] at the end of a card that there is already; a note where that would spoil it."""
+    """The scales as [parameters] at the end of a card that there is already; a note where that
+    would spoil it.
+    """
     raw = card.read_bytes()
     newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
     tables = [tomlkit.dumps({"parameters": {row.scale: scale_entry(row)}}) for row in scaled]
@@ -478,7 +507,8 @@ def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Inse
         parse_card((raw + text).decode("utf-8"), card)
     except (UnicodeDecodeError, BadInputError):
         notes.append(
-            f"{card}: the scales could not be added to [parameters]; name them by hand or with --params"
+            f"{card}: the scales could not be added to [parameters]; name them by hand or with"
+            " --params"
         )
         return None
     return Insertion(len(raw), text)

@@ -1,10 +1,10 @@
-"""model-form.xml: the JSBSim <system> that computes the bounds of a ModelForm from the present flight state and applies deltas.
+"""model-form.xml: the JSBSim <system> that computes the bounds of a ModelForm from the present
+flight state and applies deltas.
 
-The XML is the one source of truth in flight: it needs JSBSim alone. Its arithmetic is that of sysid.model_form.model_form
-(eqs 2.17, 2.18),
-with the quadratic form x'(X'X)^-1 x written out as a polynomial of the normalised states in Horner's form, one for all coefficients
-that were regressed on the same states.
-"""
+The XML is the one source of truth in flight: it needs JSBSim alone. Its arithmetic is that of
+sysid.model_form.model_form (eqs 2.17, 2.18), with the quadratic form x'(X'X)^-1 x written out as a
+polynomial of the normalised states in Horner's form, one for all coefficients that were regressed
+on the same states."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class _Normalised:
 
 @dataclass(frozen=True)
 class _Group:
-    """Coefficients that share one quadratic form; ``names`` of the properties that hold their normalised states."""
+    """Coefficients that share one quadratic form; ``names`` of the properties that hold their
+    normalised states.
+    """
 
     coefficients: tuple[str, ...]
     bounds: CoefficientBounds
@@ -69,10 +71,11 @@ class _Group:
 def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
     """The system's XML, the same bytes for the same form and aircraft.
 
-    The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps ``rate_hz``.
+    The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps
+    ``rate_hz``.
 
-    Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in degrees or percent.
-    """
+    Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in
+    degrees or percent."""
     every = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
     clamped = form.outside == "clamp"
     states: dict[_Normalised, str] = {}
@@ -117,7 +120,8 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
         lower, upper = bounds.get(name, (0.0, 0.0))
         if not lower <= 0.0 <= upper:
             raise BadInputError(
-                f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g}, {upper:g}"
+                f"bounds of {name}: lower must be <= 0 and upper >= 0; received {lower:g},"
+                f" {upper:g}"
             )
         lines += [
             declare(f"uq/{name}/lower", repr(lower)),
@@ -139,7 +143,9 @@ def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
 
 
 def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
-    """Coefficients by equal quadratic form, in order; ``states`` gains the normalised states they need, each once."""
+    """Coefficients by equal quadratic form, in order; ``states`` gains the normalised states they
+    need, each once.
+    """
     shared: dict[tuple[object, ...], list[str]] = {}
     for name, bounds in form.coefficients.items():
         arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
@@ -173,7 +179,10 @@ def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
 
 
 def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
-    """JSBSim property of a state and its factor to the record's unit. Raises BadInputError for a control the card does not give."""
+    """JSBSim property of a state and its factor to the record's unit.
+
+    Raises BadInputError for a control the card does not give.
+    """
     if state in _FLIGHT_STATES:
         return _FLIGHT_STATES[state]
     control = state.split("_")[0]
@@ -190,8 +199,8 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
         "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
     )
     raise BadInputError(
-        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known}; say in airframe.toml how to "
-        "read it, or make the bounds from other states"
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known};"
+        " say in airframe.toml how to read it, or make the bounds from other states"
     )
 
 
@@ -212,7 +221,8 @@ def _held(name: str, state: _Normalised) -> list[str]:
 
 
 def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> list[str]:
-    """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance; uq/extrapolated: whether.
+    """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance;
+    uq/extrapolated: whether.
 
     Of all coefficients at once, for the largest distance of any is the largest of all excesses.
     """
@@ -225,7 +235,8 @@ def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: b
             call("abs", call("difference", z, value(0.5 * (low + high)))),
             value(0.5 * (high - low)),
         )
-        # In widths of the box; a state that stood still in the data has none, and its own unit serves.
+        # In widths of the box; a state that stood still in the data has none, and its own unit
+        # serves.
         width = high - low if high > low else 1.0 / state.scale
         excesses.append(call("product", beyond, value(1.0 / width)))
     for group in groups:
@@ -251,8 +262,8 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
     constant = bounds.t * bounds.t * bounds.constant_variance
     if not math.isfinite(known + constant):
         raise BadInputError(
-            f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 = {bounds.s2:g}); "
-            "make the bounds again with: uqharness bounds"
+            f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 ="
+            f" {bounds.s2:g}); make the bounds again with: uqharness bounds"
         )
     root = call("sum", value(constant), call("product", value(known), prop(group.leverage)))
     y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
@@ -347,12 +358,24 @@ def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
     parted = any(bounds.parts is not None for bounds in form.coefficients.values())
     half = "t sqrt(persistent^2 + s2 f leverage)" if parted else "t sqrt(s2 (1 + f leverage))"
     return [
-        f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256 {form.aircraft.sha256[:16]}...),",
+        (
+            f"{form.confidence:.0%} intervals of aircraft {form.aircraft.name} (SHA-256"
+            f" {form.aircraft.sha256[:16]}...),"
+        ),
         f"from flights: {flights}.",
-        "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies inside;",
-        f"  centre = polynomial of z,   half-width = {half},   z = (state - centre)/scale, uq/z/...",
+        (
+            "Bounds are centre -/+ half-width, clipped at 0 so that the model itself always lies"
+            " inside;"
+        ),
+        (
+            f"  centre = polynomial of z,   half-width = {half},   z = (state - centre)/scale,"
+            " uq/z/..."
+        ),
         f"Outside the data's box they {growth}.",
-        f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas every frame.",
+        (
+            f"Bounds every {every} frame(s), {rate:.4g} Hz at a step of {aircraft.dt_s:g} s; deltas"
+            " every frame."
+        ),
     ]
 
 

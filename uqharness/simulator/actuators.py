@@ -1,9 +1,9 @@
 """Surface positions from logged commands: the aircraft's own actuators, as JSBSim 1.3.3 steps them.
 
-A log has commands, held from one sample to the next, while the aerodynamics see positions. Five milliseconds here are four
-per cent of every moment coefficient, so the actuators are stepped at the aircraft's own step and order: lag by Tustin's
-rule, then the rate limit, then the stops (FGActuator.cpp).
-"""
+A log has commands, held from one sample to the next, while the aerodynamics see positions. Five
+milliseconds here are four per cent of every moment coefficient, so the actuators are stepped at the
+aircraft's own step and order: lag by Tustin's rule, then the rate limit, then the stops
+(FGActuator.cpp)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ class Actuator:
     high: float = math.inf
 
     def lag_with(self, more_s: float) -> float:
-        """Lag [1/s] where its time constant is so much longer, or for a negative one shorter: at least SHORTEST_S."""
+        """Lag [1/s] where its time constant is so much longer, or for a negative one shorter: at
+        least SHORTEST_S.
+        """
         return 1.0 / max((1.0 / self.lag if self.lag else 0.0) + more_s, SHORTEST_S)
 
     def slowed_to(self, more_s_per_unit: float) -> float:
@@ -44,13 +46,17 @@ class Actuator:
         return 1.0 / max(more_s_per_unit + 1.0 / self.rate, 1e-9)
 
     def follow(self, commands: FloatArray, dt_s: float, step_s: float) -> FloatArray:
-        """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of ``step_s``; starts at rest."""
+        """(n,) positions at rows ``dt_s`` apart, each having seen its row's command for one step of
+        ``step_s``; starts at rest.
+        """
         return self.follow_finely(commands, dt_s, step_s)[0]
 
     def follow_finely(
         self, commands: FloatArray, dt_s: float, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
-        """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight lines from step to step."""
+        """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight
+        lines from step to step.
+        """
         runs = max(1, round(dt_s / step_s))
         # A row's command is there from the run on that arrives at the row.
         asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
@@ -74,15 +80,17 @@ class Actuator:
 
 
 def servo_number(servo: Actuator, term: str, value: float) -> float:
-    """The number of an actuator whose lag is ``value`` [s] longer than the servo's, or whose rate limit takes ``value`` [s/unit]
-    longer; term: lag or rate_limit."""
+    """The number of an actuator whose lag is ``value`` [s] longer than the servo's, or whose rate
+    limit takes ``value`` [s/unit] longer; term: lag or rate_limit."""
     if term == "rate_limit":
         return servo.slowed_to(value)
     return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
 def _limited(asked: FloatArray, reach: float) -> FloatArray:
-    """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the first is what is asked."""
+    """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the
+    first is what is asked.
+    """
     out = asked.copy()
     begun = np.flatnonzero(np.abs(np.diff(asked)) > reach) + 1
     wanted, caught = asked.tolist() if len(begun) else [], 0
@@ -101,7 +109,10 @@ def _limited(asked: FloatArray, reach: float) -> FloatArray:
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:
-    """The actuator behind each control's position, from the XML. Raises BadInputError for a control without one."""
+    """The actuator behind each control's position, from the XML.
+
+    Raises BadInputError for a control without one.
+    """
     wanted = {aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs}
     fdm = open_aircraft(aircraft)
     found: dict[str, Actuator] = {}
@@ -130,6 +141,7 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
     missing = [c for c in controls if c not in found]
     if missing:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}] position"
+            f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}]"
+            " position"
         )
     return found

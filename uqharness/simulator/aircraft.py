@@ -31,7 +31,10 @@ from uqharness.simulator.staging import fingerprint, identity, read_xml, signatu
 
 @dataclass(frozen=True)
 class Aircraft:
-    """A JSBSim aircraft on disk. ``folder`` holds ``<name>.xml``, its systems and, perhaps, airframe.toml."""
+    """A JSBSim aircraft on disk.
+
+    ``folder`` holds ``<name>.xml``, its systems and, perhaps, airframe.toml.
+    """
 
     name: str
     folder: Path
@@ -49,7 +52,9 @@ class Aircraft:
 
     @property
     def has_card(self) -> bool:
-        """Whether the folder has an airframe.toml; without one, JSBSim's normalised commands are taken for the controls."""
+        """Whether the folder has an airframe.toml; without one, JSBSim's normalised commands are
+        taken for the controls.
+        """
         return (self.folder / "airframe.toml").is_file()
 
     @property
@@ -59,12 +64,15 @@ class Aircraft:
 
     @property
     def accelerometer_m(self) -> tuple[float, float, float]:
-        """Place of the accelerometers from the centre of gravity, body axes [m]; at it unless the card says otherwise."""
+        """Place of the accelerometers from the centre of gravity, body axes [m]; at it unless the
+        card says otherwise.
+        """
         return self.card.sensors.position_m.get("accelerometer", (0.0, 0.0, 0.0))
 
 
 def find_aircraft(name_or_folder: str | Path) -> Aircraft:
-    """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or JSBSim's own.
+    """The aircraft of that folder, or of that name under ./aircraft, the project's aircraft/ or
+    JSBSim's own.
 
     Parameters
     ----------
@@ -74,7 +82,8 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     Returns
     -------
     Aircraft
-        ``name``, ``folder``, ``xml`` and ``card`` (airframe.toml; docs/aircraft.md). Nothing has been loaded into JSBSim yet.
+        ``name``, ``folder``, ``xml`` and ``card`` (airframe.toml; docs/aircraft.md). Nothing has
+        been loaded into JSBSim yet.
 
     Raises
     ------
@@ -129,7 +138,8 @@ def _read_aircraft(folder: Path) -> Aircraft:
         card = standard_card(folder.name, xml.name)
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(
-            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this folder is needed'
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
+            " folder is needed"
         )
     xml = folder / card.aircraft.xml
     if not xml.is_file():
@@ -157,13 +167,18 @@ def _other_models(folder: Path) -> str:
         return "so this is not a JSBSim aircraft folder"
     name = Path(models[0]).stem
     return (
-        f"but {' and '.join(models)}: JSBSim wants folder and file of one name; rename the folder to "
-        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}" into it'
+        f"but {' and '.join(models)}: JSBSim wants folder and file of one name; rename the"
+        " folder to "
+        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}"'
+        " into it"
     )
 
 
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
-    """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run. Raises BadInputError."""
+    """A fresh ``FGFDMExec`` of the aircraft in its open-loop mode, nothing run.
+
+    Raises BadInputError.
+    """
     check_loadable(aircraft)
     fdm = engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
     for name, value in aircraft.card.modes.get("open_loop", {}).items():
@@ -175,7 +190,8 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
 
 
 def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
-    """Raise BadInputError if loading the aircraft would end the interpreter (see preflight). Cheap for unchanged files.
+    """Raise BadInputError if loading the aircraft would end the interpreter (see preflight). Cheap
+    for unchanged files.
 
     ``defined`` are properties that a run script makes, which the aircraft may then read.
     """
@@ -185,7 +201,10 @@ def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
 
 
 def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
-    """Properties that the aircraft reads and only a host such as FlightGear may define. Raises BadInputError as above."""
+    """Properties that the aircraft reads and only a host such as FlightGear may define.
+
+    Raises BadInputError as above.
+    """
     stamp = fingerprint(aircraft)
     if stamp not in _undefined:
         for _, path in walk(aircraft.folder):
@@ -208,7 +227,9 @@ _TABLES = frozenset({"table", "t"})
 
 
 def refuse_unknown_operations(path: Path) -> None:
-    """BadInputError with file and line for an operation within a function that JSBSim does not know."""
+    """BadInputError with file and line for an operation within a function that JSBSim does not
+    know.
+    """
 
     def walk(element: etree._Element) -> None:
         for child in element.iterchildren("*"):
@@ -216,7 +237,8 @@ def refuse_unknown_operations(path: Path) -> None:
                 near = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
                 hint = f"; did you mean <{near[0]}>?" if near else ""
                 raise BadInputError(
-                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim function; JSBSim would ignore it{hint}"
+                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim"
+                    f" function; JSBSim would ignore it{hint}"
                 )
             if child.tag not in _TABLES:
                 walk(child)
@@ -229,7 +251,9 @@ _undefined: dict[str, tuple[Undefined, ...]] = {}
 
 
 def content_hash(aircraft: Aircraft) -> str:
-    """SHA-256 over every file that decides how the aircraft flies; the identity a campaign is tied to. Raises BadInputError."""
+    """SHA-256 over every file that decides how the aircraft flies; the identity a campaign is tied
+    to. Raises BadInputError.
+    """
     return identity(aircraft)
 
 
@@ -239,7 +263,9 @@ def folder_hash(folder: Path) -> str:
 
 
 def folder_fingerprint(folder: Path) -> str:
-    """A text that changes when a file of the aircraft in ``folder`` does; reads none where nothing has. Raises BadInputError."""
+    """A text that changes when a file of the aircraft in ``folder`` does; reads none where nothing
+    has. Raises BadInputError.
+    """
     return fingerprint(_unchanged(folder, signature(folder)))
 
 
@@ -249,7 +275,9 @@ def _unchanged(folder: Path, _: object) -> Aircraft:
 
 
 def parse_xml(path: Path) -> etree._ElementTree:
-    """Parse an XML file with line numbers; BadInputError with file and line if it is not well formed."""
+    """Parse an XML file with line numbers; BadInputError with file and line if it is not well
+    formed.
+    """
     try:
         return etree.parse(
             BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False)
@@ -276,8 +304,9 @@ class Source:
     over: str | None = None
 
 
-# Specific force is total force without gravity over mass, at the CG: JSBSim's own a-pilot properties are one frame old, and a
-# record promises that the acceleration of a sample has already seen the command of that sample.
+# Specific force is total force without gravity over mass, at the CG: JSBSim's own a-pilot
+# properties are one frame old, and a record promises that the acceleration of a sample has already
+# seen the command of that sample.
 STANDARD: Mapping[str, Source] = MappingProxyType(
     {
         "time_s": Source("simulation/sim-time-sec"),
@@ -310,9 +339,9 @@ SECOND_ORDER: Mapping[str, float] = MappingProxyType(
 )
 """Adams-Bashforth integrators of second order for a flight that is to be compared with others.
 
-JSBSim's default for body rates and attitude is Euler's rule, which at 100 Hz makes roll damping 4 % too strong and moves everything
-by half a step; an identification would put the difference into the coefficients.
-"""
+JSBSim's default for body rates and attitude is Euler's rule, which at 100 Hz makes roll damping 4 %
+too strong and moves everything by half a step; an identification would put the difference into the
+coefficients."""
 
 _UNIT_TO_RECORD = {"deg": 1.0, "pct": 1.0, "rad": RAD_DEG, "norm": 1.0}
 _COLUMN = {
@@ -324,11 +353,12 @@ _COLUMN = {
 
 
 def sources(aircraft: Aircraft) -> dict[str, Source]:
-    """The record's signals for this aircraft: the standard table, the card's outputs, commands and measured surfaces.
+    """The record's signals for this aircraft: the standard table, the card's outputs, commands and
+    measured surfaces.
 
-    A normalised command (unit "norm") becomes percent of a throttle, and degrees of a surface through the card's throw_deg; without
-    a throw it is left as it stands and named ``<surface>_norm``.
-    """
+    A normalised command (unit "norm") becomes percent of a throttle, and degrees of a surface
+    through the card's throw_deg; without a throw it is left as it stands and named
+    ``<surface>_norm``."""
     table = dict(STANDARD)
     for signal, name in aircraft.card.outputs.items():
         table[signal] = Source(name)
@@ -352,9 +382,8 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
 def position_factor(card: InputCard) -> float:
     """Unit of a card's position property to degrees, + as a record counts.
 
-    A card in deg or rad has its position in the same unit. Of a normalised command the property's ending tells (JSBSim's own
-    names end in -deg, -rad or -norm), and the throw its sign.
-    """
+    A card in deg or rad has its position in the same unit. Of a normalised command the property's
+    ending tells (JSBSim's own names end in -deg, -rad or -norm), and the throw its sign."""
     if card.unit != "norm" or card.position is None:
         return _UNIT_TO_RECORD.get(card.unit, 1.0)
     throw = 1.0 if card.throw_deg is None else card.throw_deg
@@ -364,7 +393,9 @@ def position_factor(card: InputCard) -> float:
 
 
 def standard_positions() -> dict[str, Source]:
-    """Surface positions by JSBSim's own properties, for an aircraft without a card; they may or may not be there."""
+    """Surface positions by JSBSim's own properties, for an aircraft without a card; they may or may
+    not be there.
+    """
     return {
         f"{surface}_pos_deg": Source(f"fcs/{surface}-pos-deg")
         for surface in ("elevator", "aileron", "rudder")

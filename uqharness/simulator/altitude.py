@@ -1,4 +1,6 @@
-"""How high a flight began when its record does not say: as high as the aircraft's own initial conditions."""
+"""How high a flight began when its record does not say: as high as the aircraft's own initial
+conditions.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ _SETTLES = "a column rho_kgpm3 settles it"
 
 
 def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecord, str]:
-    """The record with an altitude above sea level to begin at, and a sentence when that is an assumption ("" when it is not).
+    """The record with an altitude above sea level to begin at, and a sentence when that is an
+    assumption ("" when it is not).
 
     A hundred metres are one per cent of the air's density, and so of every force and moment.
     """
@@ -26,20 +29,30 @@ def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecor
         return record, ""
     found = _initial_altitudes(folder)
     if len(found) != 1:
-        return record, (
-            "the record has neither rho_kgpm3 nor the altitude of its start; it was flown in the air of sea level: 100 m more are "
-            f"1 % less density, which goes into every coefficient; {_SETTLES}"
+        return (
+            record,
+            (
+                "the record has neither rho_kgpm3 nor the altitude of its start; it was flown in"
+                " the air of sea level: 100 m more are 1 % less density, which goes into every"
+                f" coefficient; {_SETTLES}"
+            ),
         )
     name, altitude = found[0]
     metadata = replace(record.metadata, start={**start, "alt_m": altitude})
-    return record.with_columns({}, metadata), (
-        f"the record has neither rho_kgpm3 nor the altitude of its start; {altitude:g} m above sea level were taken from {name}: "
-        f"100 m more are 1 % less density, which goes into every coefficient; {_SETTLES}"
+    return (
+        record.with_columns({}, metadata),
+        (
+            f"the record has neither rho_kgpm3 nor the altitude of its start; {altitude:g} m above"
+            f" sea level were taken from {name}: 100 m more are 1 % less density, which goes into"
+            f" every coefficient; {_SETTLES}"
+        ),
     )
 
 
 def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
-    """(file, altitude above sea level [m]) of the initial conditions in an aircraft's folder that name one."""
+    """(file, altitude above sea level [m]) of the initial conditions in an aircraft's folder that
+    name one.
+    """
     out = []
     for path in sorted(folder.glob("*.xml")):
         try:
@@ -60,7 +73,10 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
 
 
 def _length(root: etree._Element, tag: str) -> float | None:
-    """The element's length [m]; None where it is absent or no number. JSBSim's unit without an attribute is feet."""
+    """The element's length [m]; None where it is absent or no number.
+
+    JSBSim's unit without an attribute is feet.
+    """
     element = root.find(tag)
     try:
         return (

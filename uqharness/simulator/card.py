@@ -1,4 +1,6 @@
-"""airframe.toml as the simulator needs it: which JSBSim property is which control, what open loop means, what is scored."""
+"""airframe.toml as the simulator needs it: which JSBSim property is which control, what open loop
+means, what is scored.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from sysid.logs import card as airframe_card
 from uqharness.errors import BadInputError
 from uqharness.toml import dotted
 
-# Sections and keys of inputs that are for reading logs alone, or are passed on as the one reader has them.
+# Sections and keys of inputs that are for reading logs alone, or are passed on as the one reader
+# has them.
 _READ = {"reference", "sensors", "mixing"}
 _OF_SERVOS = {"servo_pwm", "channel"}
 
@@ -27,12 +30,12 @@ class _Strict(BaseModel):
 
 
 class InputCard(_Strict):
-    """One control: the command property, its unit and its sign. ``servo_pwm`` and ``channel`` are for reading logs (docs/logs.md).
+    """One control: the command property, its unit and its sign. ``servo_pwm`` and ``channel`` are
+    for reading logs (docs/logs.md).
 
-    ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot), ``position`` the surface; both
-    are optional and both are only read. ``throw_deg`` turns a normalised command into a record's degrees: 1 is that many, with the
-    record's sign.
-    """
+    ``selected`` is the command that counts after the aircraft's own selection (autopilot or pilot),
+    ``position`` the surface; both are optional and both are only read. ``throw_deg`` turns a
+    normalised command into a record's degrees: 1 is that many, with the record's sign."""
 
     property: str
     selected: str | None = None
@@ -75,8 +78,8 @@ class AircraftSection(_Strict):
 
 
 class _ReplaySection(_Strict):
-    """``without_systems``: systems without effect in open loop and still air; a replay leaves them out, which
-    saves a third of its time."""
+    """``without_systems``: systems without effect in open loop and still air; a replay leaves them
+    out, which saves a third of its time."""
 
     without_systems: tuple[str, ...] = ()
 
@@ -112,7 +115,9 @@ MEMS_NOISE_STD: Mapping[str, float] = MappingProxyType(
         "h_m": 0.3,
     }
 )
-"""Standard deviations taken for sensors of an aircraft whose card names none: an assumption, of the size of small MEMS units."""
+"""Standard deviations taken for sensors of an aircraft whose card names none: an assumption, of the
+size of small MEMS units.
+"""
 
 
 # JSBSim's own command properties, for an aircraft that comes without a card.
@@ -175,11 +180,12 @@ DECIMALS = 7
 
 
 def sensors_from_cg(path: Path, forward_m: float, remark: str) -> None:
-    """Positions in the card for a centre of gravity further forward by ``forward_m``; the sensors stay in the airframe.
+    """Positions in the card for a centre of gravity further forward by ``forward_m``; the sensors
+    stay in the airframe.
 
-    The card's positions are from the centre of gravity, x forward. Accelerometers without one sat at it. A folder without a card
-    stays without. Raises BadInputError with the file where it is no TOML.
-    """
+    The card's positions are from the centre of gravity, x forward. Accelerometers without one sat
+    at it. A folder without a card stays without. Raises BadInputError with the file where it is no
+    TOML."""
     if not path.is_file():
         return
     try:

@@ -1,9 +1,10 @@
-"""JSBSim: the one file that imports it. Opens models and scripts quietly, turns its failures into sentences.
+"""JSBSim: the one file that imports it. Opens models and scripts quietly, turns its failures into
+sentences.
 
-JSBSim 1.3.3 has four ways to fail: ``False`` from a loader, an exception, a silent NaN, and the end of the whole process
-(a property that a function reads but nobody made: the exception comes first, the abort when the object is destroyed).
-Each is met here, so that the callers see :class:`~uqharness.errors.BadInputError` and nothing else.
-"""
+JSBSim 1.3.3 has four ways to fail: ``False`` from a loader, an exception, a silent NaN, and the end
+of the whole process (a property that a function reads but nobody made: the exception comes first,
+the abort when the object is destroyed). Each is met here, so that the callers see
+:class:`~uqharness.errors.BadInputError` and nothing else."""
 
 from __future__ import annotations
 
@@ -23,7 +24,9 @@ from uqharness.simulator.staging import Staging
 JSBSIM_VERSION: str = jsbsim.__version__
 
 RuntimeFailure = RuntimeError
-"""What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property name."""
+"""What JSBSim throws: its own errors, which derive from it, and the bare one of an illegal property
+name.
+"""
 
 _MISSING = re.compile(
     r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)"
@@ -76,7 +79,8 @@ _shown_as: dict[str, str] = {}
 
 
 def _show_as(staging: Staging) -> None:
-    # The reader knows their own folder, not a copy's; of many stagings only the newest are still spoken of.
+    # The reader knows their own folder, not a copy's; of many stagings only the newest are still
+    # spoken of.
     _shown_as.update((str(staged), str(real)) for staged, real in staging.shown)
     while len(_shown_as) > _MOST_SHOWN:
         del _shown_as[next(iter(_shown_as))]
@@ -89,7 +93,8 @@ def _as_shown(text: str) -> str:
 
 
 def _collect() -> _Collector:
-    # One logger for the process, set at first use: JSBSim keeps a single one, and importing this file must change nothing.
+    # One logger for the process, set at first use: JSBSim keeps a single one, and importing this
+    # file must change nothing.
     global _collector
     if _collector is None:
         _collector = _Collector()
@@ -98,7 +103,9 @@ def _collect() -> _Collector:
 
 
 def mirror_messages(descriptor: int) -> None:
-    """Write every message to that file descriptor as it comes: for a process that may not live to report it."""
+    """Write every message to that file descriptor as it comes: for a process that may not live to
+    report it.
+    """
     _collect().mirror = descriptor
 
 
@@ -115,7 +122,8 @@ def _new(staging: Staging, dt_s: float) -> Any:
     fdm.set_aircraft_path(str(staging.root / "aircraft"))
     fdm.set_engine_path(str(staging.root / "engine"))
     fdm.set_systems_path(str(staging.root / "systems"))
-    # No such folder: a model may ask for the state to be written in every frame (simulation/write-state-file).
+    # No such folder: a model may ask for the state to be written in every frame
+    # (simulation/write-state-file).
     fdm.set_output_path(str(staging.root / "nowhere"))
     fdm.set_dt(dt_s)
     return fdm
@@ -139,14 +147,17 @@ def open_fdm(staging: Staging, dt_s: float) -> Any:
         ) from None
     if not loaded:
         raise BadInputError(
-            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'}; "
-            f"expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and <aerodynamics>"
+            f"aircraft '{name}': JSBSim could not load it: {log.take() or 'no reason given'};"
+            f" expected {name}/{name}.xml with <metrics>, <mass_balance>, <ground_reactions> and"
+            " <aerodynamics>"
         )
     return fdm
 
 
 def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
-    """A fresh ``FGFDMExec`` with a run script that passed the gate, the staged aircraft and its initial conditions, nothing run."""
+    """A fresh ``FGFDMExec`` with a run script that passed the gate, the staged aircraft and its
+    initial conditions, nothing run.
+    """
     log = _collect()
     fdm = _new(staging, dt_s)
     try:
@@ -165,16 +176,16 @@ def open_script(staging: Staging, script: str | Path, dt_s: float) -> Any:
 def run_ic(fdm: Any) -> None:
     """Initialise, and name a property that the XML reads but never makes.
 
-    Raises BadInputError. The missing properties are created first: destroying an ``FGFDMExec`` that lacks them aborts the
-    interpreter, whatever Python catches.
-    """
+    Raises BadInputError. The missing properties are created first: destroying an ``FGFDMExec`` that
+    lacks them aborts the interpreter, whatever Python catches."""
     log = _collect()
     log.take()
     try:
         if fdm.run_ic():
             if not fdm["inertia/mass-slugs"] > 0.0:
                 raise BadInputError(
-                    f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is needed in <mass_balance>"
+                    f"the model's mass is {fdm['inertia/mass-slugs']:g} slug: a positive one is"
+                    " needed in <mass_balance>"
                 )
             return
         raise BadInputError(
@@ -186,14 +197,17 @@ def run_ic(fdm: Any) -> None:
     log.take()
     if missing:
         raise BadInputError(
-            f"the model reads {_plural('property', missing)} that nothing defines: {', '.join(missing)} ({text}); "
-            'declare it in the XML, as <property value="0">name</property>'
+            f"the model reads {_plural('property', missing)} that nothing defines:"
+            f" {', '.join(missing)} ({text}); declare it in the XML, as <property"
+            ' value="0">name</property>'
         )
     raise BadInputError(f"JSBSim could not initialise the flight: {text}")
 
 
 def start_engines(fdm: Any) -> None:
-    """Every engine runs, with rich mixture and fine pitch, which no flight record tells; its throttle is left wide open."""
+    """Every engine runs, with rich mixture and fine pitch, which no flight record tells; its
+    throttle is left wide open.
+    """
     fdm["propulsion/set-running"] = -1
     for name in levers(fdm):
         fdm[name] = 1.0
@@ -212,11 +226,11 @@ def levers(fdm: Any) -> list[str]:
 
 
 def settle_engines(fdm: Any) -> str:
-    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the aircraft's state unmoved.
+    """Bring <propulsion> engines to the steady state of their throttles and renew the forces, the
+    aircraft's state unmoved.
 
-    JSBSim's own way where it arrives, else by frames with the motion frozen (see settling). Empty, or which engine does not settle
-    or stands still.
-    """
+    JSBSim's own way where it arrives, else by frames with the motion frozen (see settling). Empty,
+    or which engine does not settle or stands still."""
     changing = ""
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
@@ -242,12 +256,13 @@ def renew_forces(fdm: Any) -> None:
 
 
 def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> list[str]:
-    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves for nothing else afterwards.
+    """Names that the loaded model reads and nobody makes. Initialises the instance, which serves
+    for nothing else afterwards.
 
-    ``function_properties`` are the names in the functions of the model's XML. Initialising does not evaluate all of them (a branch
-    of an <ifthen> that is not taken), but JSBSim evaluates named functions once more when the instance is destroyed: one that is
-    missing then aborts the interpreter.
-    """
+    ``function_properties`` are the names in the functions of the model's XML. Initialising does not
+    evaluate all of them (a branch of an <ifthen> that is not taken), but JSBSim evaluates named
+    functions once more when the instance is destroyed: one that is missing then aborts the
+    interpreter."""
     log = _collect()
     log.take()
     exists = fdm.get_property_manager().hasNode
@@ -265,7 +280,9 @@ def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> l
 
 
 def disarm(fdm: Any, text: str) -> list[str]:
-    """Create the properties whose absence ``text`` complains of until initialising no longer does; their names."""
+    """Create the properties whose absence ``text`` complains of until initialising no longer does;
+    their names.
+    """
     missing: list[str] = []
     for _ in range(1000):
         found = _MISSING.search(text)
@@ -289,7 +306,9 @@ def explain(fdm: Any, error: BaseException) -> str:
 
 
 def set_property(fdm: Any, name: str, value: float) -> None:
-    """Set an existing property. JSBSim itself would create a misspelt one without a word; here that is BadInputError."""
+    """Set an existing property. JSBSim itself would create a misspelt one without a word; here that
+    is BadInputError.
+    """
     require(fdm, [name])
     fdm[name] = value
 
@@ -299,9 +318,11 @@ def require(fdm: Any, names: Iterable[str]) -> None:
     manager = fdm.get_property_manager()
     for name in names:
         if not is_legal_name(name):
-            # Property trees of other JSBSim builds end the interpreter at such a name, so it must never get there.
+            # Property trees of other JSBSim builds end the interpreter at such a name, so it must
+            # never get there.
             raise BadInputError(
-                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and [index])"
+                f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and"
+                " [index])"
             )
         if not manager.hasNode(name):
             near = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
@@ -314,7 +335,9 @@ def require(fdm: Any, names: Iterable[str]) -> None:
 
 
 def is_legal_name(name: str) -> bool:
-    """Whether JSBSim's property tree accepts the name; at another one it may end the interpreter."""
+    """Whether JSBSim's property tree accepts the name; at another one it may end the
+    interpreter.
+    """
     return _LEGAL_NAME.fullmatch(name) is not None
 
 

@@ -1,4 +1,6 @@
-"""An aircraft in the middle of its envelope, with every axis in motion: what checks fly that know nothing of the aircraft."""
+"""An aircraft in the middle of its envelope, with every axis in motion: what checks fly that know
+nothing of the aircraft.
+"""
 
 from __future__ import annotations
 
@@ -39,18 +41,20 @@ _RATES_RADPS = (0.03, 0.02, -0.02)
 def open_mid_envelope(
     aircraft: Aircraft, dt_s: float | None = None
 ) -> tuple[Any, Callable[[int], None]]:
-    """An initialised instance in the middle of the aircraft's envelope, and a function that flies frame k.
+    """An initialised instance in the middle of the aircraft's envelope, and a function that flies
+    frame k.
 
-    Level at 5000 ft above the sea, at the speed where a lift coefficient of 0.5 carries the weight (12 to 274 m/s), with a little
-    incidence, sideslip and rotation; engines run settled at 60 % and the controls move, so that no axis is idle. Raises BadInputError.
-    """
+    Level at 5000 ft above the sea, at the speed where a lift coefficient of 0.5 carries the weight
+    (12 to 274 m/s), with a little incidence, sideslip and rotation; engines run settled at 60 % and
+    the controls move, so that no axis is idle. Raises BadInputError."""
     state = mid_envelope_state(aircraft)
     speed_fps = math.hypot(state.u, state.v, state.w) / FT_M
     fdm = _open(aircraft, dt_s)
     _initial(fdm, speed_fps)
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
-        # A propeller that is let go at rest gives some electric aircraft a torque in the first frames that ends the flight.
+        # A propeller that is let go at rest gives some electric aircraft a torque in the first
+        # frames that ends the flight.
         engine.start_engines(fdm)
         for k in range(engines):
             fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
@@ -125,7 +129,8 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
-# What FlightGear passes to JSBSim's engines before a frame and takes from them after it (its src/FDM/JSBSim/JSBSim.cxx).
+# What FlightGear passes to JSBSim's engines before a frame and takes from them after it (its
+# src/FDM/JSBSim/JSBSim.cxx).
 _FLIGHTGEAR = (
     ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
     ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
@@ -138,7 +143,8 @@ _FLIGHTGEAR = (
     ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
     ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
 )
-# Acceleration that answers to a control, and whether the positive command of the record's convention makes it positive.
+# Acceleration that answers to a control, and whether the positive command of the record's
+# convention makes it positive.
 _ANSWER = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
     "aileron": ("accelerations/pdot-rad_sec2", 1),
@@ -156,13 +162,16 @@ _THRUST = "thrust-lbs"
 
 @dataclass(frozen=True)
 class ControlFacts:
-    """One normalised command. sense: +1 as the record counts (nose down, right wing down, nose left), -1 opposite, 0 no answer.
+    """One normalised command. sense: +1 as the record counts (nose down, right wing down, nose
+    left), -1 opposite, 0 no answer.
 
-    throw_deg    degrees per norm, mean of both ends, positive; None where no position property follows
-    position     the property that follows, None where its travel is not in proportion to the command
-    thrust_N     of all engines, settled, throttle closed and open; None where there is no engine or it does not settle
-    unmeasured   why the control could not be measured: ``sense`` is then assumed; empty where it was
-    """
+    throw_deg    degrees per norm, mean of both ends, positive; None where no position property
+    follows
+    position     the property that follows, None where its travel is not in proportion to the
+    command
+    thrust_N     of all engines, settled, throttle closed and open; None where there is no engine or
+    it does not settle unmeasured   why the control could not be measured: ``sense`` is then
+    assumed; empty where it was"""
 
     sense: int
     throw_deg: float | None = None
@@ -175,9 +184,10 @@ class ControlFacts:
 class AircraftFacts:
     """Reference lengths by JSBSim's metrics, number of engines, and the controls.
 
-    host       (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and nothing in JSBSim alone writes
-    V_mps      airspeed at which the controls were measured, at ALTITUDE_M above the sea; NaN where nothing was
-    """
+    host       (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and
+    nothing in JSBSim alone writes
+    V_mps      airspeed at which the controls were measured, at ALTITUDE_M above the sea; NaN where
+    nothing was"""
 
     S_m2: float
     b_m: float
@@ -189,7 +199,9 @@ class AircraftFacts:
 
 
 def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
-    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in the usual sense, no throws."""
+    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in
+    the usual sense, no throws.
+    """
     return AircraftFacts(
         S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")}
     )
@@ -212,7 +224,8 @@ def ask(folder: Path) -> AircraftFacts:
     if not throttle.sense and any(own == "fcs/throttle-cmd-norm" for _, own in host):
         throttle = ControlFacts(1)
     controls["throttle"] = throttle
-    # A control law may be at its limit at rest, whatever the command: a flight has the last word on a control without effect.
+    # A control law may be at its limit at rest, whatever the command: a flight has the last word on
+    # a control without effect.
     controls |= {
         name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
     }
@@ -258,7 +271,10 @@ class _Held:
 def _held(
     aircraft: Aircraft, control: str, commands: Sequence[float], rate_radps: float = 0.0
 ) -> list[_Held]:
-    """The aircraft with one command after the other held until all has come to rest. Raises BadInputError."""
+    """The aircraft with one command after the other held until all has come to rest.
+
+    Raises BadInputError.
+    """
     flying = mid_envelope_state(aircraft)
     # Straight and level: dampers would add to the commands.
     rates = (rate_radps,) * 3
@@ -279,7 +295,8 @@ def _held(
         if control in controls:
             set_control(fdm, aircraft, control, command)
         moving = still_moving(fdm, rest, names)
-        # A surface that still moves is led by more than its command: a control law, or an autopilot.
+        # A surface that still moves is led by more than its command: a control law, or an
+        # autopilot.
         positions = {name: float(fdm[name]) for name in names if name not in moving}
         thrust = sum(fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in range(engines))
         read = {name: float(fdm[name]) for name in values} | {_THRUST: float(thrust)}
@@ -288,7 +305,9 @@ def _held(
 
 
 def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
-    """The sense that a short flight shows with the command held at either end; "moves nothing" where a finite one shows none."""
+    """The sense that a short flight shows with the command held at either end; "moves nothing"
+    where a finite one shows none.
+    """
     rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
     ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
     answers = []
@@ -310,7 +329,10 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
 def _facts(
     control: str, rows: Sequence[_Held], turning: Callable[[], Sequence[_Held]]
 ) -> ControlFacts:
-    """Sense and throw by what was held. ``turning`` gives the same rows with the aircraft turning."""
+    """Sense and throw by what was held.
+
+    ``turning`` gives the same rows with the aircraft turning.
+    """
     name, sign = _ANSWER[control]
     answers = [row.values[name] for row in rows]
     if not all(map(math.isfinite, answers)):
@@ -338,7 +360,9 @@ def _facts(
 
 
 def _is_led(position: str, rows: Sequence[_Held], turning: Sequence[_Held]) -> bool:
-    """Whether the motion moves the surface too: the end of its travel is then a control law's limit, not the command's throw."""
+    """Whether the motion moves the surface too: the end of its travel is then a control law's
+    limit, not the command's throw.
+    """
     return any(
         abs(row.positions[position] - other.positions.get(position, math.inf)) > _RESTS
         for row, other in zip(rows, turning, strict=True)
@@ -346,7 +370,9 @@ def _is_led(position: str, rows: Sequence[_Held], turning: Sequence[_Held]) -> b
 
 
 def _throttle_facts(closed: _Held, opened: _Held) -> ControlFacts:
-    """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where it has none."""
+    """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where
+    it has none.
+    """
     name = _THRUST if opened.engines else _FORWARD
     thrust = closed.values[name], opened.values[name]
     if not all(map(math.isfinite, thrust)):

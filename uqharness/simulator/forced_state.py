@@ -1,4 +1,6 @@
-"""A state forced upon the model: a fresh instance put there, its engines and, if asked, its control system settled."""
+"""A state forced upon the model: a fresh instance put there, its engines and, if asked, its control
+system settled.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ from uqharness.simulator.staging import HasFiles, opened
 # commanded, and nowhere before.
 
 RATES_HELD, RATES_FREE = "flight/steady-controls", "flight/steady-rates"
-"""Run properties of a mission that begins with the control system at rest, body rates held or free meanwhile."""
+"""Run properties of a mission that begins with the control system at rest, body rates held or free
+meanwhile.
+"""
 
 AT_REST = 1e-9
 """Change in a frame, as a share of the value or of 1, below which nothing moves."""
@@ -48,7 +52,10 @@ _BY_POWER = ("thrust-lbs", "propeller-rpm")
 
 @dataclass(frozen=True)
 class Rest:
-    """How the control system comes to rest. ``watched``: properties that must; ``free``: the body rates are left free meanwhile."""
+    """How the control system comes to rest.
+
+    ``watched``: properties that must; ``free``: the body rates are left free meanwhile.
+    """
 
     watched: tuple[str, ...]
     free: bool = False
@@ -60,8 +67,8 @@ class Rest:
 
 
 def felt(aircraft: HasFiles) -> tuple[str, ...]:
-    """Properties that components of the control system write and aerodynamics, engines or external forces read. Raises
-    BadInputError."""
+    """Properties that components of the control system write and aerodynamics, engines or external
+    forces read. Raises BadInputError."""
     written, read = _written_and_read(aircraft)
     levers = {
         name
@@ -123,7 +130,9 @@ def rest_of(aircraft: HasFiles, fdm: Any, free: bool = False) -> Rest:
 
 
 def moving(fdm: Any, rest: Rest) -> str:
-    """What of the control system moves in the next frame, in which time and motion stand still; empty where nothing does."""
+    """What of the control system moves in the next frame, in which time and motion stand still;
+    empty where nothing does.
+    """
     before = [fdm[name] for name in rest.watched]
     engine.renew_forces(fdm)
     for name, old in zip(rest.watched, before, strict=True):
@@ -133,10 +142,11 @@ def moving(fdm: Any, rest: Rest) -> str:
 
 
 def bring_to_rest(fdm: Any, rest: Rest) -> str:
-    """Run frames, the motion frozen, until control system and engines rest: empty, or what still changes. Clock and fuel stay.
+    """Run frames, the motion frozen, until control system and engines rest: empty, or what still
+    changes. Clock and fuel stay.
 
-    With ``rest.free`` the body rates end where the control system brings them. Raises BadInputError.
-    """
+    With ``rest.free`` the body rates end where the control system brings them. Raises
+    BadInputError."""
     try:
         return _run_to_rest(fdm, rest)
     except engine.RuntimeFailure as error:
@@ -144,7 +154,9 @@ def bring_to_rest(fdm: Any, rest: Rest) -> str:
 
 
 def still_moving(fdm: Any, rest: Rest, names: Sequence[str]) -> set[str]:
-    """Bring the control system to rest as far as it goes, and return those of ``names`` that change in further frames."""
+    """Bring the control system to rest as far as it goes, and return those of ``names`` that change
+    in further frames.
+    """
     if not bring_to_rest(fdm, rest):
         return set()
     before = {name: fdm[name] for name in names}
@@ -179,11 +191,15 @@ def _run_to_rest(fdm: Any, rest: Rest) -> str:
             break
     if most <= AT_REST * BLOCK_FRAMES:
         return ""
-    return f"the control system does not come to rest: {worst} still changes by {most:.2g} in {BLOCK_FRAMES} frames"
+    return (
+        f"the control system does not come to rest: {worst} still changes by {most:.2g} in"
+        f" {BLOCK_FRAMES} frames"
+    )
 
 
 def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
-    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned beneath it meanwhile.
+    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned
+    beneath it meanwhile.
 
     ``free``: body rates are left to the control system.
     """
@@ -192,7 +208,8 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
     time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
     for name in frozen:
         fdm[name] = 0.0
-    # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear stand where they are commanded.
+    # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear
+    # stand where they are commanded.
     fdm.set_trim_status(True)
     try:
         for _ in range(frames):
@@ -216,7 +233,8 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
 
 
 def marked(run_properties: Sequence[str], aircraft: HasFiles, fdm: Any) -> Rest | None:
-    """How a mission's flights bring the control system to rest before they begin; None where they need not.
+    """How a mission's flights bring the control system to rest before they begin; None where they
+    need not.
 
     Raises BadInputError.
     """
@@ -230,7 +248,9 @@ TRIM_LATITUDE_DEG = 45.0
 """Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
 
 SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
-"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the frames that it may take."""
+"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the
+frames that it may take.
+"""
 
 ACCELERATIONS = (
     "accelerations/udot-ft_sec2",
@@ -253,7 +273,9 @@ def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, fl
 
 @dataclass(frozen=True)
 class BodyState:
-    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
+    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body
+    rates [rad/s].
+    """
 
     u: float
     v: float
@@ -275,18 +297,19 @@ def force_state(
     outputs: tuple[str, ...] = (),
     rest: Rest | None = None,
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values of those ``outputs`` that
-    the model has.
+    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values
+    of those ``outputs`` that the model has.
 
-    Actuators stand at their commands (first frame of a fresh instance, or with ``rest`` the control system brought to rest); the
-    ground is put 300 m below. Raises BadInputError.
-    """
+    Actuators stand at their commands (first frame of a fresh instance, or with ``rest`` the control
+    system brought to rest); the ground is put 300 m below. Raises BadInputError."""
     fdm, _ = forced(aircraft, state, controls, altitude_m, properties, rest)
     return answers(fdm, outputs)
 
 
 def answers(fdm: Any, outputs: tuple[str, ...]) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those ``outputs`` that it has."""
+    """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those
+    ``outputs`` that it has.
+    """
     acceleration = np.array([fdm[name] for name in ACCELERATIONS])
     acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()
@@ -301,8 +324,8 @@ def forced(
     properties: Mapping[str, float] | None,
     rest: Rest | None = None,
 ) -> tuple[Any, str]:
-    """A fresh instance at that state, engines settled, and with ``rest`` the control system, and what does not settle (empty: all
-    does)."""
+    """A fresh instance at that state, engines settled, and with ``rest`` the control system, and
+    what does not settle (empty: all does)."""
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
         engine.set_property(fdm, name, value)
@@ -332,7 +355,9 @@ def place(fdm: Any, state: BodyState) -> None:
 
 
 def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
-    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's throttle where that is the input."""
+    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's
+    throttle where that is the input.
+    """
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         # First of all: starting the engines opens their throttles.
@@ -342,7 +367,9 @@ def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) 
 
 
 def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> None:
-    """Set one input's property, all throttles where it is JSBSim's first; nothing where the card has no such input."""
+    """Set one input's property, all throttles where it is JSBSim's first; nothing where the card
+    has no such input.
+    """
     card = aircraft.card.inputs.get(control)
     if card is None:
         return

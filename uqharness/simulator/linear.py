@@ -32,13 +32,16 @@ _STEP = {
     "phi": 1e-3,
     "theta": 1e-3,
 }
-# Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves less than 1e-6.
+# Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves
+# less than 1e-6.
 _STILL = 1e-4
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """dx/dt = A x + B u about a trim. x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad; u in the controls' own units."""
+    """dx/dt = A x + B u about a trim. x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad; u in
+    the controls' own units.
+    """
 
     trim: Trim
     A: NDArray[np.float64]
@@ -53,7 +56,9 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode: a conjugate pair is listed once, with its positive imaginary part; wn in rad/s, zeta = -real/wn."""
+    """One mode: a conjugate pair is listed once, with its positive imaginary part; wn in rad/s,
+    zeta = -real/wn.
+    """
 
     name: str
     real: float
@@ -63,13 +68,14 @@ class Mode:
 
 
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
-    """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact attitude kinematics.
+    """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact
+    attitude kinematics.
 
-    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed throttle. A control system that
-    was brought to rest stands as it rested in the trim; what it makes of a control is what it ends at, and NaN where the body rates
-    are its own: it answers with another rate, not with another acceleration. Raises BadInputError if the trim did not converge or
-    is of another aircraft.
-    """
+    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed
+    throttle. A control system that was brought to rest stands as it rested in the trim; what it
+    makes of a control is what it ends at, and NaN where the body rates are its own: it answers with
+    another rate, not with another acceleration. Raises BadInputError if the trim did not converge
+    or is of another aircraft."""
     instance("trim", trim, Trim, "a Trim, as find_trim gives it,")
     if not trim.converged:
         raise BadInputError(f"cannot linearise: {trim.reason}")
@@ -93,7 +99,8 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     known = aircraft.card.inputs.keys() >= base.keys()
     if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
         raise BadInputError(
-            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there; find its own"
+            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there;"
+            " find its own"
         )
     A = np.empty((8, 8))
     for column, name in enumerate(STATES):

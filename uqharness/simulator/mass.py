@@ -1,9 +1,9 @@
 """Mass, inertia and reference lengths by the name of the property that JSBSim computes from them.
 
-JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from <mass_balance>, point masses and fuel.
-Here they are set all the same: the numbers in a copy of the aircraft's XML are moved until the property stands at what is wanted.
-inertia/ixz-slugs_ft2 is, as JSBSim has it, the entry of the inertia matrix: minus the product of inertia.
-"""
+JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from
+<mass_balance>, point masses and fuel. Here they are set all the same: the numbers in a copy of the
+aircraft's XML are moved until the property stands at what is wanted. inertia/ixz-slugs_ft2 is, as
+JSBSim has it, the entry of the inertia matrix: minus the product of inertia."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _TRIES, _TOLERANCE = (
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a property's number stands: path below <fdm_config>, units by attribute (one property unit in each), default unit."""
+    """Where a property's number stands: path below <fdm_config>, units by attribute (one property
+    unit in each), default unit.
+    """
 
     path: str
     units: Mapping[str, float]
@@ -82,8 +84,8 @@ class MassChange:
     def realise(self, wanted: Mapping[str, float]) -> Staging:
         """The staged copy in which every property of ``wanted`` stands at its value.
 
-        Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not in the aircraft's own XML.
-        """
+        Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not
+        in the aircraft's own XML."""
         elements, tree = self._elements(wanted)
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
@@ -132,12 +134,13 @@ class MassChange:
             if element is None:
                 section, _, leaf = place.path.partition("/")
                 raise BadInputError(
-                    f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>, which is not in this file, "
-                    "so it cannot be changed"
+                    f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>,"
+                    " which is not in this file, so it cannot be changed"
                 )
             if element in found.values():
                 raise BadInputError(
-                    f"{path}:{element.sourceline}: two of the properties to set come from the same <{element.tag}>"
+                    f"{path}:{element.sourceline}: two of the properties to set come from the same"
+                    f" <{element.tag}>"
                 )
             _unit(path, element, place)
             found[name] = element
@@ -159,7 +162,8 @@ class MassChange:
             if place.units is _INERTIA and element.tag not in ("ixx", "iyy", "izz"):
                 mass_balance = element.getparent()
                 assert mass_balance is not None
-                # The property is the entry of the inertia matrix, minus the product of inertia; the XML means the one or the other.
+                # The property is the entry of the inertia matrix, minus the product of inertia; the
+                # XML means the one or the other.
                 change *= (
                     -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
                 )
@@ -177,7 +181,8 @@ class MassChange:
 def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, str]:
     """The numbers with which the properties ``wanted`` (of CHANGEABLE) stand at their values.
 
-    Keys are elements of the aircraft's XML, as paths below its root such as ``mass_balance/location[@name='CG']/x``.
+    Keys are elements of the aircraft's XML, as paths below its root such as
+    ``mass_balance/location[@name='CG']/x``.
 
     Raises BadInputError as MassChange.realise does.
     """
@@ -206,7 +211,8 @@ def _unit(path: Path, element: etree._Element, place: _Place) -> float:
     unit = owner.get("unit", place.default)
     if unit not in place.units:
         raise BadInputError(
-            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are {', '.join(place.units)}"
+            f"{path}:{owner.sourceline}: unit {unit!r} of <{owner.tag}>: known are"
+            f" {', '.join(place.units)}"
         )
     try:
         float(element.text or "")

@@ -1,4 +1,6 @@
-"""Run scripts: find one, check it against what a host wants to vary, and stage a copy for any aircraft folder and duration."""
+"""Run scripts: find one, check it against what a host wants to vary, and stage a copy for any
+aircraft folder and duration.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from uqharness.simulator.staging import Staging, leads_out, passed, read_xml, st
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
 MANOEUVRE_PROPERTY = "flight/manoeuvre"
-"""Counts a script's manoeuvres while they last; the event that sets it to a number other than 0 bears the manoeuvre's name."""
+"""Counts a script's manoeuvres while they last; the event that sets it to a number other than 0
+bears the manoeuvre's name.
+"""
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,8 @@ class Script:
 
 
 def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """The script file of that path, from the folder ``beside`` or from here, or of that name under ./scripts or the project's
-    scripts/. Raises BadInputError."""
+    """The script file of that path, from the folder ``beside`` or from here, or of that name under
+    ./scripts or the project's scripts/. Raises BadInputError."""
     given = Path(name_or_path)
     candidates = [*([] if beside is None else [beside / given]), given, given.with_suffix(".xml")]
     for root in (Path.cwd(), PROJECT_ROOT):
@@ -52,7 +56,8 @@ def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
             return path.resolve()
     known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
     raise BadInputError(
-        f"script '{name_or_path}' not found: no such file, and scripts/ has {', '.join(known) or 'none'}"
+        f"script '{name_or_path}' not found: no such file, and scripts/ has"
+        f" {', '.join(known) or 'none'}"
     )
 
 
@@ -61,12 +66,14 @@ def read_script(path: Path) -> Script:
     root = parse_xml(path).getroot()
     if root.tag != "runscript":
         raise BadInputError(
-            f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with <runscript>"
+            f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with"
+            " <runscript>"
         )
     use, run = root.find("use"), root.find("run")
     if use is None or run is None:
         raise BadInputError(
-            f"{path}:{root.sourceline}: a run script needs <use aircraft=... initialize=...> and <run end=... dt=...>"
+            f"{path}:{root.sourceline}: a run script needs <use aircraft=... initialize=...> and"
+            " <run end=... dt=...>"
         )
     numbers = {key: _number(path, run, key) for key in ("end", "dt")}
     return Script(
@@ -92,7 +99,8 @@ def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
             text = item.get("value", "")
             if not text.isdigit():
                 raise BadInputError(
-                    f"{path}:{item.sourceline}: {MANOEUVRE_PROPERTY} is set to '{text}'; a whole number of at least 0 is needed"
+                    f"{path}:{item.sourceline}: {MANOEUVRE_PROPERTY} is set to '{text}'; a whole"
+                    " number of at least 0 is needed"
                 )
             if int(text):
                 named[int(text)] = event.get("name", text)
@@ -110,17 +118,21 @@ def _number(path: Path, element: etree._Element, key: str) -> float:
         value = float(text if text is not None else "")
     except ValueError:
         raise BadInputError(
-            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of"
+            " seconds is needed"
         ) from None
     if not 0.0 < value < float("inf"):
         raise BadInputError(
-            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of seconds is needed"
+            f"{path}:{element.sourceline}: <run {key}=...> is {text!r}, a positive number of"
+            " seconds is needed"
         )
     return value
 
 
 def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
-    """BadInputError if an event sets a property that the host varies: the event would silently win."""
+    """BadInputError if an event sets a property that the host varies: the event would
+    silently win.
+    """
     wanted = set(varied)
     for name, line in script.event_properties:
         if name in wanted:
@@ -134,8 +146,8 @@ class StagedMission:
     """A script made ready for an aircraft in any folder; opens fresh instances until closed.
 
     The copy differs from the script in three ways: it uses this aircraft, it has no end unless
-    ``end_s`` gives one (the host counts), and it neither writes nor listens. Not safe to share between processes; cheap to make.
-    """
+    ``end_s`` gives one (the host counts), and it neither writes nor listens. Not safe to share
+    between processes; cheap to make."""
 
     def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
         self.aircraft = aircraft
@@ -143,13 +155,15 @@ class StagedMission:
         check_loadable(aircraft, self.script.run_properties)
         if leads_out(self.script.initialize) or "\\" in self.script.initialize:
             raise BadInputError(
-                f"{script_path}: starts from '{self.script.initialize}'; initial conditions must lie in the aircraft's folder"
+                f"{script_path}: starts from '{self.script.initialize}'; initial conditions must"
+                " lie in the aircraft's folder"
             )
         start = aircraft.folder / self.script.initialize
         if not any(path.is_file() for path in (start, start.with_name(start.name + ".xml"))):
             raise BadInputError(
-                f"{script_path}: starts from the initial conditions '{self.script.initialize}', which aircraft "
-                f"'{aircraft.name}' does not have ({start}.xml); give a script made for this aircraft"
+                f"{script_path}: starts from the initial conditions '{self.script.initialize}',"
+                f" which aircraft '{aircraft.name}' does not have ({start}.xml); give a script made"
+                " for this aircraft"
             )
         self._scratch = scratch_folder("mission")
         self._staging = stage(aircraft, self._scratch.path)
@@ -165,10 +179,11 @@ class StagedMission:
         document.getroottree().write(str(self._staged), encoding="UTF-8", xml_declaration=True)
 
     def open(self, dt_s: float | None = None, changed: Mapping[str, float] | None = None) -> Any:
-        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run. Raises BadInputError.
+        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run.
+        Raises BadInputError.
 
-        ``changed`` are mass properties (see mass_change) that are to stand at other values than in the aircraft's XML.
-        """
+        ``changed`` are mass properties (see mass_change) that are to stand at other values than in
+        the aircraft's XML."""
         if not changed:
             return self._open(self._staging, dt_s)
         if self._mass is None:

@@ -1,9 +1,9 @@
-"""Manoeuvres for any aircraft without a script: it is trimmed, and steps are added to the controls that trim it.
+"""Manoeuvres for any aircraft without a script: it is trimmed, and steps are added to the controls
+that trim it.
 
-The steps are sized by the linear model about the trim, so that the greatest excursion of each is a few degrees. Their lengths
-follow the mode that each control excites: 2.3/wn for a doublet, 1.6/wn for 3-2-1-1 (R. V. Jategaonkar, Flight Vehicle System
-Identification, chapter 2).
-"""
+The steps are sized by the linear model about the trim, so that the greatest excursion of each is a
+few degrees. Their lengths follow the mode that each control excites: 2.3/wn for a doublet, 1.6/wn
+for 3-2-1-1 (R. V. Jategaonkar, Flight Vehicle System Identification, chapter 2)."""
 
 from __future__ import annotations
 
@@ -34,14 +34,17 @@ STEADY = "steady"
 """The mission that [start] describes."""
 
 MARK = "flight/steady-start"
-"""Run property of such a mission: engines begin in the steady state of their throttles, deviations are scored from the start."""
+"""Run property of such a mission: engines begin in the steady state of their throttles, deviations
+are scored from the start.
+"""
 
 
 class StartSection(Section):
-    """Steady flight, wings level, controls where they trim the nominal model; above flat ground at sea level.
+    """Steady flight, wings level, controls where they trim the nominal model; above flat ground at
+    sea level.
 
-    ``climb_deg`` is the flight-path angle, level where it is None; it is solved for where the throttle gives no thrust.
-    """
+    ``climb_deg`` is the flight-path angle, level where it is None; it is solved for where the
+    throttle gives no thrust."""
 
     V_mps: Number = Field(gt=0, le=1000)
     altitude_m: Number = Field(gt=0, le=30_000)
@@ -58,15 +61,17 @@ class StartSection(Section):
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
-# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited); a trim takes a second.
+# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited);
+# a trim takes a second.
 _trims: dict[tuple[str, StartSection], Trim] = {}
 
 
 def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
-    """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises BadInputError where there is no trim.
+    """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises
+    BadInputError where there is no trim.
 
-    Numbers carry nine digits: what a solver leaves in the last ones would be another file on another machine.
-    """
+    Numbers carry nine digits: what a solver leaves in the last ones would be another file on
+    another machine."""
     condition = SteadyCondition(
         start.V_mps,
         start.altitude_m,
@@ -79,8 +84,9 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
     trim = _trims[key]
     if not trim.converged:
         raise BadInputError(
-            f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; "
-            f"try another V_mps, altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m H tells)"
+            f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; try another V_mps,"
+            f" altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m"
+            " H tells)"
         )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
     write_bytes(script, _script(aircraft, trim).encode())
@@ -168,10 +174,11 @@ QUIET_S = 1.0  # open loop before the first step: the segment's start state is e
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Steps of one control about where it stands: ``pattern`` of (units, sign), ``unit_s`` s, ``size`` deg or percent.
+    """Steps of one control about where it stands: ``pattern`` of (units, sign), ``unit_s`` s,
+    ``size`` deg or percent.
 
-    ``rest_s`` open loop after the last step; then the autopilot recovers for ``recovery_s`` at ``speed_mps`` (None: as before).
-    """
+    ``rest_s`` open loop after the last step; then the autopilot recovers for ``recovery_s`` at
+    ``speed_mps`` (None: as before)."""
 
     name: str
     control: str
@@ -185,7 +192,9 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Plan:
-    """A flight: ``speed_mps`` to begin with, ``settle_s`` on the autopilot, then manoeuvres one after the other."""
+    """A flight: ``speed_mps`` to begin with, ``settle_s`` on the autopilot, then manoeuvres one
+    after the other.
+    """
 
     name: str
     purpose: str
@@ -287,8 +296,8 @@ def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
     # Half a step early, so that rounding of the clock cannot shift it by a frame.
     lines = "".join(f"\n      {text}" for text in sets)
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s - step_s / 2:.3f}</condition>'
-        f"{lines}\n    </event>\n"
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
+        f" {time_s - step_s / 2:.3f}</condition>{lines}\n    </event>\n"
     )
 
 
@@ -296,7 +305,8 @@ def _events(plan: Plan, step_s: float) -> Iterator[str]:
     time = plan.settle_s
     for number, m in enumerate(plan.manoeuvres, start=1):
         take = [
-            f'<set name="{command}"><function> <sum> <property>{position}</property> <value>0</value> </sum> </function></set>'
+            f'<set name="{command}"><function> <sum> <property>{position}</property>'
+            " <value>0</value> </sum> </function></set>"
             for command, position in _COMMAND.values()
         ]
         yield _event(
@@ -370,9 +380,13 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
 
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 EXCURSION_DEG = 4.0
-"""Greatest angle of incidence, sideslip, pitch or bank [deg] that a manoeuvre is to reach by the linear model; bank three times."""
+"""Greatest angle of incidence, sideslip, pitch or bank [deg] that a manoeuvre is to reach by the
+linear model; bank three times.
+"""
 FLOWN_S = 0.0025
-"""Longest step [s] that these missions are flown with, which is that of the replays that they will be compared with."""
+"""Longest step [s] that these missions are flown with, which is that of the replays that they will
+be compared with.
+"""
 SETTLE_S, REST_S = 2.0, 4.0
 STEADY_S = 20.0
 _MODE = {"elevator": "short_period", "aileron": "roll", "rudder": "dutch_roll"}
@@ -381,7 +395,8 @@ _UNITS_S = (
     0.2,
     1.5,
 )  # a step that a servo can follow, and one that the aircraft does not leave its trim by
-_GRID_S = 0.04  # steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
+# steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
+_GRID_S = 0.04
 _BANK = 3.0
 _MOST_TRAVEL = 0.5  # of what is left of a control's travel
 _DT_S = 0.01
@@ -391,7 +406,9 @@ _EULER = 1.0
 
 @dataclass(frozen=True)
 class Step:
-    """A manoeuvre of one control: (units, sign) pairs of ``unit_s`` seconds, ``size`` in the control's own unit."""
+    """A manoeuvre of one control: (units, sign) pairs of ``unit_s`` seconds, ``size`` in the
+    control's own unit.
+    """
 
     name: str
     control: str
@@ -408,25 +425,27 @@ class Step:
 def write_own_mission(
     aircraft: Aircraft, start: StartSection, kind: str, *, restarting: bool = False
 ) -> tuple[Path, list[Step]]:
-    """Trim the aircraft and write initial conditions and a run script into its folder: the script, and its manoeuvres.
+    """Trim the aircraft and write initial conditions and a run script into its folder: the script,
+    and its manoeuvres.
 
-    ``kind`` one of MISSIONS; ``restarting``: the flight is integrated by SECOND_ORDER, and begins anew at every step of a
-    control (`_restart`). Raises BadInputError where there is no trim, and for an aircraft whose controls move nothing or
-    command body rates.
-    """
+    ``kind`` one of MISSIONS; ``restarting``: the flight is integrated by SECOND_ORDER, and begins
+    anew at every step of a control (`_restart`). Raises BadInputError where there is no trim, and
+    for an aircraft whose controls move nothing or command body rates."""
     if kind not in MISSIONS:
         raise BadInputError(f"mission '{kind}': allowed are {', '.join(MISSIONS)}")
     path = aircraft.folder / SCRIPT
     trim = write_steady_start(aircraft, start, path, f"mission {kind}")
     if kind != "steady" and trim.rest is not None and trim.rest.free:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so steps cannot be sized by a "
-            "surface's moment; fly mission steady, or --script with commands of your own"
+            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so"
+            " steps cannot be sized by a surface's moment; fly mission steady, or --script with"
+            " commands of your own"
         )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is nothing to fly"
+            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is"
+            " nothing to fly"
         )
     text = path.read_text(encoding="utf-8")
     end = STEADY_S if kind == "steady" else SETTLE_S + sum(step.length_s + REST_S for step in steps)
@@ -444,7 +463,9 @@ def write_own_mission(
 
 
 def finely(aircraft: Aircraft) -> Aircraft:
-    """The aircraft with a step of at most FLOWN_S: at 10 ms JSBSim answers a command half a step late."""
+    """The aircraft with a step of at most FLOWN_S: at 10 ms JSBSim answers a command half a step
+    late.
+    """
     section = aircraft.card.aircraft
     fine = section.model_copy(update={"dt_s": min(section.dt_s, FLOWN_S)})
     return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": fine}))
@@ -482,7 +503,9 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
 def _excursion_rad(
     model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
 ) -> float:
-    """Greatest angle [rad] that a unit of the control reaches during the steps, bank counted a third."""
+    """Greatest angle [rad] that a unit of the control reaches during the steps, bank counted a
+    third.
+    """
     n = len(STATES)
     column = model.B[:, [model.controls.index(control)]]
     both = np.zeros((n + 1, n + 1))
@@ -524,9 +547,9 @@ def _own_mission_events(aircraft: Aircraft, steps: list[Step], restarting: bool)
 def _restart(time_s: float, dt_s: float) -> str:
     """Begin Adams and Bashforth's rule anew at a step of a control, by one frame of Euler's.
 
-    The rule extrapolates accelerations from the frame before. Across a jump of a surface that is half a frame of a motion that
-    no aircraft makes: the rates of all later rows answer half a frame early, the row of the step itself does not.
-    """
+    The rule extrapolates accelerations from the frame before. Across a jump of a surface that is
+    half a frame of a motion that no aircraft makes: the rates of all later rows answer half a frame
+    early, the row of the step itself does not."""
     out = []
     for frames, rule, name in ((0.5, _EULER, "begin anew"), (1.5, None, "go on")):
         changes = "\n      ".join(
@@ -539,6 +562,6 @@ def _restart(time_s: float, dt_s: float) -> str:
 
 def _own_mission_event(time_s: float, name: str, change: str) -> str:
     return (
-        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge {time_s:.5f}</condition>\n'
-        f"      {change}\n    </event>\n"
+        f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
+        f" {time_s:.5f}</condition>\n      {change}\n    </event>\n"
     )

@@ -139,8 +139,8 @@ def _check_sizes(metrics: _Section | None) -> None:
         number = metrics.number(tag)  # type: ignore[union-attr]
         if number is not None and not (number.value > 0.0 and math.isfinite(number.value)):
             raise BadInputError(
-                f"{number.place}: <{tag}> is {number.value:g}: a positive {words} is needed, because "
-                "coefficients and dimensionless rates refer to it"
+                f"{number.place}: <{tag}> is {number.value:g}: a positive {words} is needed,"
+                " because coefficients and dimensionless rates refer to it"
             )
 
 
@@ -174,9 +174,9 @@ def _check_inertia(mass: _Section | None) -> None:
     if high > (1.0 + _TRIANGLE_TOLERANCE) * (low + middle):
         _note(
             place,
-            f"impossible inertia, {values}: the largest exceeds the sum of the others by "
-            f"{100.0 * (high / (low + middle) - 1.0):.0f} %, which no body has; check {', '.join(_MOMENTS)} "
-            "and their units",
+            f"impossible inertia, {values}: the largest exceeds the sum of the others by"
+            f" {100.0 * (high / (low + middle) - 1.0):.0f} %, which no body has; check"
+            f" {', '.join(_MOMENTS)} and their units",
         )
 
 
@@ -185,7 +185,7 @@ def _principal(
 ) -> tuple[float, float, float]:
     """Principal moments of inertia [kg m2], rising."""
     xy, xz, yz = (sign * value for value in products)
-    (xx, yy, zz) = (moment.value for moment in moments)
+    xx, yy, zz = (moment.value for moment in moments)
     low, middle, high = np.linalg.eigvalsh([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
     return float(low), float(middle), float(high)
 
@@ -215,7 +215,9 @@ _checked: dict[str, tuple[Undefined, ...]] = {}
 
 @dataclass(frozen=True)
 class Undefined:
-    """A property that the model reads and nothing makes, where it is read ("u3.xml:21"), and the most similar existing name."""
+    """A property that the model reads and nothing makes, where it is read ("u3.xml:21"), and the
+    most similar existing name.
+    """
 
     name: str
     place: str
@@ -223,12 +225,13 @@ class Undefined:
 
 
 def ensure_loadable(aircraft: Named, content: str) -> tuple[Undefined, ...]:
-    """Load the model in a child process; return the properties that it reads and nothing defines. A known model costs nothing.
+    """Load the model in a child process; return the properties that it reads and nothing defines. A
+    known model costs nothing.
 
-    Raises BadInputError if the model cannot be loaded, or if initialising it kills or hangs the child. What JSBSim refuses in an
-    orderly way is not loaded a second time in this process: after some such refusals (a propeller without its tables) JSBSim's
-    memory is spoilt. ``content`` is the hash of the model's files.
-    """
+    Raises BadInputError if the model cannot be loaded, or if initialising it kills or hangs the
+    child. What JSBSim refuses in an orderly way is not loaded a second time in this process: after
+    some such refusals (a propeller without its tables) JSBSim's memory is spoilt. ``content`` is
+    the hash of the model's files."""
     key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
     if key not in _checked:
         mark = _cache_folder() / key
@@ -250,8 +253,8 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
     )
     hint = f"did you mean {similar}? Correct" if similar else "correct"
     return (
-        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the property in "
-        "a system of the XML"
+        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the"
+        " property in a system of the XML"
     )
 
 
@@ -268,9 +271,9 @@ def _try_in_child(aircraft: Named) -> tuple[Undefined, ...]:
         raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
     if ended.code < 0:
         raise BadInputError(
-            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last words: "
-            f"{ended.said or 'no message'}; "
-            "look there for an unknown element or function operation, or a property name with illegal characters"
+            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last"
+            f" words: {ended.said or 'no message'}; look there for an unknown element or function"
+            " operation, or a property name with illegal characters"
         )
     return tuple(Undefined(*row) for row in ended.answer.get("undefined", ()))
 
@@ -350,7 +353,9 @@ def _lines_that_name(name: str, file: Path) -> Iterator[int]:
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
-    """(Name, file, line) of every property that a function or a table of the model reads; with an engine's number (#), left out."""
+    """(Name, file, line) of every property that a function or a table of the model reads; with an
+    engine's number (#), left out.
+    """
     for file, _ in _model_files(staging):
         for element in _elements(file):
             if element.tag not in ("property", "p", "independentVar"):
@@ -374,7 +379,9 @@ def _elements(file: Path) -> Iterator[etree._Element]:
 
 
 def _model_files(staging: Staging) -> Iterator[tuple[Path, Path]]:
-    """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft hides a shared one."""
+    """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft
+    hides a shared one.
+    """
     within = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
     yield staging.xml, staging.folder
     yield from ((file, staging.folder) for file in within)

@@ -1,10 +1,11 @@
 """Engines brought to the steady state of their levers while the aircraft's state stands still.
 
-JSBSim's own way (FGPropulsion::GetSteadyState) steps engines by half a second. That is longer than a propeller takes to follow its
-engine, so the speed of many piston engines and turboprops oscillates instead of settling, and the engine stops. And a frame in
-which time stands still takes a turboprop's power away. Here frames of the whole model are run with the integrators of the motion
-switched off. A steady state is the same for every length of step, so steps begin long and get shorter while nothing settles.
-"""
+JSBSim's own way (FGPropulsion::GetSteadyState) steps engines by half a second. That is longer than
+a propeller takes to follow its engine, so the speed of many piston engines and turboprops
+oscillates instead of settling, and the engine stops. And a frame in which time stands still takes a
+turboprop's power away. Here frames of the whole model are run with the integrators of the motion
+switched off. A steady state is the same for every length of step, so steps begin long and get
+shorter while nothing settles."""
 
 from __future__ import annotations
 
@@ -19,12 +20,17 @@ _OF_MOTION = (
 )
 INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
 STEPS_S = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
-"""Lengths of step that are tried one after the other, down to the step that the aircraft flies with."""
+"""Lengths of step that are tried one after the other, down to the step that the aircraft flies
+with.
+"""
 BLOCK_FRAMES, MOST_BLOCKS = 25, 40
 CRANK_S = 3.0
 SETTLED = 1e-9
-"""Change over a block, as a share of the largest thrust or speed, at which an engine has settled."""
-_BALANCED = 1e-3  # of the power that a propeller takes, at which JSBSim's own way has found its steady state
+"""Change over a block, as a share of the largest thrust or speed, at which an engine has
+settled.
+"""
+# of the power that a propeller takes, at which JSBSim's own way has found its steady state
+_BALANCED = 1e-3
 _ALTERNATES = 0.01  # of the speed: a change from frame to frame that is no rounding
 _FTLBF_PER_S_HP = 550.0
 _WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
@@ -32,11 +38,11 @@ _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
 
 
 def settled(fdm: Any) -> bool:
-    """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to the steady state.
+    """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to
+    the steady state.
 
-    False for a turboprop, whose power is not known in a frame in which time stands still, and for a turbine that turns a propeller,
-    which tells no power.
-    """
+    False for a turboprop, whose power is not known in a frame in which time stands still, and for a
+    turbine that turns a propeller, which tells no power."""
     if has_turboprop(fdm):
         return False
     exists = fdm.get_property_manager().hasNode
@@ -56,7 +62,10 @@ def settled(fdm: Any) -> bool:
 
 
 def settle(fdm: Any) -> str:
-    """Run frames, the motion frozen, until engines are steady: empty, or what still changes. Clock and fuel stay as they are."""
+    """Run frames, the motion frozen, until engines are steady: empty, or what still changes.
+
+    Clock and fuel stay as they are.
+    """
     manager = fdm.get_property_manager()
     before = {name: fdm[name] for name in INTEGRATORS}
     time_s, dt_s, trimming = fdm.get_sim_time(), fdm.get_delta_t(), fdm.get_trim_status()
@@ -88,8 +97,8 @@ def settle(fdm: Any) -> str:
         fdm.set_sim_time(time_s)
         for name, value in before.items():
             fdm[name] = value
-        # The Earth has turned beneath a place that stood still, and distances count from the initial one. A turboprop would fall
-        # back to idle.
+        # The Earth has turned beneath a place that stood still, and distances count from the
+        # initial one. A turboprop would fall back to idle.
         if not has_turboprop(fdm):
             wind = {name: fdm[name] for name in _WIND}
             fdm.run_ic()
@@ -122,7 +131,9 @@ def _in_turn(fdm: Any, number: int, time_s: float) -> str:
 
 
 def _crank(fdm: Any, time_s: float) -> None:
-    """Turn the starters until the engines run, for at most CRANK_S: a propeller that has come to rest stays so in the wind."""
+    """Turn the starters until the engines run, for at most CRANK_S: a propeller that has come to
+    rest stays so in the wind.
+    """
     running = [
         fdm.get_property_manager().get_node(f"{name}/set-running").get_double_value
         for name in _engines(fdm)
@@ -141,8 +152,9 @@ def _crank(fdm: Any, time_s: float) -> None:
 def _runs_out(
     fdm: Any, watched: dict[tuple[int, str], Any], time_s: float
 ) -> tuple[float, int, str]:
-    """The greatest change of what is watched over the last block, its engine and name: runs until that is below SETTLED, at most
-    MOST_BLOCKS, and gives up where ten blocks have brought it no nearer."""
+    """The greatest change of what is watched over the last block, its engine and name: runs until
+    that is below SETTLED, at most MOST_BLOCKS, and gives up where ten blocks have brought it no
+    nearer."""
     last = {key: get() for key, get in watched.items()}
     nearest, since, most = float("inf"), 0, (0.0, 1, "")
     for _ in range(MOST_BLOCKS):
@@ -165,7 +177,9 @@ def _runs_out(
 
 
 def stopped(fdm: Any) -> str:
-    """Which of the piston and turbine engines, all of them started, do not run; empty where all do."""
+    """Which of the piston and turbine engines, all of them started, do not run; empty where
+    all do.
+    """
     exists = fdm.get_property_manager().hasNode
     burning = [
         f"{name}/set-running" if exists(f"{name}/map-inhg") or exists(f"{name}/n1") else ""
@@ -175,11 +189,16 @@ def stopped(fdm: Any) -> str:
     if not numbers:
         return ""
     many = len(numbers) > 1
-    return f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once started and left to settle"
+    return (
+        f"engine{'s' * many} {', '.join(numbers)} {'do' if many else 'does'} not keep running once"
+        " started and left to settle"
+    )
 
 
 def spent_rockets(fdm: Any) -> bool:
-    """Whether every engine is a rocket and none gives thrust, as with empty tanks: the aircraft is a glider."""
+    """Whether every engine is a rocket and none gives thrust, as with empty tanks: the aircraft is
+    a glider.
+    """
     exists = fdm.get_property_manager().hasNode
     turning = ("n1", "propeller-rpm", "power-hp")
     return all(
@@ -189,7 +208,9 @@ def spent_rockets(fdm: Any) -> bool:
 
 
 def has_turboprop(fdm: Any) -> bool:
-    """Whether an engine is a turboprop, whose power is gone after a frame in which time stands still."""
+    """Whether an engine is a turboprop, whose power is gone after a frame in which time stands
+    still.
+    """
     exists = fdm.get_property_manager().hasNode
     return any(
         exists(f"{name}/itt-c") and exists(f"{name}/propeller-rpm") for name in _engines(fdm)

@@ -1,4 +1,6 @@
-"""A private copy of what JSBSim opens of an aircraft: just those files, each through the gate, laid out as JSBSim wants them."""
+"""A private copy of what JSBSim opens of an aircraft: just those files, each through the gate, laid
+out as JSBSim wants them.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,16 @@ TAKEN_OUT = frozenset({"output", "input"})
 _LONGEST_NAME = 250
 _TAG = re.compile(rb"""(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
 DEEPEST = 200
-"""Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call of its own."""
+"""Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call
+of its own.
+"""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A ``file`` attribute: the element that has it, the file named (``.xml`` added as JSBSim does), and its line."""
+    """A ``file`` attribute: the element that has it, the file named (``.xml`` added as JSBSim
+    does), and its line.
+    """
 
     tag: str
     name: str
@@ -49,7 +55,10 @@ class Reference:
 
 @dataclass(frozen=True)
 class Passed:
-    """A file that may be loaded. ``taken_out``: tag and line of each element that ``content`` no longer has."""
+    """A file that may be loaded.
+
+    ``taken_out``: tag and line of each element that ``content`` no longer has.
+    """
 
     content: bytes
     root: str
@@ -59,7 +68,9 @@ class Passed:
 
 @dataclass
 class _Scan:
-    """One pass over the elements: what stands right below the root, and every ``file`` attribute."""
+    """One pass over the elements: what stands right below the root, and every ``file``
+    attribute.
+    """
 
     raw: bytes
     where: str
@@ -101,12 +112,14 @@ class _Scan:
                     )
                 if not self.raw.startswith(b"<" + tag.encode(), start):
                     raise BadInputError(
-                        f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not loaded"
+                        f"{self.where}:{line}: <{tag}> comes from an entity; such a file is not"
+                        " loaded"
                     )
                 self._open = (tag, line, start)
             if tag == "child":
                 raise BadInputError(
-                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported; remove it"
+                    f"{self.where}:{line}: <child> loads a second aircraft, which is not supported;"
+                    " remove it"
                 )
         if "file" in attributes and self._open is None:
             self.references.append(
@@ -126,18 +139,22 @@ class _Scan:
     def _inside(self, tag: str, name: str, line: int) -> str:
         if leads_out(name):
             raise BadInputError(
-                f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must be named within the '
-                "aircraft's folder or within the folders engine and systems beside it: put it there"
+                f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must'
+                " be named within the aircraft's folder or within the folders engine and systems"
+                " beside it: put it there"
             )
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
             raise BadInputError(
-                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name may be'
+                f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name'
+                " may be"
             )
         return name if not name or name.endswith(".xml") else f"{name}.xml"
 
 
 def leads_out(name: str) -> bool:
-    """Whether a file's name, read as this or as another system reads it, may lie outside the folder that it is looked for in."""
+    """Whether a file's name, read as this or as another system reads it, may lie outside the folder
+    that it is looked for in.
+    """
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
     return bool(
@@ -153,9 +170,8 @@ def leads_out(name: str) -> bool:
 def passed(raw: bytes, where: str) -> Passed:
     """A file's bytes as JSBSim may load them. ``where`` is the file's name in messages.
 
-    Raises BadInputError with file and line for what is not well formed, for a second aircraft, for a file named outside the
-    aircraft, and for an encoding in which elements cannot be taken out.
-    """
+    Raises BadInputError with file and line for what is not well formed, for a second aircraft, for
+    a file named outside the aircraft, and for an encoding in which elements cannot be taken out."""
     scan = _Scan(raw, where).run()
     if not scan.spans:
         return Passed(raw, scan.root, tuple(scan.references), ())
@@ -167,7 +183,8 @@ def passed(raw: bytes, where: str) -> Passed:
     left = _Scan(content, where).run()
     if left.spans or left.references != scan.references:
         raise BadInputError(
-            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file; remove it"
+            f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file;"
+            " remove it"
         )
     return Passed(
         content,
@@ -198,19 +215,25 @@ def tag_end(raw: bytes, start: int) -> int:
 MOST_FILE_BYTES = 16_000_000
 """Of one XML file: the largest that comes with JSBSim has 2 MB."""
 MOST_FILES = 20_000
-"""In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some thousands."""
+"""In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some
+thousands.
+"""
 
 INSIDE = {
     "systems": ("", "Systems", "systems"),
     "engine": ("", "Engines", "engines", "Engine", "engine"),
 }
-"""Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
+"""Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and
+FGPropulsion::FindFullPathName).
+"""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _SKIPPED = frozenset({".git"})
 
 
 class HasFiles(Protocol):
-    """Where an aircraft's files lie: its folder, its own XML there, and the shared folders of engines and systems."""
+    """Where an aircraft's files lie: its folder, its own XML there, and the shared folders of
+    engines and systems.
+    """
 
     @property
     def folder(self) -> Path:
@@ -237,10 +260,9 @@ class HasFiles(Protocol):
 class Opened:
     """Files that JSBSim may open for an aircraft, as the gate passed them.
 
-    own      path within the aircraft's folder -> file: all that its XML refers to, and initial conditions
-    beside   "engine/..." or "systems/..." -> file, of the shared folders
-    looked_at  the shared folders' files that were looked for, there or not
-    """
+    own      path within the aircraft's folder -> file: all that its XML refers to, and initial
+    conditions beside   "engine/..." or "systems/..." -> file, of the shared folders looked_at  the
+    shared folders' files that were looked for, there or not"""
 
     own: dict[str, Passed]
     beside: dict[str, Passed]
@@ -250,8 +272,8 @@ class Opened:
 def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     """(Path within the folder, file) of every file below ``folder``, sorted.
 
-    Raises BadInputError for a link that leads elsewhere, a linked folder, what is no regular file, and too many files.
-    """
+    Raises BadInputError for a link that leads elsewhere, a linked folder, what is no regular file,
+    and too many files."""
     home = folder.resolve()
     collection = home.parent
     allowed = (home, collection) if collection.name == "aircraft" else (home,)
@@ -282,7 +304,8 @@ def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
         path = folder / entry.name
         if entry.is_symlink() and path.is_dir():
             raise BadInputError(
-                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed in an aircraft's folder"
+                f"{path}: is a link to a folder ({_target(path)}); a copy of that folder is needed"
+                " in an aircraft's folder"
             )
         if entry.is_dir(follow_symlinks=False):
             if entry.name not in _SKIPPED:
@@ -300,7 +323,8 @@ def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
         ) from None
     if not any(target.is_relative_to(place) for place in allowed):
         raise BadInputError(
-            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file there instead"
+            f"{path}: is a link to {target}, outside the aircraft's folder; put a copy of the file"
+            " there instead"
         )
 
 
@@ -312,7 +336,9 @@ def _target(path: Path) -> str:
 
 
 def read_xml(path: Path) -> bytes:
-    """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is too large."""
+    """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is
+    too large.
+    """
     try:
         content = read_regular(path, MOST_FILE_BYTES)
     except OSError as error:
@@ -326,10 +352,11 @@ def read_xml(path: Path) -> bytes:
 
 
 def opened(aircraft: HasFiles) -> Opened:
-    """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with file and line.
+    """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with
+    file and line.
 
-    Of a file that is named, every place in which JSBSim looks is taken, so that its own search decides.
-    """
+    Of a file that is named, every place in which JSBSim looks is taken, so that its own search
+    decides."""
     files = dict(walk(aircraft.folder))
     own: dict[str, Passed] = {}
     beside: dict[str, Passed] = {}
@@ -359,7 +386,9 @@ def opened(aircraft: HasFiles) -> Opened:
 
 
 def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator[str]:
-    """Names to look up that ``file`` refers to and no file before it did, and where they are within the aircraft's folder."""
+    """Names to look up that ``file`` refers to and no file before it did, and where they are within
+    the aircraft's folder.
+    """
     for reference in file.references:
         # "./a//b.xml" is "a/b.xml".
         name = Path(reference.name).as_posix()
@@ -375,7 +404,8 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
 def _read_beside(path: Path, folder: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
         raise BadInputError(
-            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there instead"
+            f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there"
+            " instead"
         )
     return read_xml(path)
 
@@ -383,9 +413,8 @@ def _read_beside(path: Path, folder: Path) -> bytes:
 def identity(aircraft: HasFiles) -> str:
     """SHA-256 over every file that decides how the aircraft flies, names included.
 
-    These are the XML and TOML files of its folder, and what its XML takes from the folders of engines and systems beside it. Raises
-    BadInputError.
-    """
+    These are the XML and TOML files of its folder, and what its XML takes from the folders of
+    engines and systems beside it. Raises BadInputError."""
     return sha256_of_parts(_named_contents(aircraft))
 
 
@@ -419,10 +448,11 @@ def signature(folder: Path) -> tuple[tuple[str, FileState], ...]:
 
 
 def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
-    """Copy an aircraft's folder to ``target``, which must not exist: regular files, and what links in it lead to.
+    """Copy an aircraft's folder to ``target``, which must not exist: regular files, and what links
+    in it lead to.
 
-    ``keep_links``: links stay links, for a copy that takes the folder's own place. Raises BadInputError as `walk` does.
-    """
+    ``keep_links``: links stay links, for a copy that takes the folder's own place. Raises
+    BadInputError as `walk` does."""
     target.mkdir(parents=True)
     for name, path in walk(source):
         place = target / name
@@ -435,11 +465,11 @@ def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
 
 
 def copy_beside(aircraft: HasFiles, root: Path, stock: Path) -> None:
-    """Copy what the aircraft takes from engines and systems of its own, beside its folder, into ``root``. Raises BadInputError.
+    """Copy what the aircraft takes from engines and systems of its own, beside its folder, into
+    ``root``. Raises BadInputError.
 
-    stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even if nothing of it is used:
-    JSBSim's would be looked at instead.
-    """
+    stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even
+    if nothing of it is used: JSBSim's would be looked at instead."""
     own = {kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind}
     for kind in own:
         (root / kind).mkdir(parents=True, exist_ok=True)
@@ -470,10 +500,11 @@ class Named(HasFiles, Protocol):
 
 @dataclass(frozen=True)
 class Staging:
-    """A JSBSim root that holds one aircraft: root/aircraft/<name>, root/engine, root/systems. The engine loads nothing else.
+    """A JSBSim root that holds one aircraft: root/aircraft/<name>, root/engine, root/systems. The
+    engine loads nothing else.
 
-    ``shown`` are pairs of a folder in the root and the user's own folder that it stands for, for messages.
-    """
+    ``shown`` are pairs of a folder in the root and the user's own folder that it stands for, for
+    messages."""
 
     root: Path
     name: str
@@ -491,7 +522,8 @@ class Staging:
 
 
 def stage(aircraft: Named, root: Path) -> Staging:
-    """Write the aircraft's files into ``root``, which is made. Raises BadInputError as `opened` does.
+    """Write the aircraft's files into ``root``, which is made. Raises BadInputError as `opened`
+    does.
 
     What was taken out of a file is said once per process, to the logger "uqharness" at level INFO.
     """
@@ -520,7 +552,9 @@ def write(files: Opened, aircraft: Named, root: Path) -> Staging:
 
 
 def copied(staging: Staging, root: Path) -> Staging:
-    """A second root with the same files, to be edited; messages go on naming the user's own folders."""
+    """A second root with the same files, to be edited; messages go on naming the user's own
+    folders.
+    """
     for part in ("aircraft", "engine", "systems"):
         shutil.copytree(staging.root / part, root / part)
     return Staging(
@@ -545,7 +579,8 @@ def _say(path: str, file: Passed) -> None:
     _said.add(key)
     lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
     _LOG.info(
-        "%s: %s left out (line %s): a flight writes no file and opens no connection for its aircraft",
+        "%s: %s left out (line %s): a flight writes no file and opens no connection for its"
+        " aircraft",
         path,
         what,
         lines,
@@ -554,7 +589,9 @@ def _say(path: str, file: Passed) -> None:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A staging, the scratch folder that holds it, and the state that shared files had when it was made."""
+    """A staging, the scratch folder that holds it, and the state that shared files had when it was
+    made.
+    """
 
     staging: Staging
     scratch: Scratch
@@ -565,7 +602,9 @@ _kept: OrderedDict[object, _Kept] = OrderedDict()
 
 
 def staged(aircraft: Named) -> Staging:
-    """The aircraft staged in this process's scratch folder; made anew once a file of it has changed. Raises BadInputError."""
+    """The aircraft staged in this process's scratch folder; made anew once a file of it has
+    changed. Raises BadInputError.
+    """
     key = (
         aircraft.folder,
         aircraft.name,
@@ -587,5 +626,8 @@ def staged(aircraft: Named) -> Staging:
 
 
 def fingerprint(aircraft: Named) -> str:
-    """A text that changes when a file of the aircraft does; reads none where nothing has changed. Raises BadInputError."""
+    """A text that changes when a file of the aircraft does; reads none where nothing has changed.
+
+    Raises BadInputError.
+    """
     return staged(aircraft).root.name

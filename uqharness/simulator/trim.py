@@ -1,9 +1,9 @@
 """Steady flight: find attitude, controls and throttle at which nothing accelerates.
 
-JSBSim's own trim needs a <propulsion> engine for its throttle axis and fails on a thrust map in external_reactions. This one asks
-the model for its accelerations at a forced state, on a fresh instance each time (an instance that has run remembers its actuators),
-so it serves any aircraft whose card names the controls.
-"""
+JSBSim's own trim needs a <propulsion> engine for its throttle axis and fails on a thrust map in
+external_reactions. This one asks the model for its accelerations at a forced state, on a fresh
+instance each time (an instance that has run remembers its actuators), so it serves any aircraft
+whose card names the controls."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ _HALVINGS = 3
 
 @dataclass(frozen=True)
 class AtLimit:
-    """Steady flight with the throttle at one end: the path that it then takes [rad] and its thrust [N], NaN where none is told."""
+    """Steady flight with the throttle at one end: the path that it then takes [rad] and its thrust
+    [N], NaN where none is told.
+    """
 
     climb_rad: float
     thrust_N: float
@@ -55,11 +57,12 @@ def thrust_reason(
     idle: Callable[[float], AtLimit | None],
     mass_kg: float,
 ) -> str:
-    """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``; empty where it is neither.
+    """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``;
+    empty where it is neither.
 
-    ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that end, None where there is none.
-    ``mass_kg`` turns the acceleration into the thrust that is missing, or too much.
-    """
+    ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that
+    end, None where there is none. ``mass_kg`` turns the acceleration into the thrust that is
+    missing, or too much."""
     for throttle, fly, way in (("full", full, -1.0), ("idle", idle, 1.0)):
         found = fly(V_mps)
         if found is None or way * (found.climb_rad - wanted_rad) <= 0.0:
@@ -70,18 +73,24 @@ def thrust_reason(
             if math.isfinite(found.thrust_N)
             else "the thrust of that throttle"
         )
-        said = f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle} throttle: {thrust}"
+        said = (
+            f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle}"
+            f" throttle: {thrust}"
+        )
         amount = f"{mass_kg * change:.3g} N too {'little' if way < 0.0 else 'much'}"
         return f"{said} at {V_mps:g} m/s, {amount}; {_advice(V_mps, wanted_rad, fly, way, found)}"
     return ""
 
 
 def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
-    """A sentence for engines whose thrust [N] is the same at both ends of the throttle; ``unsettled`` says what else is known."""
+    """A sentence for engines whose thrust [N] is the same at both ends of the throttle;
+    ``unsettled`` says what else is known.
+    """
     known = f" ({unsettled})" if unsettled else ""
     return (
-        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{known}; name the property that does as "
-        "[inputs.throttle] property of a card, or leave [inputs.throttle] out of it to fly with the engines as they are"
+        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{known}; name"
+        " the property that does as [inputs.throttle] property of a card, or leave"
+        " [inputs.throttle] out of it to fly with the engines as they are"
     )
 
 
@@ -122,7 +131,10 @@ def _advice(
     # Rounded to the side that flies.
     hundredths = 100.0 * math.degrees(found.climb_rad)
     path, sign = (math.floor(hundredths), "<=") if way < 0.0 else (math.ceil(hundredths), ">=")
-    return f"no speed from {tried} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg, climb_deg of [start])"
+    return (
+        f"no speed from {tried} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg,"
+        " climb_deg of [start])"
+    )
 
 
 _ENGINE_THRUSTS = (
@@ -163,12 +175,13 @@ _RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it le
 
 @dataclass(frozen=True)
 class SteadyCondition:
-    """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and a steady wind.
+    """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and
+    a steady wind.
 
-    ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady wind, only the velocity over the
-    ground differs. ``bank_rad`` not 0 asks for a coordinated turn (no side force felt); a trim's own condition may have the
-    bank of straight flight, with a turn rate of 0.
-    """
+    ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady
+    wind, only the velocity over the ground differs. ``bank_rad`` not 0 asks for a coordinated turn
+    (no side force felt); a trim's own condition may have the bank of straight flight, with a turn
+    rate of 0."""
 
     V_mps: float
     altitude_m: float = 0.0
@@ -181,12 +194,13 @@ class SteadyCondition:
 
 @dataclass(frozen=True)
 class Trim:
-    """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or what kept accelerating.
+    """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or
+    what kept accelerating.
 
-    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg`` of the surfaces that tell,
-    ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual`` (6,) accelerations left (m/s2 and rad/s2).
-    ``rest`` how the control system was brought to rest there, None where it rests from the first frame on.
-    """
+    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg``
+    of the surfaces that tell, ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual``
+    (6,) accelerations left (m/s2 and rad/s2). ``rest`` how the control system was brought to rest
+    there, None where it rests from the first frame on."""
 
     condition: SteadyCondition
     converged: bool
@@ -220,7 +234,9 @@ class Trim:
 
 
 def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
-    """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens & Lewis, rate-of-climb constraint)."""
+    """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens &
+    Lewis, rate-of-climb constraint).
+    """
     a = math.cos(alpha) * math.cos(beta)
     b = math.sin(phi) * math.sin(beta) + math.cos(phi) * math.sin(alpha) * math.cos(beta)
     s = math.sin(climb)
@@ -236,9 +252,9 @@ def force_beside(
     state: BodyState,
     controls: Mapping[str, float],
 ) -> NDArray[np.float64]:
-    """Accelerations (6,) [m/s2, rad/s2] at a state beside a trim whose control system was brought to rest: it stands as it rested
-    there, and what passes it without delay is felt. Raises BadInputError.
-    """
+    """Accelerations (6,) [m/s2, rad/s2] at a state beside a trim whose control system was brought
+    to rest: it stands as it rested there, and what passes it without delay is felt. Raises
+    BadInputError."""
     condition = trim.condition
     fdm, _ = forced(
         aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest
@@ -253,17 +269,19 @@ def force_beside(
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
-    """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a condition that has no trim.
+    """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a
+    condition that has no trim.
 
-    Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations: the six accelerations and, in a
-    turn, no lateral specific force. Of an aircraft without thrust to set (a glider, or rockets whose tanks are empty) the
-    flight-path angle is unknown in place of the throttle, and stands in the trim's ``condition``. Other engines that the throttle
-    does not move make no glider: that is not converged, with the reason, as are engines that never settle. Where surfaces do not
-    balance straight flight with wings level (a rudder that follows the ailerons alone), bank is unknown in place of the rudder, up
-    to 5 deg, and stands in the trim's ``condition``. Where the control system moves at the state that was found, states are forced
-    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that does not load, and for a
-    rotorcraft.
-    """
+    Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations:
+    the six accelerations and, in a turn, no lateral specific force. Of an aircraft without thrust
+    to set (a glider, or rockets whose tanks are empty) the flight-path angle is unknown in place of
+    the throttle, and stands in the trim's ``condition``. Other engines that the throttle does not
+    move make no glider: that is not converged, with the reason, as are engines that never settle.
+    Where surfaces do not balance straight flight with wings level (a rudder that follows the
+    ailerons alone), bank is unknown in place of the rudder, up to 5 deg, and stands in the trim's
+    ``condition``. Where the control system moves at the state that was found, states are forced
+    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that
+    does not load, and for a rotorcraft."""
     if rotor := rotor_place(aircraft):
         raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
     rest = _moving_from_the_start(aircraft, condition)
@@ -271,7 +289,8 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     if rest is None and (rest := _moving(aircraft, found.trim)) is not None:
         found = _search(aircraft, condition, rest)
     if rest is not None and not found.trim.converged and found.problem.unsettled:
-        # A control law that integrates rests where the aircraft turns as commanded: body rates are left to it.
+        # A control law that integrates rests where the aircraft turns as commanded: body rates are
+        # left to it.
         free = _search(aircraft, condition, replace(rest, free=True))
         found = free if free.trim.converged else found
     return found.explained()
@@ -279,7 +298,9 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
 
 @dataclass(frozen=True)
 class _Found:
-    """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty: nothing)."""
+    """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty:
+    nothing).
+    """
 
     problem: _Problem
     trim: Trim
@@ -293,7 +314,9 @@ class _Found:
         return replace(self.trim, reason=f"{_asked(self.problem.condition)}: {self._cause()}")
 
     def _cause(self) -> str:
-        """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of these."""
+        """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of
+        these.
+        """
         if self.wrong:
             return self.wrong
         problem, left = self.problem, self.trim.residual
@@ -318,13 +341,14 @@ class _Found:
             )
         if saturated:
             return (
-                f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}] "
-                "of airframe.toml if the aircraft has more travel"
+                f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}]"
+                " of airframe.toml if the aircraft has more travel"
             )
         if axis == 2 and left[2] > 0.0:
             return (
-                f"{remains} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg: the wing "
-                "does not carry the aircraft at this speed and height, so try a faster or lower flight"
+                f"{remains} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg:"
+                " the wing does not carry the aircraft at this speed and height, so try a faster"
+                " or lower flight"
             )
         return (
             f"no equilibrium: {remains} where all accelerations are least (alpha "
@@ -359,7 +383,8 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
     if unstable or (rest is not None and not rest.free and problem.never_settles):
         return _Found(problem, trim, x, dead or wrong)
     if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
-        # A propeller that the wind drives and one that its engine drives are two steady states; thrust leaps between them.
+        # A propeller that the wind drives and one that its engine drives are two steady states;
+        # thrust leaps between them.
         again = problem.solve(_OPEN)
         other = _result(problem, again)
         x, trim = (again, other) if other.converged else (x, trim)
@@ -379,7 +404,9 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
 
 
 def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Rest | None:
-    """What has to come to rest where the control system moves at this speed, its commands off centre; None where it does not."""
+    """What has to come to rest where the control system moves at this speed, its commands off
+    centre; None where it does not.
+    """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
@@ -414,7 +441,9 @@ def _moves_at(
 def _throttle_acts(
     aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
 ) -> tuple[bool, str]:
-    """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines are there and it does not."""
+    """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines
+    are there and it does not.
+    """
     if "throttle" not in names:
         return False, ""
     card = aircraft.card.inputs["throttle"]
@@ -467,9 +496,12 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
                 else ""
             )
             return (
-                f"{reason}; it is unstable at this step and settles at a shorter one (dt_s = "
-                f"{dt_s:g} in [aircraft] of airframe.toml{larger})"
-            ), True
+                (
+                    f"{reason}; it is unstable at this step and settles at a shorter one (dt_s = "
+                    f"{dt_s:g} in [aircraft] of airframe.toml{larger})"
+                ),
+                True,
+            )
     return reason, False
 
 
@@ -531,8 +563,9 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
 
 
 class _Problem:
-    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with ``free_climb`` the path is unknown, with
-    ``free_bank`` the bank of straight flight; with ``rest`` the control system is brought to rest at each state."""
+    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with
+    ``free_climb`` the path is unknown, with ``free_bank`` the bank of straight flight; with
+    ``rest`` the control system is brought to rest at each state."""
 
     def __init__(
         self,
@@ -687,8 +720,8 @@ class _Problem:
     def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
 
-        Rates that are left to the control system count by how far they end from those of the state, too.
-        """
+        Rates that are left to the control system count by how far they end from those of the state,
+        too."""
         state, controls, _, _ = self.unpack(x)
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
@@ -715,8 +748,8 @@ class _Problem:
 
 def _asked(condition: SteadyCondition) -> str:
     return (
-        f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g} deg, climb "
-        f"{math.degrees(condition.climb_rad):g} deg"
+        f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g}"
+        f" deg, climb {math.degrees(condition.climb_rad):g} deg"
     )
 
 

@@ -1,8 +1,9 @@
-"""Where an aircraft's aerodynamic forces are written down: the file, the axis elements, and the axes they are meant in.
+"""Where an aircraft's aerodynamic forces are written down: the file, the axis elements, and the
+axes they are meant in.
 
-JSBSim 1.3.3 (FGAerodynamics) takes the axes from the first force axis it meets and, if others follow, goes on with a warning that
-nobody sees; of two elements for the same axis the later one replaces the earlier. Both are met here before anything is written.
-"""
+JSBSim 1.3.3 (FGAerodynamics) takes the axes from the first force axis it meets and, if others
+follow, goes on with a warning that nobody sees; of two elements for the same axis the later one
+replaces the earlier. Both are met here before anything is written."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ _WIDTH = 110
 
 @dataclass(frozen=True)
 class Expression:
-    """``tag`` is a JSBSim operation, ``property`` or ``value``; a leaf has ``text``, an operation arguments.
+    """``tag`` is a JSBSim operation, ``property`` or ``value``; a leaf has ``text``, an operation
+    arguments.
 
     ``tight``: without blanks between its tags and its arguments.
     """
@@ -58,7 +60,9 @@ class Expression:
         return f"<{self.tag}>{gap}{' '.join(a.line() for a in self.arguments)}{gap}</{self.tag}>"
 
     def lines(self) -> list[str]:
-        """On one line where that is short, else arguments on lines of their own, two spaces deeper."""
+        """On one line where that is short, else arguments on lines of their own, two spaces
+        deeper.
+        """
         line = self.line()
         if len(line) <= _WIDTH or not self.arguments:
             return [line]
@@ -67,7 +71,9 @@ class Expression:
 
 
 def value(number: float, form: str = "") -> Expression:
-    """A constant in a format such as ".8g"; without one, in the shortest digits that give the same double again."""
+    """A constant in a format such as ".8g"; without one, in the shortest digits that give the same
+    double again.
+    """
     return Expression("value", format(number, form) if form else repr(float(number)))
 
 
@@ -77,7 +83,9 @@ def prop(name: str) -> Expression:
 
 
 def call(tag: str, *arguments: Expression) -> Expression:
-    """An operation; a sum or product of one argument is that argument (JSBSim would warn and drop the operation itself)."""
+    """An operation; a sum or product of one argument is that argument (JSBSim would warn and drop
+    the operation itself).
+    """
     if tag in ("sum", "product", "min", "max") and len(arguments) == 1:
         return arguments[0]
     return Expression(tag, "", arguments)
@@ -101,9 +109,8 @@ def function_lines(
 def horner(coefficients: Mapping[Powers, float], names: Sequence[str]) -> Expression:
     """The polynomial sum of c * prod(names[k] ** powers[k]) in a multivariate Horner form.
 
-    The variable that occurs in most monomials is taken out first (Ceberio and Kreinovich, "Greedy algorithms for optimizing
-    multivariate Horner schemes", 2004).
-    """
+    The variable that occurs in most monomials is taken out first (Ceberio and Kreinovich, "Greedy
+    algorithms for optimizing multivariate Horner schemes", 2004)."""
     return _horner({p: c for p, c in coefficients.items() if c != 0.0}, names)
 
 
@@ -129,7 +136,8 @@ def _less(powers: Powers, k: int) -> Powers:
 
 
 BODY, AXIAL, WIND, STABILITY = "body", "axial", "wind", "stability"
-"""Axes of forces: X forward, Y right, Z down; AXIAL aft, SIDE right, NORMAL up; DRAG, SIDE, LIFT; the same turned by alpha alone.
+"""Axes of forces: X forward, Y right, Z down; AXIAL aft, SIDE right, NORMAL up; DRAG, SIDE, LIFT;
+the same turned by alpha alone.
 
 Of moments only ``body``, ``wind`` and ``stability`` (ROLL, PITCH, YAW about those axes).
 """
@@ -137,7 +145,9 @@ Of moments only ``body``, ``wind`` and ``stability`` (ROLL, PITCH, YAW about tho
 _FORCE_SLOT = {"X": 0, "DRAG": 0, "AXIAL": 0, "Y": 1, "SIDE": 1, "Z": 2, "LIFT": 2, "NORMAL": 2}
 _MOMENT_SLOT = {"ROLL": 3, "PITCH": 4, "YAW": 5}
 SLOT: Mapping[str, int] = {**_FORCE_SLOT, **_MOMENT_SLOT}
-"""JSBSim's six places: what is written under one name lands in the place of the others of the same number."""
+"""JSBSim's six places: what is written under one name lands in the place of the others of the same
+number.
+"""
 
 _FRAMES = {"": BODY, "BODY": BODY, "WIND": WIND, "STABILITY": STABILITY}
 
@@ -164,10 +174,11 @@ class Axis:
 class AeroSection:
     """The ``<aerodynamics>`` of an aircraft.
 
-    main      the aircraft's XML; ``document`` the file that holds the section (main, or the one it includes), ``node`` its element
+    main      the aircraft's XML; ``document`` the file that holds the section (main, or the one it
+    includes), ``node`` its element
     force     body, axial, wind or stability;  ``moment`` body, wind or stability
-    axes      JSBSim's place (0..5: x y z forces, roll pitch yaw) to the axis element that counts there
-    overridden  axis elements that a later one of the same place replaces: JSBSim ignores them
+    axes      JSBSim's place (0..5: x y z forces, roll pitch yaw) to the axis element that counts
+    there overridden  axis elements that a later one of the same place replaces: JSBSim ignores them
     """
 
     folder: Path
@@ -186,11 +197,15 @@ class AeroSection:
 
 
 def read_section(folder: Path, xml: str) -> AeroSection:
-    """The aerodynamics of the aircraft ``folder/xml``. Raises BadInputError with file and line for what cannot be instrumented."""
+    """The aerodynamics of the aircraft ``folder/xml``.
+
+    Raises BadInputError with file and line for what cannot be instrumented.
+    """
     main = read_document(folder / xml)
     if main.root.tag != "fdm_config":
         raise BadInputError(
-            f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with <fdm_config>"
+            f"{main.where(main.root)}: <{main.root.tag}>, but a JSBSim aircraft begins with"
+            " <fdm_config>"
         )
     outer = main.root.find("aerodynamics")
     if outer is None:
@@ -204,7 +219,8 @@ def read_section(folder: Path, xml: str) -> AeroSection:
     for axis in found:
         if axis.name not in SLOT:
             raise BadInputError(
-                f"{axis.document.where(axis.node)}: axis '{axis.name}' is unknown to JSBSim; allowed are {', '.join(SLOT)}"
+                f"{axis.document.where(axis.node)}: axis '{axis.name}' is unknown to JSBSim;"
+                f" allowed are {', '.join(SLOT)}"
             )
     force = _force_axes([axis for axis in found if axis.name in _FORCE_SLOT])
     moment = _agreed([axis for axis in found if axis.name in _MOMENT_SLOT], "moment") or BODY
@@ -214,15 +230,17 @@ def read_section(folder: Path, xml: str) -> AeroSection:
 
 
 def included(folder: Path, document: Document, node: Node) -> tuple[Document, Node]:
-    """The file and element that ``node`` stands for: itself, or the root of what its ``file`` attribute names."""
+    """The file and element that ``node`` stands for: itself, or the root of what its ``file``
+    attribute names.
+    """
     name = attribute(node, "file")
     if not name:
         return document, node
     given = Path(name)
     if given.is_absolute() or ".." in given.parts:
         raise BadInputError(
-            f'{document.where(node)}: file="{name}" lies outside the aircraft\'s folder, and a copy of the folder would go on '
-            "using it; move the file into the folder"
+            f'{document.where(node)}: file="{name}" lies outside the aircraft\'s folder, and a copy'
+            " of the folder would go on using it; move the file into the folder"
         )
     path = folder / (name if name.endswith(".xml") else f"{name}.xml")
     if not path.is_file():
@@ -236,7 +254,9 @@ def included(folder: Path, document: Document, node: Node) -> tuple[Document, No
 
 
 def _force_axes(axes: list[Axis]) -> str:
-    """The force axes in use, by JSBSim's rules (FGAerodynamics::DetermineAxisSystem); BadInputError where they are mixed."""
+    """The force axes in use, by JSBSim's rules (FGAerodynamics::DetermineAxisSystem); BadInputError
+    where they are mixed.
+    """
     if not axes:
         return BODY
     kinds: list[tuple[str, Axis]] = []
@@ -262,9 +282,11 @@ def _same(kinds: list[tuple[str, Axis]], what: str) -> str | None:
     for kind, other in kinds[1:]:
         if kind != first:
             raise BadInputError(
-                f'{other.document.where(other.node)}: {what} axes are mixed: <axis name="{other.name}"> is in {kind} axes, '
-                f'<axis name="{axis.name}"> (line {axis.node.line}) in {first} axes. JSBSim loads that and takes all of them for '
-                f"{first} axes, so the aircraft does not fly what is written; write all in one system first"
+                f"{other.document.where(other.node)}: {what} axes are mixed: <axis"
+                f' name="{other.name}"> is in {kind} axes, <axis name="{axis.name}"> (line'
+                f" {axis.node.line}) in {first} axes. JSBSim loads that and takes all of them for"
+                f" {first} axes, so the aircraft does not fly what is written; write all in one"
+                " system first"
             )
     return first
 
@@ -273,7 +295,8 @@ def _frame(axis: Axis) -> str:
     frame = attribute(axis.node, "frame")
     if frame not in _FRAMES:
         raise BadInputError(
-            f"{axis.document.where(axis.node)}: frame '{frame}' is unknown to JSBSim; allowed are BODY, WIND, STABILITY"
+            f"{axis.document.where(axis.node)}: frame '{frame}' is unknown to JSBSim; allowed are"
+            " BODY, WIND, STABILITY"
         )
     return _FRAMES[frame]
 
@@ -285,8 +308,8 @@ _AREAS = {"": 1.0, **{f"{unit}2": factor**2 for unit, factor in _UNITS.items() i
 def read_reference(section: AeroSection) -> tuple[float, float, float]:
     """Wing area [ft2], span and chord [ft] as written in <metrics>; NaN for what is not there.
 
-    JSBSim's own conversions have ten digits, so compare, but compute with its metrics/... properties. Raises BadInputError.
-    """
+    JSBSim's own conversions have ten digits, so compare, but compute with its metrics/...
+    properties. Raises BadInputError."""
     document, metrics, outer = _metrics(section)
     out = []
     for name, units in (("wingarea", _AREAS), ("wingspan", _UNITS), ("chord", _UNITS)):
@@ -297,22 +320,26 @@ def read_reference(section: AeroSection) -> tuple[float, float, float]:
         unit = attribute(node, "unit")
         if unit not in units:
             raise BadInputError(
-                f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are {', '.join(filter(None, units))}"
+                f"{document.where(node)}: unit '{unit}' of <{name}>; allowed are"
+                f" {', '.join(filter(None, units))}"
             )
         out.append(number(node, name, document) * units[unit])
     return out[0], out[1], out[2]
 
 
 def require_reference(section: AeroSection) -> None:
-    """BadInputError with file and line unless <metrics> gives a wing area, span and chord above zero."""
+    """BadInputError with file and line unless <metrics> gives a wing area, span and chord above
+    zero.
+    """
     document, metrics, outer = _metrics(section)
     for name, size in zip(("wingarea", "wingspan", "chord"), read_reference(section), strict=True):
         if not size > 0.0:
             node = metrics.find(name) or outer.find(name)
             line, is_what = (metrics, "missing") if node is None else (node, node.text.strip())
             raise BadInputError(
-                f"{document.where(line)}: <{name}> is {is_what}, so a coefficient has nothing to be multiplied by; give it in "
-                "<metrics>, or S_m2, b_m and c_m under [reference] in airframe.toml"
+                f"{document.where(line)}: <{name}> is {is_what}, so a coefficient has nothing to be"
+                " multiplied by; give it in <metrics>, or S_m2, b_m and c_m under [reference] in"
+                " airframe.toml"
             )
 
 
@@ -339,7 +366,8 @@ def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
 #
 # DRAG, LIFT, AXIAL and NORMAL, and X and Z in wind or stability axes, count aft and up.
 
-# One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or roll, pitch, yaw).
+# One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or
+# roll, pitch, yaw).
 Term = tuple[int, str, int]
 _TO_BODY: tuple[tuple[Term, ...], ...] = (((1, "", 0),), ((1, "", 1),), ((1, "", 2),))
 _TO_STABILITY: tuple[tuple[Term, ...], ...] = (
@@ -370,7 +398,9 @@ _MINUS = value(-1, "g")
 
 @dataclass(frozen=True)
 class Reference:
-    """What coefficients are multiplied by: wing area [ft2], span and chord [ft]; None takes JSBSim's own metrics/..."""
+    """What coefficients are multiplied by: wing area [ft2], span and chord [ft]; None takes
+    JSBSim's own metrics/...
+    """
 
     S_sqft: float | None = None
     b_ft: float | None = None
@@ -394,7 +424,9 @@ def _value(number: float | None, name: str) -> Expression:
 
 @dataclass(frozen=True)
 class SectionEdit:
-    """Insertions into the files of an aircraft's aerodynamics: collect them, then ``files`` gives the new bytes."""
+    """Insertions into the files of an aircraft's aerodynamics: collect them, then ``files`` gives
+    the new bytes.
+    """
 
     section: AeroSection
     insertions: tuple[tuple[Document, Insertion], ...] = ()
@@ -404,7 +436,9 @@ class SectionEdit:
         return SectionEdit(self.section, (*self.insertions, (document, insertion)))
 
     def files(self) -> dict[Path, bytes]:
-        """Path (inside the aircraft's folder as it was read) to the file's new content, for every file that changes."""
+        """Path (inside the aircraft's folder as it was read) to the file's new content, for every
+        file that changes.
+        """
         return {
             document.path: apply(document, mine)
             for document in self.section.documents
@@ -417,7 +451,9 @@ class SectionEdit:
 
 
 def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
-    """``<system file="name"/>`` in the aircraft's XML: after the last system, else before what JSBSim runs after the systems."""
+    """``<system file="name"/>`` in the aircraft's XML: after the last system, else before what
+    JSBSim runs after the systems.
+    """
     main = edit.section.main
     line = f'<system file="{name}"/>' + (f"  <!-- {remark} -->" if remark else "")
     systems = main.root.all("system")
@@ -431,7 +467,9 @@ def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
 
 
 def add_functions(edit: SectionEdit, lines: Sequence[str]) -> SectionEdit:
-    """Properties and functions at the end of the aerodynamics section; JSBSim computes them before any axis, in their order."""
+    """Properties and functions at the end of the aerodynamics section; JSBSim computes them before
+    any axis, in their order.
+    """
     return edit.plus(
         edit.section.document, append_child(edit.section.document, edit.section.node, list(lines))
     )
@@ -446,10 +484,10 @@ def add_deltas(
 ) -> SectionEdit:
     """Add coefficient increments in body axes.
 
-    ``summands`` maps CX CY CZ Cl Cm Cn to the properties whose sum is the increment; a coefficient that is left out gets none. The
-    functions are called ``<prefix>/force/<axis>`` and ``<prefix>/moment/<axis>``; a name that the aircraft has already is refused
-    with file and line, as is an unknown coefficient.
-    """
+    ``summands`` maps CX CY CZ Cl Cm Cn to the properties whose sum is the increment; a coefficient
+    that is left out gets none. The functions are called ``<prefix>/force/<axis>`` and
+    ``<prefix>/moment/<axis>``; a name that the aircraft has already is refused with file and line,
+    as is an unknown coefficient."""
     for name in summands:
         if name not in COEFFICIENTS:
             raise BadInputError(
@@ -485,7 +523,9 @@ def axis_name(section: AeroSection, slot: int) -> str:
 
 
 def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
-    """Add lines at the end of the axis element of that place, which is made where the author has none."""
+    """Add lines at the end of the axis element of that place, which is made where the author has
+    none.
+    """
     section = edit.section
     if slot in section.axes:
         axis = section.axes[slot]
@@ -523,13 +563,15 @@ def _sum(
 
 
 def refuse_names(section: AeroSection, names: Sequence[str]) -> None:
-    """BadInputError with file and line if a function of the aerodynamics is called so already: JSBSim ends at the second one."""
+    """BadInputError with file and line if a function of the aerodynamics is called so already:
+    JSBSim ends at the second one.
+    """
     for document in section.documents:
         for node in document.root.walk():
             if node.tag == "function" and node.attributes.get("name") in names:
                 raise BadInputError(
-                    f"{document.where(node)}: the aircraft already has a function {node.attributes['name']}; "
-                    "undo the earlier instrumentation, or rename it"
+                    f"{document.where(node)}: the aircraft already has a function"
+                    f" {node.attributes['name']}; undo the earlier instrumentation, or rename it"
                 )
 
 

@@ -1,9 +1,9 @@
-"""What stands between commands and a property of the control system: the components that make it, and nothing else of the aircraft.
+"""What stands between commands and a property of the control system: the components that make it,
+and nothing else of the aircraft.
 
-Where a surface stands follows from its command by way of filters, servos and selectors. As long as none of these reads anything of
-the aircraft's motion, the same commands move the surface alike in every aircraft that has these components, and they can be flown
-alone.
-"""
+Where a surface stands follows from its command by way of filters, servos and selectors. As long as
+none of these reads anything of the aircraft's motion, the same commands move the surface alike in
+every aircraft that has these components, and they can be flown alone."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _KINDS = frozenset(
         "actuator",
     }
 )
-"""Components that read what their elements name, and write their name's property and their outputs."""
+"""Components that read what their elements name, and write their name's property and their
+outputs.
+"""
 _SENSORS = frozenset({"sensor", "gyro", "accelerometer", "magnetometer"})
 """Components that write no more than that, but read more."""
 _SILENT = frozenset({"description", "documentation", "limitation", "note", "reference", "property"})
@@ -61,8 +63,8 @@ _OWN = (
     "simulation",
     "velocities",
 )
-"""Where JSBSim keeps what it computes itself, whether an XML declares it or not. Elsewhere nothing moves but by a component, a
-function or somebody's hand, engines' levers apart."""
+"""Where JSBSim keeps what it computes itself, whether an XML declares it or not. Elsewhere nothing
+moves but by a component, a function or somebody's hand, engines' levers apart."""
 _LEVERS = re.compile(r"fcs/(?:throttle|mixture|advance|feather)-(?:cmd|pos)-norm(?:\[\d+\])?")
 _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 
@@ -71,9 +73,8 @@ _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 class ControlChain:
     """Components between commands and positions.
 
-    ``xml`` is an aircraft of these components alone, the same text for aircraft that have the same ones; ``reads`` what enters
-    them: commands, constants.
-    """
+    ``xml`` is an aircraft of these components alone, the same text for aircraft that have the same
+    ones; ``reads`` what enters them: commands, constants."""
 
     xml: str
     reads: frozenset[str]
@@ -81,8 +82,9 @@ class ControlChain:
 
 @dataclass(frozen=True)
 class ControlFiles:
-    """An aircraft's XML: its systems' roots in JSBSim's order of execution, and every document of its. ``engines``: whether
-    <propulsion> has any, whose throttles JSBSim moves with their commands."""
+    """An aircraft's XML: its systems' roots in JSBSim's order of execution, and every document of
+    its. ``engines``: whether <propulsion> has any, whose throttles JSBSim moves with their
+    commands."""
 
     systems: Sequence[Node]
     documents: Sequence[Document]
@@ -101,8 +103,8 @@ class _Placed:
 def control_chain(
     files: ControlFiles, wanted: Iterable[str], given: Collection[str]
 ) -> ControlChain | None:
-    """What makes the properties ``wanted``; None where that reads, or may read, more than the properties ``given`` and what nothing
-    in the aircraft changes."""
+    """What makes the properties ``wanted``; None where that reads, or may read, more than the
+    properties ``given`` and what nothing in the aircraft changes."""
     channels = [node for system in files.systems for node in system.all("channel")]
     writers, computed = _writers(channels), _computed(files.documents, channels)
     values: dict[str, set[str]] = defaultdict(set)
@@ -136,7 +138,8 @@ def control_chain(
         name for name in seen if not writers.get(_surface(name)) and name not in levers
     )
     constants = {name: next(iter(values[name])) for name in sorted(seen - levers) if name in values}
-    # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the interpreter over it.
+    # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the
+    # interpreter over it.
     constants |= dict.fromkeys(sorted(entering - values.keys()), "0")
     return ControlChain(_aircraft(channels, made, constants, sorted(levers)), entering)
 
@@ -147,7 +150,9 @@ def bare(name: str) -> str:
 
 
 def _surface(name: str) -> str:
-    """A surface's position without its unit: JSBSim keeps it in all of them, whichever is written."""
+    """A surface's position without its unit: JSBSim keeps it in all of them, whichever is
+    written.
+    """
     return _UNIT.sub("-pos", name)
 
 
@@ -177,7 +182,9 @@ def _written(node: Node) -> Iterator[str]:
 
 
 def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[str]:
-    """Properties that functions outside the channels make, those that functions copy to, and those of tables' names."""
+    """Properties that functions outside the channels make, those that functions copy to, and those
+    of tables' names.
+    """
     inside = {id(node) for channel in channels for node in channel.walk()}
     found = set()
     for document in documents:
@@ -244,7 +251,8 @@ def _aircraft(
         lines.append('<channel name="levers">')
         for name in levers:
             lines.append(
-                f'<pure_gain name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>'
+                "<pure_gain"
+                f' name="{name}"><input>{name.replace("-pos-", "-cmd-")}</input></pure_gain>'
             )
         lines.append("</channel>")
     for at, channel in enumerate(channels):

@@ -1,7 +1,8 @@
-"""XML files edited as text: where each element stands in the bytes, and insertions that leave every other byte alone.
+"""XML files edited as text: where each element stands in the bytes, and insertions that leave every
+other byte alone.
 
-A parsed and re-serialised tree loses the author's quotes, indentation, line ends and encoding. Here expat says at which byte an
-element begins and ends, and an edit is a piece of text put at a byte.
+A parsed and re-serialised tree loses the author's quotes, indentation, line ends and encoding. Here
+expat says at which byte an element begins and ends, and an edit is a piece of text put at a byte.
 """
 
 from __future__ import annotations
@@ -25,10 +26,9 @@ from uqharness.simulator import tag_end
 class Node:
     """An element of the file.
 
-    ``start`` is the byte of its ``<``, ``open_end`` the byte behind its start tag's ``>``, ``close_start`` the byte of ``</``,
-    ``end`` the byte behind it all. For ``<a/>`` the last three are equal. ``text`` is its own character data, children's left out;
-    lines count from 1.
-    """
+    ``start`` is the byte of its ``<``, ``open_end`` the byte behind its start tag's ``>``,
+    ``close_start`` the byte of ``</``, ``end`` the byte behind it all. For ``<a/>`` the last three
+    are equal. ``text`` is its own character data, children's left out; lines count from 1."""
 
     tag: str
     attributes: dict[str, str]
@@ -90,7 +90,9 @@ class Document:
         return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
 
     def encoded(self, text: str) -> bytes:
-        """``text`` as the file would have it; what its encoding does not know becomes a character reference."""
+        """``text`` as the file would have it; what its encoding does not know becomes a character
+        reference.
+        """
         return text.encode(self.encoding, errors="xmlcharrefreplace")
 
     def indent(self, node: Node) -> str:
@@ -106,7 +108,9 @@ class Document:
         )
 
     def step(self) -> str:
-        """One level of the author's indentation: the shortest a child of the root has, two spaces if none is indented."""
+        """One level of the author's indentation: the shortest a child of the root has, two spaces
+        if none is indented.
+        """
         steps = [self.indent(child) for child in self.root.children]
         steps = [
             s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)
@@ -118,7 +122,9 @@ _BEHIND_NAME = frozenset(bytes([byte]) for byte in b" \t\n\r\f\v/>")
 
 
 def read_document(path: Path) -> Document:
-    """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding that is not edited here."""
+    """Read and parse; BadInputError with file and line if it is not well formed, or in an encoding
+    that is not edited here.
+    """
     try:
         return parse_document(path, read_regular(path))
     except OSError as error:
@@ -171,7 +177,8 @@ def parse_document(path: Path, raw: bytes) -> Document:
         behind = node.start + len(begin)
         if not raw.startswith(begin, node.start) or raw[behind : behind + 1] not in _BEHIND_NAME:
             raise BadInputError(
-                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited here"
+                f"{path}:{node.line}: <{node.tag}> comes from an entity; such a file is not edited"
+                " here"
             )
     return Document(path, raw, top[0])
 
@@ -180,8 +187,8 @@ def parse_document(path: Path, raw: bytes) -> Document:
 class Insertion:
     """``text`` (final line ends) put before byte ``at`` in place of ``removed`` bytes.
 
-    Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around the text.
-    """
+    Where ``<a/>`` is opened for a child, ``opening`` and ``closing`` are the tags' new parts around
+    the text."""
 
     at: int
     text: bytes
@@ -191,7 +198,9 @@ class Insertion:
 
 
 def append_child(document: Document, parent: Node, lines: list[str]) -> Insertion:
-    """``lines`` (indented relative to one another) as the last child of ``parent``, in the author's indentation and line ends."""
+    """``lines`` (indented relative to one another) as the last child of ``parent``, in the author's
+    indentation and line ends.
+    """
     newline = document.newline.decode()
     outer = document.indent(parent)
     inner = document.indent(parent.children[-1]) if parent.children else ""
@@ -228,7 +237,9 @@ def before(document: Document, node: Node, lines: list[str]) -> Insertion:
 
 
 def after(document: Document, node: Node, lines: list[str]) -> Insertion:
-    """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays with it)."""
+    """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays
+    with it).
+    """
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
     end_of_line = document.raw.find(b"\n", node.end)
@@ -239,7 +250,9 @@ def after(document: Document, node: Node, lines: list[str]) -> Insertion:
 
 
 def with_text(document: Document, node: Node, text: str) -> Insertion:
-    """The element's own words replaced, white space and comments around them left; an empty element gets them."""
+    """The element's own words replaced, white space and comments around them left; an empty element
+    gets them.
+    """
     old = document.encoded(node.text.strip())
     at = document.raw.index(old, node.open_end, node.close_start)
     return Insertion(at, document.encoded(text), old)
@@ -270,7 +283,9 @@ def in_comment(text: str) -> str:
 
 
 def joined(insertions: list[Insertion]) -> list[Insertion]:
-    """In the order of the file, opening and closing made part of the text; children put into the same ``<a/>`` become one."""
+    """In the order of the file, opening and closing made part of the text; children put into the
+    same ``<a/>`` become one.
+    """
     out: list[Insertion] = []
     pending: list[Insertion] = []
     for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
@@ -338,7 +353,9 @@ def declare(name: str, number: str, remark: str | None = None) -> str:
 
 
 def declarations(document: Document) -> Iterator[tuple[str, Node]]:
-    """Name and element of every ``<property value="...">name</property>``, in the order of the text."""
+    """Name and element of every ``<property value="...">name</property>``, in the order of the
+    text.
+    """
     for node in document.root.walk():
         if node.tag == "property" and "value" in node.attributes:
             yield node.text.strip(), node
@@ -362,7 +379,9 @@ def folder_declares(folder: Path, name: str) -> bool:
 
 
 def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
-    """Properties beginning so that files of the aircraft's folder declare and no function or component computes, sorted."""
+    """Properties beginning so that files of the aircraft's folder declare and no function or
+    component computes, sorted.
+    """
     declared: set[str] = set()
     computed: set[str] = set()
     for path in sorted(folder.rglob("*.xml")):
@@ -377,8 +396,8 @@ def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=128)
 def _declared_and_computed(raw: bytes) -> tuple[frozenset[str], frozenset[str]]:
-    """Properties that a file declares, and those that its functions and components compute. Copies of an aircraft are made by the
-    dozen, and hold the same files. Raises BadInputError."""
+    """Properties that a file declares, and those that its functions and components compute. Copies
+    of an aircraft are made by the dozen, and hold the same files. Raises BadInputError."""
     document = parse_document(Path("file"), raw)
     computed = {attribute(node, "name") for node in document.root.walk() if node.tag == "function"}
     computed |= {node.text.strip() for node in document.root.walk() if node.tag == "output"}
@@ -386,7 +405,9 @@ def _declared_and_computed(raw: bytes) -> tuple[frozenset[str], frozenset[str]]:
 
 
 def folder_names(folder: Path, prefix: str) -> bool:
-    """Whether a file of the aircraft's folder has a property that begins so, as an element's text or as an attribute."""
+    """Whether a file of the aircraft's folder has a property that begins so, as an element's text
+    or as an attribute.
+    """
     return any(
         text.strip().startswith(prefix)
         for document in folder_documents(folder)
@@ -396,7 +417,9 @@ def folder_names(folder: Path, prefix: str) -> bool:
 
 
 def folder_documents(folder: Path) -> Iterator[Document]:
-    """The XML files of an aircraft's folder in order of their paths; those that are no XML, or cannot be edited, are left out."""
+    """The XML files of an aircraft's folder in order of their paths; those that are no XML, or
+    cannot be edited, are left out.
+    """
     for path in sorted(folder.rglob("*.xml")):
         try:
             yield read_document(path)
