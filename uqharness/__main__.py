@@ -14,12 +14,12 @@ def _leave_working_folder() -> None:
 
     It stays if this package lives there.
     """
-    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    package_root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     if (
         sys.path
         and not sys.flags.safe_path
         and sys.path[0] in ("", os.getcwd())
-        and os.getcwd() != here
+        and os.getcwd() != package_root
     ):
         del sys.path[0]
 

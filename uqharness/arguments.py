@@ -25,8 +25,8 @@ def require(name: str, value: object, fits: bool, needed: str) -> None:
     does, as "a path".
     """
     if not fits:
-        shown = str(value) if isinstance(value, Real) else _SHORT.repr(value)
-        raise BadInputError(f"{name} = {shown}: {needed} is needed")
+        received = str(value) if isinstance(value, Real) else _SHORT.repr(value)
+        raise BadInputError(f"{name} = {received}: {needed} is needed")
 
 
 def instance(name: str, value: Any, kind: type, needed: str) -> Any:
@@ -35,16 +35,16 @@ def instance(name: str, value: Any, kind: type, needed: str) -> Any:
     return value
 
 
-def whole(name: str, value: Any, least: int = 0) -> int:
+def integer(name: str, value: Any, minimum: int = 0) -> int:
     """A whole number, numpy's too; True and False are none."""
-    fits = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
-    require(name, value, fits, f"a whole number of at least {least}")
+    fits = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= minimum
+    require(name, value, fits, f"a whole number of at least {minimum}")
     return int(value)
 
 
 def workers(value: object) -> int | None:
     """A number of processes, None for the function's own choice."""
-    return None if value is None else whole("workers", value, 1)
+    return None if value is None else integer("workers", value, 1)
 
 
 def number(
@@ -97,9 +97,9 @@ def one_of(name: str, value: Any, allowed: Collection[Any]) -> Any:
 
 def properties(value: object) -> dict[str, float]:
     """JSBSim properties and what they are set to; None for none."""
-    given = (
+    settings = (
         {}
         if value is None
         else instance("properties", value, Mapping, 'a mapping such as {"aero/Cm_q": -10.0}')
     )
-    return {str(name): number(f"properties: {name}", setting) for name, setting in given.items()}
+    return {str(name): number(f"properties: {name}", setting) for name, setting in settings.items()}

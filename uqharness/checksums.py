@@ -29,11 +29,11 @@ _HEADER = (
     b"# Files of this folder as uqharness wrote them. Check: uqharness campaign verify,"
     b" sha256sum -c"
 )
-_FIRST = _HEADER[:12]
+_HEADER_START = _HEADER[:12]
 _FOLDER = b"# folder "
-_LAST = b"# uqharness: SHA-256 of the lines above: "
+_DIGEST_LINE = b"# uqharness: SHA-256 of the lines above: "
 _LINE = re.compile(rb"\\?([0-9a-f]{64})  (.+)")
-_MOST_BYTES = 256_000_000
+_MAX_BYTES = 256_000_000
 
 
 class SumsError(ValueError):
@@ -60,7 +60,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Earlier:
+class DamageRecord:
     """Faults of a folder before a command that writes its sums anew: recorded digest and damaged
     digest by path.
     """
@@ -74,12 +74,12 @@ def read_sums(folder: Path) -> Sums | None:
     Raises SumsError for what is damaged, OSError for what cannot be read.
     """
     try:
-        content = read_regular(folder / SUMS, _MOST_BYTES)
+        content = read_regular(folder / SUMS, _MAX_BYTES)
     except FileNotFoundError:
         return None
-    body, _, last = content.rpartition(_LAST)
-    begins = content[: len(_FIRST)]
-    if not body and not _FIRST.startswith(begins):
+    body, _, last = content.rpartition(_DIGEST_LINE)
+    begins = content[: len(_HEADER_START)]
+    if not body and not _HEADER_START.startswith(begins):
         return None  # somebody else's
     if last != sha256_hex(body).encode() + b"\n":
         raise SumsError("its content does not fit its digest")
@@ -99,10 +99,10 @@ def read_sums(folder: Path) -> Sums | None:
     return Sums(files, tuple(folders))
 
 
-def write_sums(folder: Path, earlier: Earlier | None = None) -> None:
+def write_sums(folder: Path, damage: DamageRecord | None = None) -> None:
     """Enter every file of a folder that is complete. Raises BadInputError.
 
-    A file that was damaged ``earlier`` and has not been written since keeps the digest that it does
+    A file that was damaged ``damage`` and has not been written since keeps the digest that it does
     not fit."""
     files: dict[str, str] = {}
     folders: list[str] = []
@@ -110,18 +110,18 @@ def write_sums(folder: Path, earlier: Earlier | None = None) -> None:
         for path in _files(folder, folders):
             name = path.relative_to(folder).as_posix()
             digest = file_sha256(path)
-            recorded, damaged = (earlier or Earlier()).damaged.get(name, ("", ""))
-            files[name] = recorded if damaged == digest else digest
+            recorded, damaged_digest = (damage or DamageRecord()).damaged.get(name, ("", ""))
+            files[name] = recorded if damaged_digest == digest else digest
         _write(folder, Sums(files, tuple(sorted(folders))))
     except OSError as error:
         path = folder / SUMS
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def faults(folder: Path, within: bool = True) -> list[Fault]:
+def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
     """Every file below a folder that is not as it was written; none where there are no sums.
 
-    Files of the folders with sums of their own are among them if ``within``.
+    Files of the folders with sums of their own are among them if ``include_inner``.
     """
     try:
         sums = read_sums(folder)
@@ -136,20 +136,20 @@ def faults(folder: Path, within: bool = True) -> list[Fault]:
     ]
     for name in sums.folders:
         inner = folder / name
-        if through_a_link(folder, name):
+        if is_behind_link(folder, name):
             result.append(Fault(name, "is a link, or lies behind one"))
         elif not (inner / SUMS).is_file():
             result.append(Fault(f"{name}/{SUMS}", "it is gone", missing=True))
         elif not _is_sealed(inner):
             result.append(Fault(f"{name}/{SUMS}", "it is not this program's"))
-        elif within:
+        elif include_inner:
             result += [
                 Fault(f"{name}/{item.name}", item.problem, item.missing) for item in faults(inner)
             ]
     return result
 
 
-def take_away(folder: Path) -> Earlier:
+def remove_sums(folder: Path) -> DamageRecord:
     """Remove the sums of a folder that is about to be written to; what was damaged in it."""
     damaged = {}
     sums = None
@@ -157,15 +157,15 @@ def take_away(folder: Path) -> Earlier:
         sums = read_sums(folder)
     for name, digest in ({} if sums is None else sums.files).items():
         with contextlib.suppress(OSError):
-            if (now := file_sha256(folder / name)) != digest:
-                damaged[name] = (digest, now)
+            if (current := file_sha256(folder / name)) != digest:
+                damaged[name] = (digest, current)
     with contextlib.suppress(OSError):
         if sums is not None or _is_sealed(folder):
             (folder / SUMS).unlink(missing_ok=True)
-    return Earlier(damaged)
+    return DamageRecord(damaged)
 
 
-def enter(path: Path) -> None:
+def update_sums(path: Path) -> None:
     """Enter a file that has just been written, or removed, in the sums that list it, if there are
     any. Raises OSError.
     """
@@ -225,18 +225,20 @@ def _is_sealed(folder: Path) -> bool:
 
 
 def _fault(folder: Path, name: str, digest: str) -> Fault | None:
-    if through_a_link(folder, name):
+    if is_behind_link(folder, name):
         return Fault(name, "is a link, or lies behind one")
     try:
-        now = file_sha256(folder / name)
+        current = file_sha256(folder / name)
     except FileNotFoundError:
         return Fault(name, "it is gone", missing=True)
     except OSError as error:
         return Fault(name, f"cannot be read: {error.strerror or error}")
-    return None if now == digest else Fault(name, f"its content does not fit its digest in {SUMS}")
+    return (
+        None if current == digest else Fault(name, f"its content does not fit its digest in {SUMS}")
+    )
 
 
-def through_a_link(folder: Path, name: str) -> bool:
+def is_behind_link(folder: Path, name: str) -> bool:
     """Whether a file or folder below ``folder``, or a folder on the way to it, is a link."""
     place = folder
     for part in name.split("/"):
@@ -257,7 +259,7 @@ def _write(folder: Path, sums: Sums) -> None:
     temporary = folder / f".{SUMS}{PART}"
     temporary.unlink(missing_ok=True)
     with temporary.open("xb") as handle:
-        handle.write(body + _LAST + sha256_hex(body).encode() + b"\n")
+        handle.write(body + _DIGEST_LINE + sha256_hex(body).encode() + b"\n")
         handle.flush()
         os.fsync(handle.fileno())
     os.replace(temporary, folder / SUMS)
@@ -274,5 +276,5 @@ def _unescaped(name: bytes, marked: bool) -> str:
     text = os.fsdecode(name)
     if not marked:
         return text
-    back = {value: key for key, value in _ESCAPES.items()}
-    return re.sub(r"\\[\\nr]", lambda match: back[match[0]], text)
+    unescapes = {value: key for key, value in _ESCAPES.items()}
+    return re.sub(r"\\[\\nr]", lambda match: unescapes[match[0]], text)

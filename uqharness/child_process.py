@@ -26,7 +26,7 @@ from uqharness.errors import BadInputError
 # line, as multiprocessing does: a `socket.py` there would be imported.
 CHILD_ENVIRONMENT = {**ONE_THREAD, "PYTHONSAFEPATH": "1"}
 _ANSWER = "uqharness-answer "
-_LAST_WORDS = 300
+_ERROR_CHARACTERS = 300
 _one_at_a_time = threading.RLock()
 
 
@@ -35,12 +35,12 @@ def child_settings() -> Iterator[None]:
     """Children started inside inherit CHILD_ENVIRONMENT; this process's own environment is as
     before afterwards.
     """
-    before = {name: os.environ.get(name) for name in CHILD_ENVIRONMENT}
+    saved = {name: os.environ.get(name) for name in CHILD_ENVIRONMENT}
     os.environ.update(CHILD_ENVIRONMENT)
     try:
         yield
     finally:
-        for name, value in before.items():
+        for name, value in saved.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -56,7 +56,7 @@ def main_not_imported() -> Iterator[None]:
     them."""
     script = vars(sys.modules["__main__"])
     with _one_at_a_time:
-        before: dict[str, Any] = {
+        saved: dict[str, Any] = {
             name: script[name] for name in ("__file__", "__spec__") if name in script
         }
         script.pop("__file__", None)
@@ -64,11 +64,11 @@ def main_not_imported() -> Iterator[None]:
         try:
             yield
         finally:
-            script.update(before)
+            script.update(saved)
 
 
 @dataclass(frozen=True)
-class Ended:
+class ProcessResult:
     """How a child ended.
 
     code    exit code, minus the number of the signal that ended it; None where it was killed
@@ -79,13 +79,13 @@ class Ended:
 
     code: int | None
     answer: Mapping[str, Any]
-    said: str
+    output: str
     errors: str
 
 
 def run_module(
     module: str, *arguments: object, timeout_s: float, python: Path | None = None
-) -> Ended:
+) -> ProcessResult:
     """Run ``python -m module arguments`` and wait for its end, for at most ``timeout_s`` seconds.
 
     python: interpreter of another environment, whose own libraries count; None: this one. Raises
@@ -93,7 +93,7 @@ def run_module(
     command = [str(python or sys.executable), "-m", module, *map(str, arguments)]
     environment = child_environment() if python is None else other_environment()
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command,
             capture_output=True,
             text=True,
@@ -103,18 +103,20 @@ def run_module(
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Ended(None, {}, "", "")
+        return ProcessResult(None, {}, "", "")
     except OSError as error:
         raise BadInputError(
             f"{command[0]}: cannot be started: {error.strerror or error}; a Python interpreter is"
             " needed"
         ) from None
-    lines = done.stdout.splitlines()
+    lines = process.stdout.splitlines()
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
-    said = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
+    output = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
     # Where Python is started by a script, that tells of a signal by 128 and its number.
-    code = 128 - done.returncode if done.returncode >= 128 else done.returncode
-    return Ended(code, _answer(answers[-1:]), said, " ".join(done.stderr.split())[-_LAST_WORDS:])
+    code = 128 - process.returncode if process.returncode >= 128 else process.returncode
+    return ProcessResult(
+        code, _answer(answers[-1:]), output, " ".join(process.stderr.split())[-_ERROR_CHARACTERS:]
+    )
 
 
 def give_answer(answer: Mapping[str, Any]) -> None:
@@ -126,10 +128,10 @@ def give_answer(answer: Mapping[str, Any]) -> None:
 
 def _answer(lines: list[str]) -> Mapping[str, Any]:
     try:
-        found = parse_json(lines[0]) if lines else {}
+        answer = parse_json(lines[0]) if lines else {}
     except ParseError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return answer if isinstance(answer, dict) else {}
 
 
 def ending(code: int | None) -> str:
@@ -146,20 +148,20 @@ def other_environment() -> dict[str, str]:
     """The same for an interpreter of another environment: this package, unless it is installed
     there, and none of our libraries.
     """
-    here = Path(__file__).resolve().parents[1]
-    ours = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
-    kept = {name: value for name, value in os.environ.items() if name not in ours}
-    installed = here.name in ("site-packages", "dist-packages")
-    return kept | CHILD_ENVIRONMENT | ({} if installed else {"PYTHONPATH": str(here)})
+    root = Path(__file__).resolve().parents[1]
+    own_variables = {"VIRTUAL_ENV", "PYTHONPATH", "PYTHONHOME"}
+    inherited = {name: value for name, value in os.environ.items() if name not in own_variables}
+    installed = root.name in ("site-packages", "dist-packages")
+    return inherited | CHILD_ENVIRONMENT | ({} if installed else {"PYTHONPATH": str(root)})
 
 
 def child_environment() -> dict[str, str]:
     """The environment in which ``python -m`` finds this package, wherever it was imported from, and
     nothing of its folder.
     """
-    here = str(Path(__file__).resolve().parents[1])
+    root = str(Path(__file__).resolve().parents[1])
     foreign = {"", os.curdir, os.getcwd()}
-    places = [here, *(place for place in sys.path if place not in foreign)]
+    places = [root, *(place for place in sys.path if place not in foreign)]
     return os.environ | CHILD_ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(places)}
 
 
@@ -167,7 +169,7 @@ def run_command(words: Sequence[str]) -> tuple[int, str, str]:
     """Run a command of this program in a process of its own: its exit code, standard output and
     standard error.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
     )
-    return done.returncode, done.stdout, done.stderr
+    return process.returncode, process.stdout, process.stderr

@@ -21,11 +21,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from uqharness.checksums import PART, enter
+from uqharness.checksums import PART, update_sums
 from uqharness.errors import BadInputError
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in
     place at once.
 
@@ -41,7 +41,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
         os.replace(temporary, path)
-        enter(path)
+        update_sums(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
@@ -53,14 +53,14 @@ def remove(path: Path) -> None:
     """Remove a file of results, if it is there, and its entry in the sums. Raises BadInputError."""
     try:
         path.unlink(missing_ok=True)
-        enter(path)
+        update_sums(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be removed: {error.strerror or error}") from None
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """The same for content that is at hand."""
-    write_whole(path, lambda target: target.write_bytes(content))
+    write_atomically(path, lambda target: target.write_bytes(content))
 
 
 def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
@@ -70,7 +70,7 @@ def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
         with target.open("wb") as handle:
             handle.writelines(parts)
 
-    write_whole(path, write)
+    write_atomically(path, write)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -123,14 +123,14 @@ def check_out(path: Path, option: str = "--out") -> None:
 
     Raises BadInputError where something on the way is no folder, or one that may not be written to.
     """
-    there = path.absolute()
-    while not (there.exists() or there.is_symlink()):
-        there = there.parent
-    if there != path.absolute() and not there.is_dir():
-        raise BadInputError(f"{option} {path}: {there} is no folder; choose another path")
-    if not os.access(there, os.W_OK):
+    existing = path.absolute()
+    while not (existing.exists() or existing.is_symlink()):
+        existing = existing.parent
+    if existing != path.absolute() and not existing.is_dir():
+        raise BadInputError(f"{option} {path}: {existing} is no folder; choose another path")
+    if not os.access(existing, os.W_OK):
         raise BadInputError(
-            f"{option} {path}: {there} may not be written to; choose another path or change its"
+            f"{option} {path}: {existing} may not be written to; choose another path or change its"
             " rights"
         )
 
@@ -222,15 +222,17 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
 
     ``file`` is what is taken where a folder or a name is given. Raises BadInputError naming what
     there is."""
-    given = Path(name_or_path)
+    requested = Path(name_or_path)
     for root in (Path(), PROJECT_ROOT, PROJECT_ROOT / "campaigns"):
-        for path in (root / given, root / given / file):
+        for path in (root / requested, root / requested / file):
             if path.is_file():
                 return path
-    known = sorted(path.parent.name for path in (PROJECT_ROOT / "campaigns").glob(f"*/{file}"))
+    campaign_names = sorted(
+        path.parent.name for path in (PROJECT_ROOT / "campaigns").glob(f"*/{file}")
+    )
     raise BadInputError(
         f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder"
-        f" with a {file}, and no name of one under campaigns/ (there: {', '.join(known) or 'none'})"
+        f" with a {file}, and no name of one under campaigns/ (there: {', '.join(campaign_names) or 'none'})"
     )
 
 
@@ -243,7 +245,7 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
 LOCK = "owner.lock"
 _NAME = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
 _COPY = re.compile(rf"[^\s'\"]*/{_NAME.pattern}/[^/\s]+/(?:aircraft/)?")
-_TRIES = 20
+_ATTEMPTS = 20
 
 
 class Scratch:
@@ -336,12 +338,12 @@ def _own_home() -> _Home:
         _homes[number] = _new_home()
         # Runs in children that multiprocessing ends as well, and after a parent's own children have
         # been ended.
-        Finalize(None, _leave, args=(number,), exitpriority=-100)
+        Finalize(None, _remove_home, args=(number,), exitpriority=-100)
     return _homes[number]
 
 
 def _new_home() -> _Home:
-    for _ in range(_TRIES):
+    for _ in range(_ATTEMPTS):
         try:
             path = Path(tempfile.mkdtemp(prefix=f"uqharness-{os.getpid()}-"))
         except OSError as error:
@@ -366,7 +368,7 @@ def _new_home() -> _Home:
     )
 
 
-def _leave(number: int) -> None:
+def _remove_home(number: int) -> None:
     """Remove this process's own folder at its end."""
     home = _homes.pop(number, None) if number == os.getpid() else None
     if home is not None:
@@ -379,9 +381,9 @@ def sweep() -> None:
     """Remove the folders of this user's processes on this machine that have ended without
     doing so.
     """
-    own = {home.path.name for number, home in _homes.items() if number == os.getpid()}
+    own_names = {home.path.name for number, home in _homes.items() if number == os.getpid()}
     for path in _candidates():
-        if path.name in own:
+        if path.name in own_names:
             continue  # not even opened: closing a second handle would drop the lock
         handle = _open_lock(path, 0)
         if handle is None:
@@ -399,16 +401,16 @@ def sweep() -> None:
 def _candidates() -> Iterator[Path]:
     """Folders, and no links to any, of the right name and owner."""
     try:
-        found = [
+        paths = [
             entry.path for entry in os.scandir(tempfile.gettempdir()) if _NAME.fullmatch(entry.name)
         ]
     except OSError:
         return
-    for path in found:
+    for path in paths:
         with contextlib.suppress(OSError):
-            seen = os.lstat(path)
-            if stat.S_ISDIR(seen.st_mode) and (
-                not hasattr(os, "getuid") or seen.st_uid == os.getuid()
+            status = os.lstat(path)
+            if stat.S_ISDIR(status.st_mode) and (
+                not hasattr(os, "getuid") or status.st_uid == os.getuid()
             ):
                 yield Path(path)
 

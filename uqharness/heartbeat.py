@@ -22,7 +22,7 @@ FIRST_S = 5.0
 """Until the first line of a command that shows nothing by itself."""
 EVERY_S = 30.0
 """Between two lines in a pipe."""
-QUIET = "UQHARNESS_QUIET"
+QUIET_VARIABLE = "UQHARNESS_QUIET"
 _RECENT_S = 60.0
 """Work of so long decides the time to go."""
 
@@ -32,28 +32,28 @@ class Rate:
     and tell nothing of the rest.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now = now
-        self._done: deque[tuple[float, float]] = deque([(now(), 0.0)])
+    def __init__(self, time_source: Callable[[], float] = time.monotonic) -> None:
+        self._now = time_source
+        self._done: deque[tuple[float, float]] = deque([(time_source(), 0.0)])
 
     def seconds_left(self, done: float, total: float) -> float | None:
         """Return the time to go [s]; None before anything and after everything is done."""
-        now, marks = self._now(), self._done
+        time_s, marks = self._now(), self._done
         if done < marks[-1][1]:
             marks.clear()
         if not marks or done > marks[-1][1]:
-            marks.append((now, done))
-            while len(marks) > 2 and marks[1][0] <= now - _RECENT_S:
+            marks.append((time_s, done))
+            while len(marks) > 2 and marks[1][0] <= time_s - _RECENT_S:
                 marks.popleft()
             # What ended first carried the start of everything; from the third mark on it is left
             # out.
             if len(marks) > 2 and marks[0][1] == 0.0:
                 marks.popleft()
-        (begun, before), (last, latest) = marks[0], marks[-1]
-        if not 0.0 < done < total or latest <= before:
+        (start_s, start_done), (last_s, last_done) = marks[0], marks[-1]
+        if not 0.0 < done < total or last_done <= start_done:
             return None
-        per_unit = (last - begun) / (latest - before)
-        return max(per_unit * (total - latest) - (now - last), 0.0)
+        per_unit = (last_s - start_s) / (last_done - start_done)
+        return max(per_unit * (total - last_done) - (time_s - last_s), 0.0)
 
 
 class _State:
@@ -126,27 +126,27 @@ def heartbeat(
 
     ``show`` takes the line, in place of standard error, and an empty one at the end.
     """
-    if os.environ.get(QUIET):
+    if os.environ.get(QUIET_VARIABLE):
         yield
         return
-    ended, drawn = threading.Event(), threading.Event()
-    stream, begun = sys.stderr, time.monotonic()
-    moves = show is None and stream.isatty()
+    ended, line_shown = threading.Event(), threading.Event()
+    stream, start_s = sys.stderr, time.monotonic()
+    redraws = show is None and stream.isatty()
 
     def beat() -> None:
         wait = first_s
         while not ended.wait(wait):
-            wait = 1.0 if moves else every_s
+            wait = 1.0 if redraws else every_s
             if STATE.bars:
                 continue
             stage = f", {visible(STATE.stage)}" if STATE.stage else ""
-            line = f"{command}: {clock(time.monotonic() - begun)}{stage}"
+            line = f"{command}: {clock(time.monotonic() - start_s)}{stage}"
             try:
                 if show is not None:
-                    drawn.set()
+                    line_shown.set()
                     show(line)
-                elif moves:
-                    drawn.set()
+                elif redraws:
+                    line_shown.set()
                     _write(drawing(stream), f"\r\x1b[K{line}")
                 else:
                     _write(stream, f"{line}\n")
@@ -162,15 +162,15 @@ def heartbeat(
         ended.set()
         thread.join(1.0)
         STATE.stage = ""
-        if show is not None and drawn.is_set():
+        if show is not None and line_shown.is_set():
             show("")
-        elif drawn.is_set():
+        elif line_shown.is_set():
             _write(drawing(stream), "\r\x1b[K")
 
 
 def clock(seconds: float) -> str:
     """``h:mm:ss`` or ``m:ss``."""
-    whole = round(seconds)
-    hours, rest = divmod(whole, 3600)
-    minutes, second = divmod(rest, 60)
+    total = round(seconds)
+    hours, remainder = divmod(total, 3600)
+    minutes, second = divmod(remainder, 60)
     return f"{hours}:{minutes:02d}:{second:02d}" if hours else f"{minutes}:{second:02d}"

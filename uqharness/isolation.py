@@ -49,8 +49,11 @@ class ProcessEndedError(BadInputError):
     no flight."""
 
     def __init__(self, code: int | None, time_s: float | None) -> None:
-        flown = "" if time_s is None else f" after {time_s:.2f} s of the flight"
-        self.time_s, self.reason = time_s, f"JSBSim's process ended with {ending(code)}{flown}"
+        flight_time = "" if time_s is None else f" after {time_s:.2f} s of the flight"
+        self.time_s, self.reason = (
+            time_s,
+            f"JSBSim's process ended with {ending(code)}{flight_time}",
+        )
         super().__init__(
             f"{self.reason}; look for what the aircraft or the run script computes there, such as a"
             " <mod> by zero"
@@ -64,8 +67,8 @@ def isolated(function: Callable[P, R]) -> Callable[P, R]:
     def in_worker(*args: P.args, **kwargs: P.kwargs) -> R:
         if _in_worker or _is_supervised():
             return function(*args, **kwargs)
-        named: Callable[P, R] = _NamedFunction(function.__module__, function.__qualname__)
-        return run_isolated(named, *args, **kwargs)
+        by_name: Callable[P, R] = _NamedFunction(function.__module__, function.__qualname__)
+        return run_isolated(by_name, *args, **kwargs)
 
     return in_worker
 
@@ -107,9 +110,9 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
     if _in_worker or multiprocessing.current_process().daemon:
         return function(*args, **kwargs)
     with _one_call:
-        if not (_kept and _kept[0].is_usable):
-            _kept[:] = [_Worker()]
-        succeeded, result = _kept[0].call(function, args, kwargs)
+        if not (_workers and _workers[0].is_usable):
+            _workers[:] = [_Worker()]
+        succeeded, result = _workers[0].call(function, args, kwargs)
     if not succeeded:
         raise result
     return result
@@ -207,7 +210,7 @@ class _Worker:
 
 
 _one_call = threading.RLock()
-_kept: list[_Worker] = []
+_workers: list[_Worker] = []
 
 # In the worker.
 _in_worker = False

@@ -18,8 +18,8 @@ from sysid.parallel import ALONE, Processes
 from uqharness.child_process import child_settings, main_not_imported
 from uqharness.files import scratch_folder
 
-_MOST = 8
-_KEPT = 4
+_MAX_PROCESSES = 8
+_CACHED_VALUES = 4
 
 
 def usable_cores() -> int:
@@ -33,7 +33,7 @@ def usable_cores() -> int:
 
 def process_count(workers: int | None) -> int:
     """``workers``, or as many as there are cores for this process, 8 at most."""
-    return workers or min(_MOST, usable_cores())
+    return workers or min(_MAX_PROCESSES, usable_cores())
 
 
 def end_with_parent() -> None:
@@ -131,7 +131,7 @@ class _InFile:
         return _read(self._path)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED_VALUES)
 def _read(path: str) -> Any:
     from sysid.foreign.typed_files import load
 

@@ -13,8 +13,8 @@ from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 
-_MOST_BYTES = 1_000_000_000
-_MOST_MEMORY_BYTES = 1_500_000_000
+_MAX_BYTES = 1_000_000_000
+_MAX_MEMORY_BYTES = 1_500_000_000
 _TEXT_BASE_BYTES, _TEXT_PER_BYTE = 50_000_000, 100.0
 
 
@@ -44,7 +44,7 @@ def write_table(table: pa.Table, path: Path) -> None:
 def read_table(path: Path) -> pa.Table:
     """Read a table of this program. Raises BadInputError."""
     try:
-        content = read_regular(path, _MOST_BYTES)
+        content = read_regular(path, _MAX_BYTES)
     except FileNotFoundError:
         raise BadInputError(
             f"{path}: not there; run the campaign first: uqharness campaign run"
@@ -56,27 +56,29 @@ def read_table(path: Path) -> pa.Table:
     return parse_table(content, path)
 
 
-def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
+def _decode(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
     """The table with its texts written out, unless that takes more memory than a table may.
 
     A dictionary holds a text once, and each row refers to it: sixteen kilobytes can stand for
     gigabytes. Column chunks are therefore decoded one after another with their dictionaries kept,
     and counted before a text is written out."""
     texts = [field.name for field in schema if _is_text(field.type)]
-    written, held = 0, 0
+    text_bytes, row_bytes = 0, 0
     parts: list[pa.Table] = []
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
         for group in range(file.num_row_groups):
             part = file.read_row_group(group, use_threads=False)
             parts.append(part)
-            held += part.nbytes
+            row_bytes += part.nbytes
             for column in part.columns:
                 for chunk in column.chunks:
                     if pa.types.is_dictionary(chunk.type) and _is_text(chunk.type.value_type):
-                        written += _text_bytes(chunk)
-            if held + written > _MOST_MEMORY_BYTES or written > _most_text(len(content)):
+                        text_bytes += _text_bytes(chunk)
+            if row_bytes + text_bytes > _MAX_MEMORY_BYTES or text_bytes > _max_text_bytes(
+                len(content)
+            ):
                 raise BadInputError(
-                    f"{path}: its texts would take {(held + written) / 1e9:.3g} GB of memory, and"
+                    f"{path}: its texts would take {(row_bytes + text_bytes) / 1e9:.3g} GB of memory, and"
                     f" it has {len(content) / 1e6:.3g} MB: it is damaged or made to fill the memory"
                 )
         table = pa.concat_tables(parts) if parts else file.read()
@@ -87,7 +89,7 @@ def _decoded(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
     return pa.table(columns, names=table.column_names)
 
 
-def _most_text(file_bytes: int) -> float:
+def _max_text_bytes(file_bytes: int) -> float:
     """Bytes of texts that a file of a size may hold: the reasons of a million failed flights
     compress a hundredfold.
     """
@@ -97,8 +99,8 @@ def _most_text(file_bytes: int) -> float:
 def _text_bytes(chunk: pa.DictionaryArray) -> int:
     """Bytes of the texts that a column chunk stands for."""
     lengths = pc.binary_length(chunk.dictionary)
-    found = pc.sum(pc.take(pc.cast(lengths, pa.int64()), chunk.indices)).as_py()
-    return int(found or 0)
+    total = pc.sum(pc.take(pc.cast(lengths, pa.int64()), chunk.indices)).as_py()
+    return int(total or 0)
 
 
 def _is_text(kind: pa.DataType) -> bool:
@@ -118,22 +120,23 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
     """
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
-            found = file.metadata
-            if rows is not None and found.num_rows != rows:
+            metadata = file.metadata
+            if rows is not None and metadata.num_rows != rows:
                 raise BadInputError(
-                    f"{path}: has {found.num_rows} flights, the manifest lists {rows}; run the"
+                    f"{path}: has {metadata.num_rows} flights, the manifest lists {rows}; run the"
                     " campaign again"
                 )
             groups = [
-                found.row_group(number).total_byte_size for number in range(found.num_row_groups)
+                metadata.row_group(number).total_byte_size
+                for number in range(metadata.num_row_groups)
             ]
-            wanted = max(8 * found.num_rows * found.num_columns, sum(groups))
-            if wanted > _MOST_MEMORY_BYTES:
+            needed_bytes = max(8 * metadata.num_rows * metadata.num_columns, sum(groups))
+            if needed_bytes > _MAX_MEMORY_BYTES:
                 raise BadInputError(
-                    f"{path}: would take {wanted / 1e9:.3g} GB of memory; at most"
-                    f" {_MOST_MEMORY_BYTES / 1e9:g} GB"
+                    f"{path}: would take {needed_bytes / 1e9:.3g} GB of memory; at most"
+                    f" {_MAX_MEMORY_BYTES / 1e9:g} GB"
                 )
-            table = _decoded(content, file.schema_arrow, path)
+            table = _decode(content, file.schema_arrow, path)
             # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them
             # as they come.
             table.validate(full=True)

@@ -30,7 +30,7 @@ Number = float | None
 Numbers = dict[str, Number]
 Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 _IDENTIFIED = "identified"
-_MOST_BYTES = 16_000_000
+_MAX_BYTES = 16_000_000
 """A document may have; as Python objects it takes up to thirty times as much."""
 
 
@@ -40,7 +40,7 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-class Spread(Part):
+class RmsWithNoise(Part):
     """A root mean square beside what noise gives."""
 
     rms: Number = None
@@ -58,7 +58,7 @@ class Parameter(Part):
     initial: Number = None
 
     @model_validator(mode="after")
-    def _known(self) -> Parameter:
+    def _check_consistent(self) -> Parameter:
         if self.status == _IDENTIFIED and (
             self.value is None or not {"std", "std_crb"} <= self.model_fields_set
         ):
@@ -66,7 +66,7 @@ class Parameter(Part):
         return self
 
 
-class FitChannel(Spread):
+class FitChannel(RmsWithNoise):
     """A channel of fit.json."""
 
     whiteness_p: Number = None
@@ -102,7 +102,7 @@ class Channel(Part):
     theil_u: Number = None
 
 
-class Gap(Spread):
+class Gap(RmsWithNoise):
     """A coefficient of compare.json."""
 
     mean: Number = None
@@ -141,7 +141,7 @@ class Compare(Part):
     rule: str = ""
 
     @model_validator(mode="after")
-    def _known(self) -> Compare:
+    def _check_consistent(self) -> Compare:
         for name in self.above:
             if name not in self.channels or self.channels[name].ratio is None:
                 raise ValueError(f"above names {name!r}, which is no channel with a ratio")
@@ -185,7 +185,7 @@ class Coverage(Part):
     command: str | None = None
 
     @model_validator(mode="after")
-    def _known(self) -> Coverage:
+    def _check_consistent(self) -> Coverage:
         for name in self.failed:
             if name not in self.coverage:
                 raise ValueError(f"failed names {name!r}, of which there is no coverage")
@@ -292,7 +292,7 @@ def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     Raises BadInputError naming the file and what is wrong with it.
     """
     try:
-        document = parse_json(read_regular(path, _MOST_BYTES))
+        document = parse_json(read_regular(path, _MAX_BYTES))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ParseError as error:
@@ -305,12 +305,12 @@ def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         where = dotted(first["loc"]) or "the document"
-        what = (
+        problem = (
             "is missing"
             if first["type"] == "missing"
             else first["msg"].removeprefix("Value error, ")
         )
-        raise BadInputError(f"{path}: {where}: {what}; run its command again") from None
+        raise BadInputError(f"{path}: {where}: {problem}; run its command again") from None
     return document
 
 
@@ -339,7 +339,7 @@ class Alternative(Part):
     would_separate: str = ""
 
     @model_validator(mode="after")
-    def _told(self) -> Alternative:
+    def _check_complete(self) -> Alternative:
         if not self.separable and "would_separate" not in self.model_fields_set:
             raise ValueError("an alternative that is not separable needs would_separate")
         return self
@@ -356,7 +356,7 @@ class Trial(Part):
     share_std: float | None = None
 
     @model_validator(mode="after")
-    def _told(self) -> Trial:
+    def _check_complete(self) -> Trial:
         if self.gap == "too far" and "rms_over_that_of_train" not in self.model_fields_set:
             raise ValueError("a gap that is too far needs rms_over_that_of_train")
         return self
@@ -401,7 +401,7 @@ class State(Part):
     state: str
 
 
-class Left(Part):
+class RemainingPart(Part):
     """A place where something is left: in words, as a candidate that is asked for, or as a
     coefficient and what it depends on.
     """
@@ -415,9 +415,9 @@ class Left(Part):
     depends_on: list[State] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _told(self) -> Left:
-        told = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
-        if not any(self.model_fields_set >= keys for keys in told):
+    def _check_complete(self) -> RemainingPart:
+        alternatives = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
+        if not any(self.model_fields_set >= keys for keys in alternatives):
             raise ValueError(
                 "needs words, or term and t, or coefficient, rms_over_noise and depends_on"
             )
@@ -434,7 +434,7 @@ class GoesWith(Part):
     of: str
 
 
-class Near(Part):
+class NearbyCandidate(Part):
     """A candidate near to what is left, and what it leaves of the channel: rms over noise."""
 
     name: str
@@ -460,12 +460,12 @@ class Place(Part):
     share_of_excess: Number
     state: GoesWith | None
     channel_on_train: Number
-    candidates: list[Near]
+    candidates: list[NearbyCandidate]
     would_tell: str | None
     reason: str | None
 
     @model_validator(mode="after")
-    def _told(self) -> Place:
+    def _check_complete(self) -> Place:
         timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
         if self.reason is None and (self.channel is None or None in timed):
             raise ValueError(
@@ -508,7 +508,7 @@ class Reasoned(Part):
     reason: str | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_complete(self) -> Self:
         lacking = sorted({*type(self).model_fields} - {*self.model_fields_set, "reason"})
         if self.reason is None and lacking:
             raise ValueError(f"needs {', '.join(lacking)}, or a reason")
@@ -570,7 +570,7 @@ class Curve(Part):
     samples: list[int]
 
     @model_validator(mode="after")
-    def _whole(self) -> Curve:
+    def _check_complete(self) -> Curve:
         if (
             len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1
             or len(self.at) < 2
@@ -616,7 +616,7 @@ class Remaining(Part):
     """What a refinement left."""
 
     unexplained: bool
-    where: list[Left]
+    where: list[RemainingPart]
     channels_above_noise: dict[str, float]
     coloured_channels: list[str]
     place: Place | None = None

@@ -109,9 +109,9 @@ def csv_rows(
                 f"{path}:{line}: has another number of columns than the first line; make the table"
                 " again"
             )
-        wrong = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
-        if wrong or any(row[name] is None for name in texts):
-            name = wrong[0] if wrong else next(name for name in texts if row[name] is None)
+        invalid = [name for name in (*numbers, *maybe) if not _is_number(row[name], name in maybe)]
+        if invalid or any(row[name] is None for name in texts):
+            name = invalid[0] if invalid else next(name for name in texts if row[name] is None)
             raise BadInputError(
                 f"{path}:{line}: {name} is {row[name]!r}, which it cannot be; make the table again"
             )

@@ -40,14 +40,14 @@ def explain(
     line = line_of(text, location)
     name = _name(location)
     if error["type"] == "extra_forbidden":
-        known = _known_keys(document, location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}? " if near else ""
+        allowed = _allowed_keys(document, location[:-1])
+        matches = difflib.get_close_matches(str(location[-1]), allowed, n=1, cutoff=0.5)
+        hint = f"did you mean {matches[0]}? " if matches else ""
         return (
             line,
             (
                 f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed:"
-                f" {', '.join(known)}"
+                f" {', '.join(allowed)}"
             ),
         )
     if error["type"] == "missing":
@@ -55,8 +55,8 @@ def explain(
     message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
     received = error.get("input")
     # A whole table echoed back would bury the sentence, which names the part that matters.
-    shown = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
-    return line, f"{name}: {message}{shown}"
+    received_text = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
+    return line, f"{name}: {message}{received_text}"
 
 
 def _name(location: tuple[Any, ...]) -> str:
@@ -90,7 +90,7 @@ _SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
 _TABLES = {("fly",), ("logs",)}
 
 
-def _known_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
+def _allowed_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
     model: Any = document
     parts = iter(section)
     for name in parts:
@@ -107,23 +107,23 @@ def _model_within(annotation: Any) -> Any:
     """The model of an annotation such as ``Model``, ``Model | None`` or ``dict[str, Model]``."""
     if hasattr(annotation, "model_fields"):
         return annotation
-    found = [_model_within(part) for part in getattr(annotation, "__args__", ())]
-    return next((part for part in found if hasattr(part, "model_fields")), annotation)
+    models = [_model_within(part) for part in getattr(annotation, "__args__", ())]
+    return next((part for part in models if hasattr(part, "model_fields")), annotation)
 
 
 def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:
     """``location`` without pydantic's own marks (names of union members): the part that exists in
     the file.
     """
-    found: list[Any] = []
+    path: list[Any] = []
     for position, part in enumerate(location):
         in_list = isinstance(data, list) and isinstance(part, int) and part < len(data)
         if in_list or (isinstance(data, dict) and part in data):
             data = data[part]
-            found.append(part)
+            path.append(part)
         elif missing_too and position == len(location) - 1:
-            found.append(part)
-    return tuple(found)
+            path.append(part)
+    return tuple(path)
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int:
@@ -131,7 +131,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
 
     Reads headers with quoted parts, dotted keys and inline tables that span lines; a string over
     several lines is not looked into."""
-    wanted = [str(part) for part in location]
+    target = [str(part) for part in location]
     best_depth, best_line = 0, 1
     section: list[str] = []
     tables: dict[str, int] = {}
@@ -144,10 +144,10 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             name = table.group(1)
             tables[name] = tables.get(name, -1) + 1
             section, inside = [name, str(tables[name])], []
-            depth = _common(section, wanted)
+            depth = _matching_depth(section, target)
         elif header:
             section, inside = _parts(header.group(1)), []
-            depth = _common(section, wanted)
+            depth = _matching_depth(section, target)
         else:
             key = re.match(
                 r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=",
@@ -155,11 +155,11 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             )
             if key:
                 inside = section + _parts(key.group(1))
-            depth = _common(inside, wanted) if key else 0
+            depth = _matching_depth(inside, target) if key else 0
             # A key within an inline table that spans lines is nearer the mistake than the table's
             # first line.
-            if _common(inside, wanted) == len(inside) < len(wanted) and inside:
-                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(wanted[len(inside)])}[\"']?\s*="
+            if _matching_depth(inside, target) == len(inside) < len(target) and inside:
+                mark = rf"(?:^|[{{,\s])[\"']?{re.escape(target[len(inside)])}[\"']?\s*="
                 depth = len(inside) + 1 if re.search(mark, line) else depth
         if depth > best_depth:
             best_depth, best_line = depth, number
@@ -168,13 +168,13 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
 
 def _parts(name: str) -> list[str]:
     """Parts of a dotted key or header, quotes taken off."""
-    return ["".join(found) for found in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
+    return ["".join(quoted) for quoted in re.findall(r"\"([^\"]*)\"|'([^']*)'|([^.\s\"']+)", name)]
 
 
-def _common(found: list[str], wanted: list[str]) -> int:
-    """Parts that agree, or 0 if ``found`` leads elsewhere."""
-    shorter = min(len(found), len(wanted))
-    return shorter if found[:shorter] == wanted[:shorter] else 0
+def _matching_depth(key: list[str], target: list[str]) -> int:
+    """Parts that agree, or 0 if ``key`` leads elsewhere."""
+    shorter = min(len(key), len(target))
+    return shorter if key[:shorter] == target[:shorter] else 0
 
 
 def as_toml(value: Any) -> str:
@@ -204,14 +204,14 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-def listed(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """A single value stands for a list of one; TOML's lists become tuples, which strict validation
     wants.
     """
     return tuple(value) if isinstance(value, list) else (value,)
 
 
-def tupled(value: Any) -> Any:
+def list_as_tuple(value: Any) -> Any:
     """A TOML array as a tuple; anything else as it is."""
     return tuple(value) if isinstance(value, list) else value
 

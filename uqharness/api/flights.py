@@ -16,7 +16,7 @@ from sysid.logs import log_info as report_of_log
 from sysid.logs import propose_map as proposed
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import LABELS, SIGNALS
-from uqharness.arguments import flag, instance, number, one_of, whole
+from uqharness.arguments import flag, instance, integer, number, one_of
 from uqharness.arguments import path as argument_path
 from uqharness.arguments import properties as settings
 from uqharness.errors import BadInputError
@@ -179,7 +179,7 @@ def fly(
         number(name, value)
     if duration_s is not None:
         number("duration_s", duration_s)
-    seed = whole("seed", seed)
+    seed = integer("seed", seed)
     spec = FlightSpec(
         model.folder,
         run.path,
@@ -346,7 +346,7 @@ def log_info(
     """
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     card = None if aircraft is None else carded_aircraft(aircraft).folder
-    boot = None if flight_number is None else whole("flight_number", flight_number, 1)
+    boot = None if flight_number is None else integer("flight_number", flight_number, 1)
     with notebook_line("log_info"):
         record = import_log(argument_path("log", log), own_map, card, flight_number=boot)
         return report_of_log(record)

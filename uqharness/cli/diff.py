@@ -13,9 +13,9 @@ from uqharness.cli.options import add_page, add_seed, command_as_given, describe
 from uqharness.cli.progress import counting
 from uqharness.differences import (
     ROUNDING,
-    Asked,
     Difference,
-    Matched,
+    MatchedFlight,
+    MatchedRequest,
     Term,
     aircraft_at,
     by_channel,
@@ -126,7 +126,7 @@ def _run(args: argparse.Namespace) -> int:
             "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A --speed-mps V shows the trim), or "
             "--script S"
         )
-    asked = Asked(
+    asked = MatchedRequest(
         speeds_mps=tuple(args.speed_mps),
         altitude_m=args.altitude_m,
         scripts=tuple(find_script(s) for s in args.script),
@@ -161,7 +161,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _text(
-    flights: Sequence[Matched], first: Sequence[Difference], terms: Sequence[Term], differ: bool
+    flights: Sequence[MatchedFlight], first: Sequence[Difference], terms: Sequence[Term], differ: bool
 ) -> str:
     flown = f"{len(flights)} flights, {sum(float(f.time_s[-1]) for f in flights if len(f.time_s)):.0f} s"
     beyond = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
@@ -223,7 +223,7 @@ def _where(term: Term) -> str:
 
 def _document(
     args: argparse.Namespace,
-    flights: Sequence[Matched],
+    flights: Sequence[MatchedFlight],
     found: Sequence[Difference],
     terms: Sequence[Term],
     differ: bool,

@@ -62,15 +62,17 @@ class Channel:
         return GROUPS.index(self.group)
 
 
-def channels_of(aircraft: Aircraft, fdm: Any, others: tuple[str, ...] = ()) -> list[Channel]:
+def channels_of(
+    aircraft: Aircraft, fdm: Any, extra_properties: tuple[str, ...] = ()
+) -> list[Channel]:
     """Channels of an aircraft's model ``fdm``; coefficients by its own reference area and lengths.
-    others: properties besides.
+    extra_properties: properties besides.
     """
     S, b, c = (float(fdm[f"metrics/{name}"]) for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
-    known = fdm.get_property_manager()
-    out = [
-        *(_mass(tag, what) for tag, what in _MASS),
-        *_surfaces(aircraft, known),
+    property_manager = fdm.get_property_manager()
+    channels = [
+        *(_mass_channel(tag, source) for tag, source in _MASS),
+        *_surface_channels(aircraft, property_manager),
         *(
             Channel(f"{name} of thrust", unit, "propulsion", Source(prop, factor), floor)
             for name, unit, prop, factor, floor in _THRUST
@@ -100,18 +102,18 @@ def channels_of(aircraft: Aircraft, fdm: Any, others: tuple[str, ...] = ()) -> l
             Channel(name, unit, group, Source(prop, factor), floor)
             for name, unit, group, prop, factor, floor in _MOTION
         ),
-        *(Channel(prop, "own unit", "surfaces", Source(prop), 1e-6) for prop in others),
+        *(Channel(prop, "own unit", "surfaces", Source(prop), 1e-6) for prop in extra_properties),
     ]
-    return [c for c in out if known.hasNode(c.source.property)]
+    return [c for c in channels if property_manager.hasNode(c.source.property)]
 
 
-def _mass(name: str, what: tuple[str, str, float]) -> Channel:
-    prop, unit, factor = what
+def _mass_channel(name: str, source: tuple[str, str, float]) -> Channel:
+    prop, unit, factor = source
     group = "inertia" if name.startswith("I") else "mass and CG"
     return Channel(name, unit, group, Source(prop, factor), 1e-6)
 
 
-def _surfaces(aircraft: Aircraft, known: Any) -> list[Channel]:
+def _surface_channels(aircraft: Aircraft, property_manager: Any) -> list[Channel]:
     names = {
         card.position: control for control, card in aircraft.card.inputs.items() if card.position
     }
@@ -120,16 +122,16 @@ def _surfaces(aircraft: Aircraft, known: Any) -> list[Channel]:
         for s in ("elevator", "left-aileron", "right-aileron", "rudder", "flap", "throttle")
         for unit in ("rad", "norm")
     }
-    out: dict[str, Channel] = {}
+    channels: dict[str, Channel] = {}
     for prop, control in {**standard, **names}.items():
-        if known.hasNode(prop):
+        if property_manager.hasNode(prop):
             unit = next(
                 (u for u in ("deg", "rad", "norm", "pct") if prop.endswith(f"-{u}")), "own unit"
             )
-            out[control] = Channel(
+            channels[control] = Channel(
                 f"{control.replace('-', ' ')} position", unit, "surfaces", Source(prop), 1e-4
             )
-    return list(out.values())
+    return list(channels.values())
 
 
 _MASS = (
@@ -180,13 +182,13 @@ _MOTION = (
 
 
 @dataclass(frozen=True)
-class How:
+class FlightSettings:
     """A flight of at most ``most_s`` in steps of ``dt_s`` [s], its air and its seed.
 
     one_ulp_off: from a start that is one unit in the last place away; properties: set before the
     flight."""
 
-    most_s: float
+    max_s: float
     dt_s: float
     turbulence: str = "none"
     seed: int = 1
@@ -194,42 +196,42 @@ class How:
     properties: Mapping[str, float] = field(default_factory=dict)
 
 
-def flown(
-    aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
+def fly_frames(
+    aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
     """time_s and channels of a flight in a worker process, a row a frame. Raises BadInputError."""
-    return run_isolated(_flown, aircraft, path, channels, how)
+    return run_isolated(_fly_in_worker, aircraft, path, channels, settings)
 
 
-def _flown(
-    aircraft: Aircraft, path: Path, channels: Sequence[Channel], how: How
+def _fly_in_worker(
+    aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
     script = read_script(path)
-    if how.dt_s != aircraft.dt_s:
-        section = aircraft.card.aircraft.model_copy(update={"dt_s": how.dt_s})
+    if settings.dt_s != aircraft.dt_s:
+        section = aircraft.card.aircraft.model_copy(update={"dt_s": settings.dt_s})
         aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
     spec = FlightSpec(
         aircraft=aircraft.folder,
         script=path,
-        duration_s=min(script.end_s, how.most_s),
-        turbulence=how.turbulence,
+        duration_s=min(script.end_s, settings.max_s),
+        turbulence=settings.turbulence,
         record_rate_hz=1.0 / aircraft.dt_s,
-        properties=dict(how.properties),
+        properties=dict(settings.properties),
     )
     with StagedMission(aircraft, path) as mission:
         optional = {c.name: c.source for c in channels}
         recorded = record_mission(
             mission,
-            as_asked(spec, how.seed),
+            as_asked(spec, settings.seed),
             {},
             optional,
             keep_burn_in=True,
-            one_ulp_off=how.one_ulp_off,
+            one_ulp_off=settings.one_ulp_off,
         )
     return recorded.signals
 
 
-LONGEST_S = 600.0
+TIMEOUT_S = 600.0
 
 
 class RefusedError(BadInputError):
@@ -237,7 +239,11 @@ class RefusedError(BadInputError):
 
 
 def fly_elsewhere(
-    python: Path, aircraft: Aircraft, script: Path, channels: Sequence[Channel], how: How
+    python: Path,
+    aircraft: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    settings: FlightSettings,
 ) -> tuple[dict[str, FloatArray], str]:
     """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the
     version of its JSBSim.
@@ -265,35 +271,39 @@ def fly_elsewhere(
         # A stock aircraft's engines are those of its own JSBSim: both sides fly the same files.
         document = {k: str(v) for k, v in places.items()} | {
             "channels": [asdict(c) for c in channels],
-            "how": asdict(how),
+            "how": asdict(settings),
         }
         write_json(job, document)
-        ended = run_module(__name__, job, out, timeout_s=LONGEST_S, python=python)
+        ended = run_module(__name__, job, out, timeout_s=TIMEOUT_S, python=python)
         if ended.answer.get("error"):
             raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
-            said = ended.errors or ended.said or "nothing was said"
-            end = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
+            message = ended.errors or ended.output or "nothing was said"
+            outcome = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
             raise BadInputError(
-                f"{python}: the flight {end}: {said}; an environment is needed that has JSBSim 1.3"
+                f"{python}: the flight {outcome}: {message}; an environment is needed that has JSBSim 1.3"
                 " and what uqharness needs (pip install uqharness, then pip install"
                 " jsbsim==VERSION)"
             )
-        with np.load(out) as found:
-            signals = dict(zip(found["names"].tolist(), found["columns"], strict=True))
+        with np.load(out) as archive:
+            signals = dict(zip(archive["names"].tolist(), archive["columns"], strict=True))
             return signals, str(ended.answer.get("jsbsim", ""))
 
 
 def _child(job: Path, out: Path) -> None:
-    asked = json.loads(job.read_text(encoding="utf-8"))
-    channels = [Channel(**{**row, "source": Source(**row["source"])}) for row in asked["channels"]]
+    request = json.loads(job.read_text(encoding="utf-8"))
+    channels = [
+        Channel(**{**row, "source": Source(**row["source"])}) for row in request["channels"]
+    ]
     try:
         aircraft = replace(
-            find_aircraft(asked["aircraft"]),
-            engine_path=Path(asked["engine"]),
-            systems_path=Path(asked["systems"]),
+            find_aircraft(request["aircraft"]),
+            engine_path=Path(request["engine"]),
+            systems_path=Path(request["systems"]),
         )
-        signals = flown(aircraft, Path(asked["script"]), channels, How(**asked["how"]))
+        signals = fly_frames(
+            aircraft, Path(request["script"]), channels, FlightSettings(**request["how"])
+        )
     except BadInputError as error:
         give_answer({"error": str(error)})
         return

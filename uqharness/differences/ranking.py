@@ -13,11 +13,11 @@ from sysid.arrays import FloatArray
 from uqharness.differences.elsewhere import (
     GROUPS,
     Channel,
-    How,
+    FlightSettings,
     RefusedError,
     channels_of,
-    flown,
     fly_elsewhere,
+    fly_frames,
 )
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder, write_bytes
@@ -44,11 +44,11 @@ from uqharness.xml import Node, folder_documents
 # bounds of its model form.
 
 
-def varied(
+def fly_variations(
     aircraft: Aircraft,
     script: Path,
     channels: Sequence[Channel],
-    how: How,
+    settings: FlightSettings,
     repeats: int,
     bounds: bool,
 ) -> list[dict[str, FloatArray]]:
@@ -56,30 +56,33 @@ def varied(
 
     Raises BadInputError where there is no air to repeat or no bound.
     """
-    if repeats and how.turbulence == "none":
+    if repeats and settings.turbulence == "none":
         raise BadInputError(
             "--repeats: still air has no other seed; give --turbulence light, moderate or severe"
         )
-    others = [replace(how, seed=how.seed + k) for k in range(1, repeats + 1)]
-    others += [replace(how, properties=corner) for corner in (_ends(aircraft) if bounds else ())]
-    return [flown(aircraft, script, channels, other) for other in others]
+    variations = [replace(settings, seed=settings.seed + k) for k in range(1, repeats + 1)]
+    variations += [
+        replace(settings, properties=corner)
+        for corner in (_bound_settings(aircraft) if bounds else ())
+    ]
+    return [fly_frames(aircraft, script, channels, other) for other in variations]
 
 
-def spread(
-    flight: Mapping[str, FloatArray], others: Iterable[Mapping[str, FloatArray]]
+def largest_deviation(
+    flight: Mapping[str, FloatArray], variations: Iterable[Mapping[str, FloatArray]]
 ) -> dict[str, float]:
     """Largest difference of the others from the flight, by channel, over the time that both flew."""
-    out = dict.fromkeys(flight, 0.0)
-    for other in others:
+    deviations = dict.fromkeys(flight, 0.0)
+    for other in variations:
         for name, values in flight.items():
             n = min(len(values), len(other[name]))
-            out[name] = max(
-                out[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
+            deviations[name] = max(
+                deviations[name], float(np.max(np.abs(other[name][:n] - values[:n]), initial=0.0))
             )
-    return out
+    return deviations
 
 
-def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
+def _bound_settings(aircraft: Aircraft) -> list[dict[str, float]]:
     """Settings for each coefficient at its lower and at its upper bound, the others without one."""
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
@@ -99,12 +102,12 @@ def _ends(aircraft: Aircraft) -> list[dict[str, float]]:
     ]
 
 
-MOST_S = 60.0
+SCRIPT_LIMIT_S = 60.0
 """Longest flight of a script [s]; a mission of one's own ends by itself."""
 
 
 @dataclass(frozen=True)
-class Asked:
+class MatchedRequest:
     """What is flown: manoeuvres from a trim of A at each speed [m/s] and height [m], and run scripts of one's own.
 
     properties: of the simulation, compared besides the channels that every aircraft has.
@@ -125,7 +128,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedFlight:
     """One flight of both models.
 
     name       of the manoeuvre or script; time_s (n,); a, b, nudged: channel -> (n,), nudged being A from a start one unit in the
@@ -148,93 +151,110 @@ class Matched:
 
 
 def fly_matched(
-    a: Aircraft, b: Aircraft, asked: Asked, on_progress: Callable[[int, int], None] | None = None
-) -> tuple[list[Channel], list[Matched]]:
+    a: Aircraft,
+    b: Aircraft,
+    request: MatchedRequest,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[Channel], list[MatchedFlight]]:
     """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly.
 
     ``on_progress`` is told how many flights are flown in both models, of how many.
     """
-    if not asked.speeds_mps and not asked.scripts:
+    if not request.speeds_mps and not request.scripts:
         raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
-    channels = channels_of(a, open_aircraft(a), asked.properties)
-    out: list[Matched] = []
-    every = len(asked.speeds_mps) * len(asked.missions) + len(asked.scripts)
+    channels = channels_of(a, open_aircraft(a), request.properties)
+    flights: list[MatchedFlight] = []
+    n_flights = len(request.speeds_mps) * len(request.missions) + len(request.scripts)
 
-    def flown_in_both(flight: Matched) -> None:
-        out.append(flight)
+    def add_flight(flight: MatchedFlight) -> None:
+        flights.append(flight)
         if on_progress is not None:
-            on_progress(len(out), every)
+            on_progress(len(flights), n_flights)
 
     with scratch_folder("diff") as scratch:
-        one, two = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
-        for speed in asked.speeds_mps:
-            start = StartSection(V_mps=speed, altitude_m=asked.altitude_m)
-            for kind in asked.missions:
-                before = {p.name for p in one.folder.iterdir()}
-                path, _ = write_own_mission(one, start, kind)
-                for made in one.folder.iterdir():
-                    if made.name not in before or made == path or made.name == "steady-start.xml":
-                        write_bytes(two.folder / made.name, made.read_bytes())
-                flown_in_both(
-                    _both(
-                        one,
-                        two,
+        copy_a, copy_b = _copy(a, scratch.path / "a"), _copy(b, scratch.path / "b")
+        for speed in request.speeds_mps:
+            start = StartSection(V_mps=speed, altitude_m=request.altitude_m)
+            for kind in request.missions:
+                existing_names = {p.name for p in copy_a.folder.iterdir()}
+                path, _ = write_own_mission(copy_a, start, kind)
+                for mission_file in copy_a.folder.iterdir():
+                    if (
+                        mission_file.name not in existing_names
+                        or mission_file == path
+                        or mission_file.name == "steady-start.xml"
+                    ):
+                        write_bytes(copy_b.folder / mission_file.name, mission_file.read_bytes())
+                add_flight(
+                    _fly_both(
+                        copy_a,
+                        copy_b,
                         path,
-                        two.folder / path.name,
+                        copy_b.folder / path.name,
                         f"{kind} at {speed:g} m/s",
                         channels,
-                        asked,
+                        request,
                         1e9,
                     )
                 )
-        for script in asked.scripts:
+        for script in request.scripts:
             initial = read_script(script).initialize
-            for source in (one.folder / initial, one.folder / f"{initial}.xml"):
+            for source in (copy_a.folder / initial, copy_a.folder / f"{initial}.xml"):
                 if source.is_file():
-                    write_bytes(two.folder / source.name, source.read_bytes())
-            flown_in_both(_both(one, two, script, script, script.stem, channels, asked, MOST_S))
-    return channels, out
+                    write_bytes(copy_b.folder / source.name, source.read_bytes())
+            add_flight(
+                _fly_both(
+                    copy_a, copy_b, script, script, script.stem, channels, request, SCRIPT_LIMIT_S
+                )
+            )
+    return channels, flights
 
 
 def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
     copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
     copy_beside(aircraft, root, engine.default_root())
-    found = find_aircraft(root / "aircraft" / aircraft.folder.name)
-    return replace(found, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
+    copied = find_aircraft(root / "aircraft" / aircraft.folder.name)
+    return replace(copied, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
 
-def _both(
-    one: Aircraft,
-    two: Aircraft,
-    path: Path,
-    other: Path,
+def _fly_both(
+    copy_a: Aircraft,
+    copy_b: Aircraft,
+    script_a: Path,
+    script_b: Path,
     name: str,
     channels: Sequence[Channel],
-    asked: Asked,
-    most_s: float,
-) -> Matched:
-    how = How(most_s, one.dt_s, asked.turbulence, asked.seed)
+    request: MatchedRequest,
+    limit_s: float,
+) -> MatchedFlight:
+    settings = FlightSettings(limit_s, copy_a.dt_s, request.turbulence, request.seed)
     try:
-        first, near = (
-            flown(one, path, channels, replace(how, one_ulp_off=nudged)) for nudged in (False, True)
+        flight_a, nudged_flight = (
+            fly_frames(copy_a, script_a, channels, replace(settings, one_ulp_off=nudged))
+            for nudged in (False, True)
         )
     except ProcessEndedError as error:
         raise BadInputError(f"{name}: A cannot be flown: {error}") from None
     try:
-        second, version = _of_b(two, other, channels, how, asked.python_b)
+        flight_b, version = _fly_b(copy_b, script_b, channels, settings, request.python_b)
     except RefusedError as error:
-        return Matched(name, first["time_s"], first, {}, near, reason=str(error))
-    others = varied(one, path, channels, how, asked.repeats, asked.bounds)
-    rows = min(len(x["time_s"]) for x in (first, near, second))
+        return MatchedFlight(
+            name, flight_a["time_s"], flight_a, {}, nudged_flight, reason=str(error)
+        )
+    variations = fly_variations(
+        copy_a, script_a, channels, settings, request.repeats, request.bounds
+    )
+    rows = min(len(x["time_s"]) for x in (flight_a, nudged_flight, flight_b))
     a, b, nudged = (
-        {k: v[:rows] for k, v in x.items() if k != "time_s"} for x in (first, second, near)
+        {k: v[:rows] for k, v in x.items() if k != "time_s"}
+        for x in (flight_a, flight_b, nudged_flight)
     )
     only_a, only_b = tuple(sorted(a.keys() - b.keys())), tuple(sorted(b.keys() - a.keys()))
-    lengths = len(first["time_s"]), len(second["time_s"])
+    lengths = len(flight_a["time_s"]), len(flight_b["time_s"])
     reason = "" if lengths[0] == lengths[1] else f"A flew {lengths[0]} frames and B {lengths[1]}"
-    return Matched(
+    return MatchedFlight(
         name,
-        first["time_s"][:rows],
+        flight_a["time_s"][:rows],
         a,
         b,
         nudged,
@@ -242,18 +262,22 @@ def _both(
         only_b,
         reason,
         version,
-        spread(a, others) if others else {},
+        largest_deviation(a, variations) if variations else {},
     )
 
 
-def _of_b(
-    two: Aircraft, script: Path, channels: Sequence[Channel], how: How, python: Path | None
+def _fly_b(
+    copy_b: Aircraft,
+    script: Path,
+    channels: Sequence[Channel],
+    settings: FlightSettings,
+    python: Path | None,
 ) -> tuple[dict[str, FloatArray], str]:
     """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
     if python is not None:
-        return fly_elsewhere(python, two, script, channels, how)
+        return fly_elsewhere(python, copy_b, script, channels, settings)
     try:
-        return flown(two, script, channels, how), ""
+        return fly_frames(copy_b, script, channels, settings), ""
     except BadInputError as error:
         raise RefusedError(str(error)) from None
 
@@ -313,7 +337,7 @@ class Term:
 class _Line:
     key: str
     path: str
-    said: str
+    content: str
     where: str
     group: str
     channel: str
@@ -322,20 +346,20 @@ class _Line:
 def differing_terms(a: Path, b: Path) -> list[Term]:
     """What differs between the XML of two aircraft folders, in the order of the files. Raises BadInputError."""
     first, second = _lines(a), _lines(b)
-    out: list[Term] = []
+    terms: list[Term] = []
     for name in sorted({*first, *second}):
         one, two = first.get(name, []), second.get(name, [])
         matcher = SequenceMatcher(None, [x.key for x in one], [x.key for x in two], autojunk=False)
         for _, i, i_end, j, j_end in (code for code in matcher.get_opcodes() if code[0] != "equal"):
-            out += _paired(one[i:i_end], two[j:j_end])
-    return _without_inner(_without_moved(out))
+            terms += _paired(one[i:i_end], two[j:j_end])
+    return _without_inner(_without_moved(terms))
 
 
 def _without_moved(terms: list[Term]) -> list[Term]:
     """The terms less elements that stand elsewhere in the same parent: gone in one place, added in another."""
-    gone = [(t.path, t.a) for t in terms if not t.b_where]
+    removed = [(t.path, t.a) for t in terms if not t.b_where]
     added = [(t.path, t.b) for t in terms if not t.a_where]
-    moved = [key for key in gone if key in added]
+    moved = [key for key in removed if key in added]
     return [
         t
         for t in terms
@@ -356,65 +380,67 @@ def _without_inner(terms: list[Term]) -> list[Term]:
     return out
 
 
-def _paired(one: list[_Line], two: list[_Line]) -> list[Term]:
+def _paired(lines_a: list[_Line], lines_b: list[_Line]) -> list[Term]:
     """Lines that stand for each other, by their path, and those that have no counterpart."""
-    rest = list(two)
-    out = []
-    for x in one:
-        y = next((y for y in rest if y.path == x.path), None)
+    unpaired = list(lines_b)
+    terms = []
+    for x in lines_a:
+        y = next((y for y in unpaired if y.path == x.path), None)
         if y is not None:
-            rest.remove(y)
-        out.append(
+            unpaired.remove(y)
+        terms.append(
             Term(
                 x.path,
-                x.said,
-                y.said if y else "",
+                x.content,
+                y.content if y else "",
                 x.where,
                 y.where if y else "",
                 x.group,
                 x.channel,
             )
         )
-    out += [Term(y.path, "", y.said, "", y.where, y.group, y.channel) for y in rest]
-    return out
+    terms += [Term(y.path, "", y.content, "", y.where, y.group, y.channel) for y in unpaired]
+    return terms
 
 
 def _lines(folder: Path) -> dict[str, list[_Line]]:
-    out: dict[str, list[_Line]] = {}
+    lines_by_file: dict[str, list[_Line]] = {}
     for document in folder_documents(folder):
         relative = document.path.relative_to(folder).as_posix()
         # The aircraft's own file is named for its folder, which may be another.
         name = "aircraft" if document.path.stem == folder.name else relative
-        found = out.setdefault(name, [])
+        lines = lines_by_file.setdefault(name, [])
         for node in document.root.walk():
             if node.tag in ("fileheader",) or any(
-                above.tag == "fileheader" for above in _above(node)
+                ancestor.tag == "fileheader" for ancestor in _ancestors(node)
             ):
                 continue
             if node is document.root:
                 continue
-            found.append(_line(node, f"{relative}:{node.line}", document.root.tag))
-    if not out:
+            lines.append(_line(node, f"{relative}:{node.line}", document.root.tag))
+    if not lines_by_file:
         raise BadInputError(f"{folder}: no XML to compare")
-    return out
+    return lines_by_file
 
 
 def _line(node: Node, where: str, root: str) -> _Line:
-    chain = [*reversed(list(_above(node))), node][1:]
+    chain = [*reversed(list(_ancestors(node))), node][1:]
     path = " / ".join(_label(n) for n in chain)
-    attributes = " ".join(f'{k}="{_number(v)}"' for k, v in sorted(node.attributes.items()))
-    said = " ".join(x for x in (_text(node.text), attributes) if x) or f"<{node.tag}>"
+    attributes = " ".join(
+        f'{k}="{_normalise_number(v)}"' for k, v in sorted(node.attributes.items())
+    )
+    content = " ".join(x for x in (_normalise_text(node.text), attributes) if x) or f"<{node.tag}>"
     section = chain[0].tag if chain else ""
     axis = next((n.attributes.get("name", "").upper() for n in chain if n.tag == "axis"), "")
     group = _GROUP.get(section, _GROUP.get(root, ""))
-    return _Line(f"{path}|{said}", path, said, where, group, _AXIS.get(axis, ""))
+    return _Line(f"{path}|{content}", path, content, where, group, _AXIS.get(axis, ""))
 
 
-def _above(node: Node) -> Iterator[Node]:
-    above = node.parent
-    while above is not None:
-        yield above
-        above = above.parent
+def _ancestors(node: Node) -> Iterator[Node]:
+    ancestor = node.parent
+    while ancestor is not None:
+        yield ancestor
+        ancestor = ancestor.parent
 
 
 def _label(node: Node) -> str:
@@ -424,11 +450,11 @@ def _label(node: Node) -> str:
     return f"{node.tag} {name}".strip()
 
 
-def _text(text: str) -> str:
-    return " ".join(_number(word) for word in text.split())
+def _normalise_text(text: str) -> str:
+    return " ".join(_normalise_number(word) for word in text.split())
 
 
-def _number(word: str) -> str:
+def _normalise_number(word: str) -> str:
     """A number by its value, anything else as it is."""
     try:
         return repr(float(word) + 0.0)
@@ -438,7 +464,7 @@ def _number(word: str) -> str:
 
 ROUNDING = 1e-9
 """Share of a channel's range within which two orders of the same sums stay."""
-NUDGES = 1000.0
+NUDGE_FACTOR = 1000.0
 """How often the difference that one unit in the last place of the start makes is allowed: rounding acts in every frame."""
 
 
@@ -468,7 +494,7 @@ class Difference:
 
 def differences(
     channels: Sequence[Channel],
-    flights: Iterable[Matched],
+    flights: Iterable[MatchedFlight],
     terms: Sequence[Term],
     tolerance: float = ROUNDING,
 ) -> list[Difference]:
@@ -476,7 +502,7 @@ def differences(
 
     tolerance: share of a channel's range that is benign in any case.
     """
-    found: list[tuple[tuple[float, ...], Difference]] = []
+    ranked: list[tuple[tuple[float, ...], Difference]] = []
     for order, flight in enumerate(flights):
         for channel in channels:
             if channel.name not in flight.a or channel.name not in flight.b:
@@ -484,16 +510,16 @@ def differences(
             row = _difference(channel, flight, terms, tolerance)
             if row is not None:
                 first, difference = row
-                found.append(((difference.from_s, channel.rank, -first, float(order)), difference))
-    return [d for _, d in sorted(found, key=lambda pair: pair[0])]
+                ranked.append(((difference.from_s, channel.rank, -first, float(order)), difference))
+    return [d for _, d in sorted(ranked, key=lambda pair: pair[0])]
 
 
-def by_channel(found: Sequence[Difference]) -> list[Difference]:
+def by_channel(ranked: Sequence[Difference]) -> list[Difference]:
     """The first row of each channel, in order."""
-    seen: dict[str, Difference] = {}
-    for d in found:
-        seen.setdefault(d.channel, d)
-    return list(seen.values())
+    first_rows: dict[str, Difference] = {}
+    for d in ranked:
+        first_rows.setdefault(d.channel, d)
+    return list(first_rows.values())
 
 
 def scale_of(channel: Channel, values: FloatArray) -> float:
@@ -504,24 +530,25 @@ def scale_of(channel: Channel, values: FloatArray) -> float:
 
 
 def _difference(
-    channel: Channel, flight: Matched, terms: Sequence[Term], tolerance: float
+    channel: Channel, flight: MatchedFlight, terms: Sequence[Term], tolerance: float
 ) -> tuple[float, Difference] | None:
     a, b = flight.a[channel.name], flight.b[channel.name]
     scale = scale_of(channel, a)
     # A start that is one unit off moves everything after it: what it has moved so far is what rounding may have.
     benign = np.maximum(
-        NUDGES * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)), tolerance * scale
+        NUDGE_FACTOR * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)),
+        tolerance * scale,
     )
     benign = np.maximum(benign, flight.varied.get(channel.name, 0.0))
-    apart = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
-    beyond = ~(apart <= benign)
-    if not beyond.any():
+    distance = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
+    exceeds = ~(distance <= benign)
+    if not exceeds.any():
         return None
     start, worst = (
-        int(np.argmax(beyond)),
-        int(np.nanargmax(np.where(np.isnan(apart), np.inf, apart))),
+        int(np.argmax(exceeds)),
+        int(np.nanargmax(np.where(np.isnan(distance), np.inf, distance))),
     )
-    size = float(apart[worst])
+    size = float(distance[worst])
     difference = Difference(
         channel.name,
         channel.unit,
@@ -534,9 +561,9 @@ def _difference(
         size / float(benign[worst]),
         float(a[worst]),
         float(b[worst]),
-        likeliest(channel, terms),
+        rank_terms(channel, terms),
     )
-    return float(apart[start] / scale), difference
+    return float(distance[start] / scale), difference
 
 
 _NAMES = {
@@ -550,7 +577,7 @@ _NAMES = {
 """How authors begin the names of a coefficient's terms."""
 
 
-def _named(term: Term, channel: Channel) -> bool:
+def _name_matches(term: Term, channel: Channel) -> bool:
     """Whether some part of a term's path has a name that begins as the coefficient's do."""
     words = (word for part in term.path.split(" / ") for word in part.split(" ")[1:])
     return any(
@@ -558,11 +585,11 @@ def _named(term: Term, channel: Channel) -> bool:
     )
 
 
-def likeliest(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
+def rank_terms(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Terms that may move a channel: those of its own axis, then of its group, then of any group before it."""
 
-    def nearness(term: Term) -> float:
-        if _named(term, channel):
+    def penalty(term: Term) -> float:
+        if _name_matches(term, channel):
             return -1.0
         if term.channel and term.channel == channel.name:
             return 0.0
@@ -575,4 +602,4 @@ def likeliest(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
         other_axis = term.channel and channel.group.endswith("coefficients")
         return 1.0 + (channel.rank - rank) * 0.5 + (2.0 if other_axis else 0.0)
 
-    return tuple(sorted(terms, key=nearness))
+    return tuple(sorted(terms, key=penalty))

@@ -18,20 +18,20 @@ from sysid.foreign.regular_files import in_words, read_regular
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, find_aircraft
 
-MOST_FILES = 5_000
-MOST_BYTES = 64_000_000
+MAX_FILES = 5_000
+MAX_BYTES = 64_000_000
 """Files of an aircraft, and their content together; the largest of JSBSim's has 2 MB."""
 _LISTING_BYTES = 4_000_000
 _REFERENCE_BYTES = 64_000_000
 _MEMORY_BYTES = 2_000_000_000
 _TIMEOUT_S = 60.0
-_SHOWN = 200
+_MESSAGE_CHARACTERS = 200
 """Characters of what was asked for that a message repeats."""
 _FILE_MODES = (b"100644", b"100755")
 _EXAMPLE = "give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
 
 
-def named_revision(text: str) -> tuple[str, str] | None:
+def split_revision(text: str) -> tuple[str, str] | None:
     """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a
     drive letter.
     """
@@ -46,31 +46,31 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
 
     Raises BadInputError.
     """
-    found = named_revision(text)
-    if found is None:
+    revision_and_path = split_revision(text)
+    if revision_and_path is None:
         return find_aircraft(text)
-    revision, path = found
-    shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    revision, path = revision_and_path
+    requested = text if len(text) <= _MESSAGE_CHARACTERS else f"{text[:_MESSAGE_CHARACTERS]}..."
     try:
         repository = _find_repository(Path.cwd())
         if repository is None:
-            raise BadInputError(f"{shown}: {Path.cwd()} is in no git repository; {_EXAMPLE}")
-        inside = _path_within(path, repository.top)
-        if inside is None:
+            raise BadInputError(f"{requested}: {Path.cwd()} is in no git repository; {_EXAMPLE}")
+        inner_path = _path_within(path, repository.top)
+        if inner_path is None:
             raise BadInputError(
-                f"{shown}: this path is outside the repository {repository.top}; {_EXAMPLE}"
+                f"{requested}: this path is outside the repository {repository.top}; {_EXAMPLE}"
             )
         scratch.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="git-", dir=scratch) as name:
-            reader = _Reader(repository, Path(name), shown)
-            files = reader.files(reader.commit(revision), inside)
+            reader = _Reader(repository, Path(name), requested)
+            files = reader.files(reader.commit(revision), inner_path)
             _write(files, scratch)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise BadInputError(
-            f"{shown}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
+            f"{requested}: cannot be read: {' '.join(str(reason).split())}; {_EXAMPLE}"
         ) from None
-    return find_aircraft(scratch / inside)
+    return find_aircraft(scratch / inner_path)
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class _Reader:
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
             raise BadInputError(
-                f"{self._requested}: the repository has no revision {revision[:_SHOWN]!r};"
+                f"{self._requested}: the repository has no revision {revision[:_MESSAGE_CHARACTERS]!r};"
                 f" {_EXAMPLE}"
             )
         return name
@@ -173,17 +173,17 @@ class _Reader:
         total = sum(size for _, size in sizes.values())
         if not sizes:
             raise BadInputError(
-                f"{self._requested}: the revision has no folder {folder[:_SHOWN]} with files;"
+                f"{self._requested}: the revision has no folder {folder[:_MESSAGE_CHARACTERS]} with files;"
                 f" {_EXAMPLE}"
             )
-        if len(sizes) > MOST_FILES or total > MOST_BYTES:
+        if len(sizes) > MAX_FILES or total > MAX_BYTES:
             raise BadInputError(
                 f"{self._requested}: has {len(sizes)} files of {in_words(total)} together; an"
-                f" aircraft may have {MOST_FILES} of {in_words(MOST_BYTES)}"
+                f" aircraft may have {MAX_FILES} of {in_words(MAX_BYTES)}"
             )
         names = "".join(f"{blob}\n" for blob, _ in sizes.values())
-        most = total + 200 * len(sizes)
-        content = self._run(["cat-file", "--batch"], most, names.encode())
+        limit = total + 200 * len(sizes)
+        content = self._run(["cat-file", "--batch"], limit, names.encode())
         files: dict[str, bytes] = {}
         position = 0
         for path, (_, length) in sizes.items():
@@ -192,23 +192,23 @@ class _Reader:
             position = begin + length + 1
         return files
 
-    def _run(self, words: Sequence[str], most_bytes: int, given: bytes = b"") -> bytes:
-        """What a git command prints; BadInputError where it fails, prints more than ``most_bytes``
+    def _run(self, words: Sequence[str], max_bytes: int, stdin: bytes = b"") -> bytes:
+        """What a git command prints; BadInputError where it fails, prints more than ``max_bytes``
         or takes too long.
         """
         output = self._place / "output"
         try:
             with output.open("wb") as handle:
-                done = subprocess.run(
+                process = subprocess.run(
                     ["git", *words],
                     cwd=self._place,
                     env=self._environment,
-                    input=given,
+                    input=stdin,
                     stdout=handle,
                     stderr=subprocess.PIPE,
                     check=False,
                     timeout=_TIMEOUT_S,
-                    preexec_fn=None if os.name == "nt" else _limits(most_bytes),
+                    preexec_fn=None if os.name == "nt" else _limits(max_bytes),
                 )
         except FileNotFoundError:
             raise BadInputError(
@@ -219,25 +219,25 @@ class _Reader:
                 f"{self._requested}: git {words[0]} took more than {_TIMEOUT_S:g} s; the repository"
                 " is damaged or made to hold it up"
             ) from None
-        if done.returncode and words[0] != "rev-parse":
-            lines = done.stderr.decode(errors="replace").strip().splitlines()
+        if process.returncode and words[0] != "rev-parse":
+            lines = process.stderr.decode(errors="replace").strip().splitlines()
             reason = (
                 " ".join(lines[-1].split())
                 if lines
                 else "stopped at the limit of memory or of output"
             )
             raise BadInputError(f"{self._requested}: git {words[0]}: {reason[:300]}; {_EXAMPLE}")
-        return read_regular(output, most_bytes + 1)
+        return read_regular(output, max_bytes + 1)
 
 
-def _limits(most_bytes: int) -> Callable[[], None]:
+def _limits(max_bytes: int) -> Callable[[], None]:
     """Limits that a git process sets itself before it begins."""
 
     def limit() -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes + 1, most_bytes + 1))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes + 1, max_bytes + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     return limit

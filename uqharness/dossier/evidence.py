@@ -12,7 +12,7 @@ from typing import Any
 
 from sysid.digests import file_sha256
 from uqharness.campaign.folder import read_complete
-from uqharness.dossier.match import FAIL, PASS, UNSURE, Match
+from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
 from uqharness.result_documents import (
@@ -61,7 +61,7 @@ _NOT_ENTERED = frozenset(
     {"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"}
 )
 _ORDER = ("identify", "compare", "bounds", "validate-bounds", "campaign", "refine", STUDY)
-_DEEPEST = 3
+_MAX_DEPTH = 3
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Step:
     @property
     def version(self) -> str:
         """Version of the program that made it, "" where it is not recorded."""
-        found = self.document or {}
-        return str(found.get("version") or found.get("versions", {}).get("uqharness") or "")
+        document = self.document or {}
+        return str(document.get("version") or document.get("versions", {}).get("uqharness") or "")
 
 
 @dataclass(frozen=True)
@@ -122,16 +122,16 @@ class Evidence:
         try:
             return read_histories(step.folder / HISTORIES)
         except BadInputError as error:
-            self.say_error(error)
+            self.add_error(error)
             return []
 
-    def say_error(self, error: BadInputError) -> None:
+    def add_error(self, error: BadInputError) -> None:
         """Add an error's words, without the place of the folder: a copy elsewhere gives the same
         dossier.
         """
-        self.say(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
+        self.add_missing(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
 
-    def say(self, text: str) -> None:
+    def add_missing(self, text: str) -> None:
         """Add to what is missing, once."""
         if text not in self.missing:
             self.missing.append(text)
@@ -147,20 +147,20 @@ def read_evidence(folder: Path) -> Evidence:
             f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or"
             " identify"
         )
-    found = Evidence(folder)
-    for place in _folders(folder):
-        _read_place(found, place)
-    if not found.steps:
-        looked = ", ".join(name for name, _, _ in _MARKS)
+    evidence = Evidence(folder)
+    for subfolder in _folders(folder):
+        _read_folder(evidence, subfolder)
+    if not evidence.steps:
+        marker_files = ", ".join(name for name, _, _ in _MARKS)
         raise BadInputError(
-            f"{folder}: no results of this program; looked for {looked}, also in the folders below"
+            f"{folder}: no results of this program; looked for {marker_files}, also in the folders below"
         )
-    _read_study(found)
-    found.steps = sorted(found.steps, key=lambda s: _place_in_order(found, s))
-    for step in found.steps:
-        _read_companions(found, step)
-    _list_sources(found)
-    return found
+    _read_study(evidence)
+    evidence.steps = sorted(evidence.steps, key=lambda s: _sort_key(evidence, s))
+    for step in evidence.steps:
+        _read_companions(evidence, step)
+    _list_sources(evidence)
+    return evidence
 
 
 def _folders(folder: Path) -> Iterator[Path]:
@@ -173,143 +173,147 @@ def _folders(folder: Path) -> Iterator[Path]:
             if p.is_dir() and not p.is_symlink() and p.name not in _NOT_ENTERED
         ):
             yield path
-            if depth < _DEEPEST:
+            if depth < _MAX_DEPTH:
                 yield from below(path, depth + 1)
 
     yield from below(folder, 1)
 
 
-def _read_place(found: Evidence, place: Path) -> None:
-    here = place.relative_to(found.folder).as_posix()
+def _read_folder(evidence: Evidence, place: Path) -> None:
+    relative = place.relative_to(evidence.folder).as_posix()
     marks = [mark for mark in _MARKS if (place / mark[0]).is_file()]
     for name, kind, shape in marks:
         try:
-            document = _document(place, name, kind, shape)
+            document = _read_result(place, name, kind, shape)
         except BadInputError as error:
-            found.say_error(error)
+            evidence.add_error(error)
             document = None
-        found.steps.append(Step(kind, here, place, document))
-    known = {kind for _, kind, _ in marks}
+        evidence.steps.append(Step(kind, relative, place, document))
+    marked_kinds = {kind for _, kind, _ in marks}
     for leftover, kind, mark in _LEFTOVERS:
-        if kind not in known and (place / leftover).is_file():
-            known.add(kind)
-            found.say(
-                f"{_at(here, mark)} is not there, beside {leftover}: what {kind} found cannot be"
+        if kind not in marked_kinds and (place / leftover).is_file():
+            marked_kinds.add(kind)
+            evidence.add_missing(
+                f"{_join(relative, mark)} is not there, beside {leftover}: what {kind} found cannot be"
                 " told"
             )
-            found.steps.append(Step(kind, here, place, None))
+            evidence.steps.append(Step(kind, relative, place, None))
 
 
-def _document(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
+def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
         form = read_document(place / name, Part)
-        beside = place / "bounds.json"
-        made_for = form.get("aircraft")
-        digest = made_for.get("sha256", "") if isinstance(made_for, dict) else ""
+        bounds_file = place / "bounds.json"
+        aircraft = form.get("aircraft")
+        digest = aircraft.get("sha256", "") if isinstance(aircraft, dict) else ""
         return (
             form
-            | (read_document(beside, Bounds) if beside.is_file() else {})
+            | (read_document(bounds_file, Bounds) if bounds_file.is_file() else {})
             | {"aircraft_sha256": str(digest)}
         )
     assert shape is not None
     return read_document(place / name, shape)
 
 
-def _read_study(found: Evidence) -> None:
+def _read_study(evidence: Evidence) -> None:
     """What a study says of its own stages: their folders, and the digests of what they wrote."""
-    for study in found.of(STUDY):
+    for study in evidence.of(STUDY):
         assert study.document is not None
         for stage in study.document["stages"]:
             name = stage["name"]
             if stage["state"] != "done":
-                found.say(
+                evidence.add_missing(
                     f"stage {name} is {stage['state']}"
                     + (f": {stage['error']}" if stage.get("error") else "")
                 )
                 continue
             if stage.get("folder") and not (study.folder / stage["folder"]).is_dir():
-                found.say(
-                    f"stage {name}: its folder {_at(study.place, stage['folder'])} is not there"
+                evidence.add_missing(
+                    f"stage {name}: its folder {_join(study.place, stage['folder'])} is not there"
                 )
             for file, digest in (stage.get("outputs") or {}).items():
-                _check(found, study.folder / file, str(digest), f"stage {name}")
+                _check_digest(evidence, study.folder / file, str(digest), f"stage {name}")
 
 
-def _check(found: Evidence, path: Path, digest: str, who: str) -> None:
+def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str) -> None:
     """Say it where a file is gone or has another content than its recorded digest."""
     name = (
-        path.relative_to(found.folder).as_posix()
-        if path.is_relative_to(found.folder)
+        path.relative_to(evidence.folder).as_posix()
+        if path.is_relative_to(evidence.folder)
         else path.name
     )
     if not re.fullmatch(r"[0-9a-f]{64}", digest) or path.is_dir():
         return
     if not path.is_file():
-        found.say(f"{who}: {name} is not there")
+        evidence.add_missing(f"{recorded_by}: {name} is not there")
     elif file_sha256(path) != digest:
-        found.say(f"{who}: {name} is not the file that was written (its SHA-256 differs)")
+        evidence.add_missing(
+            f"{recorded_by}: {name} is not the file that was written (its SHA-256 differs)"
+        )
 
 
-def _read_companions(found: Evidence, step: Step) -> None:
+def _read_companions(evidence: Evidence, step: Step) -> None:
     tables = (step.document or {}).get("tables") or {} if step.kind == "campaign" else {}
     for name in _COMPANIONS.get(step.kind, ()):
         if name not in tables and not (step.folder / name).exists():
-            found.say(f"{_at(step.place, name)} is not there, which {step.kind} writes")
+            evidence.add_missing(
+                f"{_join(step.place, name)} is not there, which {step.kind} writes"
+            )
     for name, digest in tables.items():
-        _check(found, step.folder / name, str(digest), "campaign")
+        _check_digest(evidence, step.folder / name, str(digest), "campaign")
 
 
-def _place_in_order(found: Evidence, step: Step) -> tuple[float, int, str]:
+def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
     """Stages as a study orders them; else what a chain of commands would do first, refinements
     after what they began from.
     """
-    for study in found.of(STUDY):
+    for study in evidence.of(STUDY):
         assert study.document is not None
         order = [stage.get("folder") for stage in study.document["stages"]]
         if step.place in order:
             return float(order.index(step.place)), 0, step.place
     if step.kind == STUDY:
         return 1e9, 0, step.place
-    return 1e6 + _ORDER.index(step.kind), _generation(found, step, frozenset()), step.place
+    return 1e6 + _ORDER.index(step.kind), _generation(evidence, step, frozenset()), step.place
 
 
-def _generation(found: Evidence, step: Step, seen: frozenset[str]) -> int:
+def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
     """How many other steps of the folder stand between a step's aircraft and an aircraft from
     elsewhere.
     """
     words = step.command.split()
-    for other in found.steps:
+    for other in evidence.steps:
         name = Path(other.place).name
         if (
             other is not step
-            and other.place not in seen
+            and other.place not in visited
             and name
             and any(name in Path(w).parts for w in words[2:3])
         ):
-            return 1 + _generation(found, other, seen | {step.place})
+            return 1 + _generation(evidence, other, visited | {step.place})
     return 0
 
 
-def _list_sources(found: Evidence) -> None:
+def _list_sources(evidence: Evidence) -> None:
     """Every file of a step's own folder, and of the aircraft it wrote."""
     listed: set[Path] = set()
-    for step in found.steps:
+    for step in evidence.steps:
         for path in _files(step.folder):
             if path not in listed:
                 listed.add(path)
-                name = path.relative_to(found.folder).as_posix()
-                found.sources.append(Source(name, file_sha256(path), step.command, step.version))
+                name = path.relative_to(evidence.folder).as_posix()
+                evidence.sources.append(Source(name, file_sha256(path), step.command, step.version))
 
 
 def _files(folder: Path) -> Sequence[Path]:
-    own = [
+    step_files = [
         p
         for p in folder.iterdir()
         if p.is_file() and not p.is_symlink() and p.name not in _NOT_LISTED
     ]
-    beside = [
+    aircraft_and_flights = [
         p
         for name in ("aircraft", "before", "flights")
         for p in (folder / name).rglob("*")
@@ -318,12 +322,12 @@ def _files(folder: Path) -> Sequence[Path]:
     # A database that is opened for reading may be tidied up: its bytes are no evidence.
     return sorted(
         p
-        for p in (*own, *beside)
+        for p in (*step_files, *aircraft_and_flights)
         if p.suffix not in (".sqlite", ".lock") and not p.name.endswith(("-wal", "-shm"))
     )
 
 
-def _at(place: str, name: str) -> str:
+def _join(place: str, name: str) -> str:
     return name if place == "." else f"{place}/{name}"
 
 
@@ -346,17 +350,19 @@ class Factor:
     evidence: tuple[str, ...]
 
 
-def factors(found: Evidence, match: Match) -> tuple[Factor, ...]:
+def factors(evidence: Evidence, match: Match) -> tuple[Factor, ...]:
     """The eight factors with the folder's evidence."""
-    return tuple(Factor(name, about, tuple(says(found, match))) for name, about, says in _FACTORS)
+    return tuple(
+        Factor(name, about, tuple(collect(evidence, match))) for name, about, collect in _FACTORS
+    )
 
 
-def flown_by_simulation(found: Evidence) -> list[str]:
+def simulating_models(evidence: Evidence) -> list[str]:
     """Aircraft that flew a study's flights in place of a real one."""
     stages = [
         s
-        for study in found.of(STUDY)
-        for s in _credibility_document(study)["stages"]
+        for study in evidence.of(STUDY)
+        for s in _document_of(study)["stages"]
         if s["kind"] == "fly"
     ]
     return list(
@@ -366,73 +372,70 @@ def flown_by_simulation(found: Evidence) -> list[str]:
     )
 
 
-def _data(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for aircraft in flown_by_simulation(found):
-        said.append(
+def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    statements = []
+    for aircraft in simulating_models(evidence):
+        statements.append(
             f"the flights are simulated, by the model {aircraft}: none is of a real aircraft"
         )
-    for step in found.of("identify"):
-        digests = _credibility_document(step).get("flights_sha256") or []
-        names = ", ".join(_credibility_document(step)["flights"])
+    for step in evidence.of("identify"):
+        digests = _document_of(step).get("flights_sha256") or []
+        names = ", ".join(_document_of(step)["flights"])
         with_digest = "with SHA-256" if digests else "without a digest"
-        said.append(f"{_credibility_at(step)}: identified from {names}, recorded {with_digest}")
-        noise = {c: row.get("noise") for c, row in _credibility_document(step)["fit"].items()}
-        known = sum(value is not None for value in noise.values())
-        said.append(
-            f"{_credibility_at(step)}: sensor noise estimated for {known} of {len(noise)} channels"
+        statements.append(f"{_place_of(step)}: identified from {names}, recorded {with_digest}")
+        noise = {c: row.get("noise") for c, row in _document_of(step)["fit"].items()}
+        n_estimated = sum(value is not None for value in noise.values())
+        statements.append(
+            f"{_place_of(step)}: sensor noise estimated for {n_estimated} of {len(noise)} channels"
         )
-    for step in found.of("refine"):
+    for step in evidence.of("refine"):
         train, test = (
-            ", ".join(_credibility_document(step).get(k, ())) or "not recorded"
-            for k in ("train", "test")
+            ", ".join(_document_of(step).get(k, ())) or "not recorded" for k in ("train", "test")
         )
-        said.append(
-            f"{_credibility_at(step)}: effects chosen on {train}, shown on the hold-out flights"
-            f" {test}"
+        statements.append(
+            f"{_place_of(step)}: effects chosen on {train}, shown on the hold-out flights {test}"
         )
-    return said
+    return statements
 
 
-def _verification(found: Evidence, _: Match) -> list[str]:
+def _verification(evidence: Evidence, _: Match) -> list[str]:
     # Imported here: a folder without a campaign needs none of it.
     from uqharness.campaign.folder import read_check
 
-    said = []
-    for step in found.of("campaign"):
+    statements = []
+    for step in evidence.of("campaign"):
         rows = read_check(step.folder)
         if not rows and (step.folder / ENGINE_CHECK).is_file():
-            found.say(f"{_credibility_at(step)}: {ENGINE_CHECK} cannot be read")
+            evidence.add_missing(f"{_place_of(step)}: {ENGINE_CHECK} cannot be read")
         if rows:
             alike = sum(row.verdict == "alike" for row in rows)
             excused = sum(row.verdict == "excused" for row in rows)
             flights = len({row.case_id for row in rows})
-            said.append(
-                f"{_credibility_at(step)}: {flights} flights flown by a second engine as well; of"
+            statements.append(
+                f"{_place_of(step)}: {flights} flights flown by a second engine as well; of"
                 f" {len(rows)} metrics {alike} are alike, {excused} excused with a reason,"
                 f" {len(rows) - alike - excused} differ (engine-check.csv)"
             )
-    for step in found.of("identify"):
-        converged = (
-            "converged" if _credibility_document(step).get("converged") else "did not converge"
-        )
-        said.append(f"{_credibility_at(step)}: the estimation {converged}")
-    return said
+    for step in evidence.of("identify"):
+        converged = "converged" if _document_of(step).get("converged") else "did not converge"
+        statements.append(f"{_place_of(step)}: the estimation {converged}")
+    return statements
 
 
-def _validation(found: Evidence, match: Match) -> list[str]:
-    said = []
+def _validation(evidence: Evidence, match: Match) -> list[str]:
+    statements = []
     counts = {
-        answer: sum(j.answer == answer for j in match.judged) for answer in (PASS, FAIL, UNSURE)
+        answer: sum(j.answer == answer for j in match.results)
+        for answer in (PASS, FAIL, INCONCLUSIVE)
     }
-    if match.judged:
-        said.append(
-            f"proof of match: {len(match.judged)} segments judged by objective tests,"
-            f" {counts[PASS]} pass, {counts[FAIL]} fail, {counts[UNSURE]} inconclusive;"
+    if match.results:
+        statements.append(
+            f"proof of match: {len(match.results)} segments judged by objective tests,"
+            f" {counts[PASS]} pass, {counts[FAIL]} fail, {counts[INCONCLUSIVE]} inconclusive;"
             f" {len(match.missing)} tests are not in the data"
         )
-    for step in found.of("refine"):
-        test = _credibility_document(step)["gap"]["test"]
+    for step in evidence.of("refine"):
+        test = _document_of(step)["gap"]["test"]
         # In turbulence replays hold what the gusts did, and predictions judge.
         predicted = test.get("predictions") or {}
         rows = predicted or test["channels"]
@@ -443,107 +446,108 @@ def _validation(found: Evidence, match: Match) -> list[str]:
         }
         if ratios:
             worst = max(ratios, key=lambda c: ratios[c])
-            whose = "rms of one-step predictions" if predicted else "rms"
-            said.append(
-                f"{_credibility_at(step)}: on the hold-out flights {whose} over noise is at most"
+            rms_name = "rms of one-step predictions" if predicted else "rms"
+            statements.append(
+                f"{_place_of(step)}: on the hold-out flights {rms_name} over noise is at most"
                 f" {ratios[worst]:.2f} ({worst})"
             )
-    for step in found.of("compare"):
-        reached = (
-            "reaches" if _credibility_document(step)["reached_noise_floor"] else "does not reach"
+    for step in evidence.of("compare"):
+        verb = "reaches" if _document_of(step)["reached_noise_floor"] else "does not reach"
+        statements.append(
+            f"{_place_of(step)}: the model {verb} the noise floor on {_document_of(step)['flight']}"
         )
-        said.append(
-            f"{_credibility_at(step)}: the model {reached} the noise floor on"
-            f" {_credibility_document(step)['flight']}"
-        )
-    return said
+    return statements
 
 
-def _inputs(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("campaign"):
-        hashes = _credibility_document(step).get("hashes") or {}
+def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    statements = []
+    for step in evidence.of("campaign"):
+        hashes = _document_of(step).get("hashes") or {}
         if hashes:
-            said.append(f"{_credibility_at(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
-        air = _credibility_document(step)["campaign"]["aleatory"]
-        said.append(
-            f"{_credibility_at(step)}: wind {_list(air['wind_mps'])} m/s, turbulence"
-            f" {_list(air['turbulence'])} (Dryden, source {air['turbulence_source']}); no"
+            statements.append(f"{_place_of(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
+        aleatory = _document_of(step)["campaign"]["aleatory"]
+        statements.append(
+            f"{_place_of(step)}: wind {_comma_separated(aleatory['wind_mps'])} m/s, turbulence"
+            f" {_comma_separated(aleatory['turbulence'])} (Dryden, source {aleatory['turbulence_source']}); no"
             " measured air"
         )
-    return said
+    return statements
 
 
-def _uncertainty(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("identify"):
-        rows = _credibility_document(step)["parameters"].values()
-        sure = sum(r["status"] == "identified" for r in rows)
-        rest = "" if sure == len(rows) else f"; {len(rows) - sure} are not identified"
-        said.append(
-            f"{_credibility_at(step)}: standard errors of {sure} of {len(rows)} parameters{rest}"
+def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
+    statements = []
+    for step in evidence.of("identify"):
+        rows = _document_of(step)["parameters"].values()
+        n_identified = sum(r["status"] == "identified" for r in rows)
+        unidentified_note = (
+            "" if n_identified == len(rows) else f"; {len(rows) - n_identified} are not identified"
         )
-    for step in found.of("bounds"):
-        document = _credibility_document(step)
-        said.append(
-            f"{_credibility_at(step)}: intervals of the model's error for "
+        statements.append(
+            f"{_place_of(step)}: standard errors of {n_identified} of {len(rows)} parameters{unidentified_note}"
+        )
+    for step in evidence.of("bounds"):
+        document = _document_of(step)
+        statements.append(
+            f"{_place_of(step)}: intervals of the model's error for "
             f"{len(document.get('coefficients', {}))} coefficients at "
             f"{100 * document.get('confidence', 0.95):g} % as functions of the flight state"
         )
-    for step in found.of("validate-bounds"):
-        shares = {c: row["0.95"] for c, row in _credibility_document(step)["coverage"].items()}
+    for step in evidence.of("validate-bounds"):
+        shares = {c: row["0.95"] for c, row in _document_of(step)["coverage"].items()}
         low, high = min(shares.values()), max(shares.values())
-        said.append(
-            f"{_credibility_at(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
+        statements.append(
+            f"{_place_of(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
             " samples lie inside the 95 % intervals"
         )
-    for step in found.of("campaign"):
-        cases = _credibility_document(step).get("cases", "?")
-        said.append(
-            f"{_credibility_at(step)}: p-boxes: epistemic uncertainty by intervals, aleatory"
+    for step in evidence.of("campaign"):
+        cases = _document_of(step).get("cases", "?")
+        statements.append(
+            f"{_place_of(step)}: p-boxes: epistemic uncertainty by intervals, aleatory"
             f" uncertainty by {cases} flights"
         )
-    return said
+    return statements
 
 
-def _robustness(found: Evidence, _: Match) -> list[str]:
-    said = []
-    for step in found.of("campaign"):
+def _robustness(evidence: Evidence, _: Match) -> list[str]:
+    statements = []
+    for step in evidence.of("campaign"):
         if (step.folder / "sensitivity.csv").is_file():
-            said.append(
-                f"{_credibility_at(step)}: share of each coefficient in the width of every p-box"
+            statements.append(
+                f"{_place_of(step)}: share of each coefficient in the width of every p-box"
                 " (sensitivity.csv)"
             )
-        epistemic = _credibility_document(step)["campaign"]["epistemic"]
-        inner = epistemic.get("interior")
-        beside = f", {inner} samples between them" if inner else ""
-        said.append(f"{_credibility_at(step)}: epistemic samples by {epistemic['method']}{beside}")
-    return said
+        epistemic = _document_of(step)["campaign"]["epistemic"]
+        n_interior = epistemic.get("interior")
+        interior_note = f", {n_interior} samples between them" if n_interior else ""
+        statements.append(
+            f"{_place_of(step)}: epistemic samples by {epistemic['method']}{interior_note}"
+        )
+    return statements
 
 
-def _none(_: Evidence, __: Match) -> list[str]:
+def _no_evidence(_: Evidence, __: Match) -> list[str]:
     return []
 
 
 _FACTORS: Sequence[tuple[str, str, Callable[[Evidence, Match], list[str]]]] = (
-    ("Data pedigree", "data that the model was made from", _data),
+    ("Data pedigree", "data that the model was made from", _data_pedigree),
     ("Verification", "the model is computed as it is written", _verification),
     ("Validation", "the model against the aircraft", _validation),
-    ("Input pedigree", "data that the model was used with", _inputs),
+    ("Input pedigree", "data that the model was used with", _input_pedigree),
     ("Uncertainty characterisation", "sources of uncertainty in the results", _uncertainty),
     ("Results robustness", "sensitivity of the results", _robustness),
-    ("Use history", "earlier use of the model for the same purpose", _none),
-    ("People", "qualification of those who made and used the model", _none),
+    ("Use history", "earlier use of the model for the same purpose", _no_evidence),
+    ("People", "qualification of those who made and used the model", _no_evidence),
 )
 
 
-def _credibility_document(step: Step) -> dict[str, Any]:
+def _document_of(step: Step) -> dict[str, Any]:
     return dict(step.document or {})
 
 
-def _credibility_at(step: Step) -> str:
+def _place_of(step: Step) -> str:
     return step.kind if step.place == "." else step.place
 
 
-def _list(value: object) -> str:
+def _comma_separated(value: object) -> str:
     return ", ".join(str(v) for v in value) if isinstance(value, (list, tuple)) else str(value)

@@ -88,10 +88,10 @@ class Test:
     peak_radps: tuple[float, float] | None = None
 
 
-_SMALL = (0.5 * DEG_RAD, 2.0 * DEG_RAD)
+_SMALL_PEAK_RADPS = (0.5 * DEG_RAD, 2.0 * DEG_RAD)
 
 
-def _small(entry: str, axis: str, control: str, channel: str) -> Test:
+def _small_input_test(entry: str, axis: str, control: str, channel: str) -> Test:
     return Test(
         entry,
         f"Small control inputs, {axis}",
@@ -100,14 +100,14 @@ def _small(entry: str, axis: str, control: str, channel: str) -> Test:
         (Band(channel, 0.15 * DEG_RAD, 0.20, of_peak=True),),
         before_s=5.0,
         after_s=5.0,
-        peak_radps=_SMALL,
+        peak_radps=_SMALL_PEAK_RADPS,
     )
 
 
 TESTS = (
-    _small("2.b.4", "pitch", "elevator", "q_radps"),
-    _small("2.b.5", "roll", "aileron", "p_radps"),
-    _small("2.b.6", "yaw", "rudder", "r_radps"),
+    _small_input_test("2.b.4", "pitch", "elevator", "q_radps"),
+    _small_input_test("2.b.5", "roll", "aileron", "p_radps"),
+    _small_input_test("2.b.6", "yaw", "rudder", "r_radps"),
     Test(
         "2.c.1",
         "Power change dynamics",
@@ -174,7 +174,7 @@ TESTS = (
 
 # Period and damping of a mode from what it does when nothing drives it.
 
-_STARTS = 60
+_N_START_PERIODS = 60
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class Mode:
     half_s: float
     cycles: float
     amplitude: float
-    left: float
+    residual_std: float
 
 
 def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: float) -> Mode | None:
@@ -210,8 +210,8 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
 
     Notes ----- Amplitude, phase and line are linear and are solved for at each frequency and decay
     rate (variable projection, Golub and Pereyra 1973). Standard errors are of white residuals."""
-    known = np.isfinite(y)
-    t, z = time_s[known] - time_s[0], y[known]
+    finite = np.isfinite(y)
+    t, z = time_s[finite] - time_s[0], y[finite]
     if t.size < 12:
         return None
     span = float(t[-1])
@@ -220,13 +220,13 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
         return None
 
     def residual(x: FloatArray) -> FloatArray:
-        base = _base(t, x)
+        base = _mode_basis(t, x)
         out: FloatArray = z - base @ np.linalg.lstsq(base, z, rcond=None)[0]
         return out
 
     starts = [
         np.array([2.0 * math.pi / period, decay * 2.0 * math.pi / period])
-        for period in np.geomspace(shortest, longest, _STARTS)
+        for period in np.geomspace(shortest, longest, _N_START_PERIODS)
         for decay in (0.02, 0.3)
     ]
     first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
@@ -237,27 +237,27 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
     omega, decay = (float(v) for v in fit.x)
     if not low <= omega <= high:
         return None
-    left = float(np.sqrt(np.sum(fit.fun**2) / max(t.size - 6, 1)))
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * left**2
-    natural = math.hypot(omega, decay)
+    residual_std = float(np.sqrt(np.sum(fit.fun**2) / max(t.size - 6, 1)))
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * residual_std**2
+    natural_radps = math.hypot(omega, decay)
     # Damping ratio is decay over the natural frequency: its derivatives by frequency and decay
     # rate.
-    slope = np.array([-decay * omega, omega**2]) / natural**3
-    weights = np.linalg.lstsq(_base(t, fit.x), z, rcond=None)[0]
+    damping_gradient = np.array([-decay * omega, omega**2]) / natural_radps**3
+    amplitudes = np.linalg.lstsq(_mode_basis(t, fit.x), z, rcond=None)[0]
     period = 2.0 * math.pi / omega
     return Mode(
         period,
         period * math.sqrt(covariance[0, 0]) / omega,
-        decay / natural,
-        float(np.sqrt(slope @ covariance @ slope)),
+        decay / natural_radps,
+        float(np.sqrt(damping_gradient @ covariance @ damping_gradient)),
         math.log(2.0) / abs(decay) if decay else math.inf,
         span / period,
-        float(math.hypot(weights[0], weights[1])),
-        left,
+        float(math.hypot(amplitudes[0], amplitudes[1])),
+        residual_std,
     )
 
 
-def _base(t: FloatArray, x: FloatArray) -> FloatArray:
+def _mode_basis(t: FloatArray, x: FloatArray) -> FloatArray:
     omega, decay = x
     envelope = np.exp(np.clip(-decay * t, -50.0, 50.0))
     return np.column_stack(
@@ -266,19 +266,19 @@ def _base(t: FloatArray, x: FloatArray) -> FloatArray:
 
 
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
-PASS, FAIL, ABSENT, UNSURE = "pass", "fail", "not in the data", "inconclusive"
-_MOVED = 0.3
+PASS, FAIL, ABSENT, INCONCLUSIVE = "pass", "fail", "not in the data", "inconclusive"
+_MOVED_SHARE = 0.3
 """Of a control's largest travel in a segment, from which it counts as moved; the test's own control
 must move and no other.
 """
-_AT_REST = 0.05  # of its travel within the segment
-_NOISE_ROOM = (
+_AT_REST_SHARE = 0.05  # of its travel within the segment
+_NOISE_FACTOR = (
     4.0  # a record of some hundred samples reaches this many standard deviations by noise alone
 )
-_LEAST_CYCLES = 1.5
-_OTHER = "no segment in which"
-_SEEN = 3.0  # amplitude over what an oscillation leaves unexplained
-_SHARE_SEEN = 0.01  # amplitude over the whole response: less is rounding or drift
+_MIN_CYCLES = 1.5
+_NO_SEGMENT = "no segment in which"
+_MIN_AMPLITUDE_RATIO = 3.0  # amplitude over what an oscillation leaves unexplained
+_MIN_RESPONSE_SHARE = 0.01  # amplitude over the whole response: less is rounding or drift
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ class Row:
     at_s: float
     share: float
     answer: str
-    why: str = ""
+    reason: str = ""
     measured: float = math.nan
     model: float = math.nan
 
@@ -309,7 +309,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Judged:
+class SegmentResult:
     """A test in a segment: its rows, the answer they give together, and the reason where that is
     neither pass nor fail.
     """
@@ -318,19 +318,19 @@ class Judged:
     segment: History
     rows: tuple[Row, ...]
     answer: str
-    why: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True)
 class Match:
     """All tests of all segments. missing: entry of a test -> why no segment contains it."""
 
-    judged: tuple[Judged, ...]
+    results: tuple[SegmentResult, ...]
     missing: Mapping[str, str]
 
-    def of(self, entry: str) -> tuple[Judged, ...]:
+    def of(self, entry: str) -> tuple[SegmentResult, ...]:
         """Segments that contain a test."""
-        return tuple(j for j in self.judged if j.test.entry == entry)
+        return tuple(j for j in self.results if j.test.entry == entry)
 
 
 def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | None]) -> Match:
@@ -349,15 +349,15 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
         c: max((_travel(s.columns[c]) for s in segments if c in s.columns), default=0.0)
         for c in CONTROLS
     }
-    judged: list[Judged] = []
+    results: list[SegmentResult] = []
     missing: dict[str, str] = {}
     for test in TESTS:
-        outcomes = [_judge(test, segment, suffix, noise, travel) for segment in segments]
-        found = [x for x in outcomes if isinstance(x, Judged)]
-        judged += found
-        if not found:
-            missing[test.entry] = _commonest([x for x in outcomes if isinstance(x, str)])
-    return Match(tuple(judged), missing)
+        outcomes = [_evaluate_segment(test, segment, suffix, noise, travel) for segment in segments]
+        segment_results = [x for x in outcomes if isinstance(x, SegmentResult)]
+        results += segment_results
+        if not segment_results:
+            missing[test.entry] = _most_common_reason([x for x in outcomes if isinstance(x, str)])
+    return Match(tuple(results), missing)
 
 
 def limits(band: Band, measured: FloatArray) -> FloatArray:
@@ -370,53 +370,53 @@ def limits(band: Band, measured: FloatArray) -> FloatArray:
     return np.maximum(band.absolute, band.share * size)
 
 
-def _commonest(reasons: Sequence[str]) -> str:
+def _most_common_reason(reasons: Sequence[str]) -> str:
     """The reason that most segments give; where nothing but other manoeuvres was flown, that."""
     if not reasons:
         return "there is no segment of a flight"
-    own = [r for r in reasons if not r.startswith(_OTHER)] or list(reasons)
-    return max(dict.fromkeys(own), key=own.count)
+    specific = [r for r in reasons if not r.startswith(_NO_SEGMENT)] or list(reasons)
+    return max(dict.fromkeys(specific), key=specific.count)
 
 
-def _judge(
+def _evaluate_segment(
     test: Test,
     segment: History,
     suffix: str,
     noise: Mapping[str, float | None],
     travel: Mapping[str, float],
-) -> Judged | str:
+) -> SegmentResult | str:
     """The test in a segment, or why the segment does not contain it."""
     moved = [
         c
         for c in CONTROLS
-        if travel[c] > 0.0 and _travel(segment.columns.get(c)) >= _MOVED * travel[c]
+        if travel[c] > 0.0 and _travel(segment.columns.get(c)) >= _MOVED_SHARE * travel[c]
     ]
     if test.control and test.control not in moved:
-        return f"{_OTHER} the {test.control} is moved"
+        return f"{_NO_SEGMENT} the {test.control} is moved"
     if test.control and moved != [test.control]:
         return (
             f"{' and '.join(c for c in moved if c != test.control)} moved with the {test.control}"
         )
-    start, end = _input(segment, moved)
-    before, after = start - float(segment.time_s[0]), float(segment.time_s[-1]) - end
-    if before < test.before_s or after < test.after_s:
+    start, end = _input_interval(segment, moved)
+    before_s, after_s = start - float(segment.time_s[0]), float(segment.time_s[-1]) - end
+    if before_s < test.before_s or after_s < test.after_s:
         needs = " and ".join(
             f"{x:g} s {w}" for x, w in ((test.before_s, "before"), (test.after_s, "after")) if x
         )
-        what = f"the {test.control} input" if test.control else "the last input"
+        input_name = f"the {test.control} input" if test.control else "the last input"
         return (
-            f"{needs} {what} are needed; the records have {max(before, 0.0):.1f} s before and"
-            f" {max(after, 0.0):.1f} s after"
+            f"{needs} {input_name} are needed; the records have {max(before_s, 0.0):.1f} s before and"
+            f" {max(after_s, 0.0):.1f} s after"
         )
     if test.oscillation is not None:
-        return _mode_of(test, test.oscillation, segment, suffix, end)
-    lacking = [
+        return _evaluate_oscillation(test, test.oscillation, segment, suffix, end)
+    missing_channels = [
         b.channel
         for b in test.bands
         if b.channel not in segment.columns or f"{b.channel}{suffix}" not in segment.columns
     ]
-    if lacking:
-        return f"the results have no {lacking[0]} of log and model"
+    if missing_channels:
+        return f"the results have no {missing_channels[0]} of log and model"
     if test.peak_radps is not None:
         values = segment.columns[test.bands[0].channel]
         peak = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
@@ -426,76 +426,78 @@ def _judge(
                 f"inputs with a peak of {low:g} to {high:g} deg/s are needed; the peak is"
                 f" {math.degrees(peak):.3g} deg/s"
             )
-    judged = segment if test.control else _from(segment, end)
-    rows = [_row(band, judged, suffix, noise.get(band.channel)) for band in test.bands]
+    evaluated = segment if test.control else _after(segment, end)
+    rows = [_band_row(band, evaluated, suffix, noise.get(band.channel)) for band in test.bands]
     if all(row is None for row in rows):
         return "the records have no samples of its channels"
-    return Judged(test, segment, tuple(r for r in rows if r is not None), *_together(test, rows))
-
-
-def _from(segment: History, start_s: float) -> History:
-    """What follows after a time."""
-    rest = segment.time_s >= start_s
-    return replace(
-        segment,
-        time_s=segment.time_s[rest],
-        columns={c: v[rest] for c, v in segment.columns.items()},
+    return SegmentResult(
+        test, segment, tuple(r for r in rows if r is not None), *_combine_answers(test, rows)
     )
 
 
-def _row(band: Band, segment: History, suffix: str, noise: float | None) -> Row | None:
+def _after(segment: History, start_s: float) -> History:
+    """What follows after a time."""
+    selected = segment.time_s >= start_s
+    return replace(
+        segment,
+        time_s=segment.time_s[selected],
+        columns={c: v[selected] for c, v in segment.columns.items()},
+    )
+
+
+def _band_row(band: Band, segment: History, suffix: str, noise: float | None) -> Row | None:
     measured, model = segment.columns[band.channel], segment.columns[f"{band.channel}{suffix}"]
-    known = np.isfinite(measured) & np.isfinite(model)
-    if not known.any():
+    finite = np.isfinite(measured) & np.isfinite(model)
+    if not finite.any():
         return None
-    gap, half = (measured - model)[known], limits(band, measured)[known]
-    worst = int(np.argmax(np.abs(gap) / half))
-    inside = float(np.mean(np.abs(gap) <= half))
-    answer, why = (PASS, "") if inside == 1.0 else (FAIL, "")
+    difference, half_width = (measured - model)[finite], limits(band, measured)[finite]
+    worst = int(np.argmax(np.abs(difference) / half_width))
+    inside = float(np.mean(np.abs(difference) <= half_width))
+    answer, reason = (PASS, "") if inside == 1.0 else (FAIL, "")
     if (
         answer == FAIL
         and noise
-        and band.absolute < _NOISE_ROOM * noise
-        and float(half.min()) < _NOISE_ROOM * noise
+        and band.absolute < _NOISE_FACTOR * noise
+        and float(half_width.min()) < _NOISE_FACTOR * noise
     ):
-        answer, why = UNSURE, "the sensor's noise is too large for this tolerance"
+        answer, reason = INCONCLUSIVE, "the sensor's noise is too large for this tolerance"
     return Row(
         band.channel,
-        float(gap[worst]),
-        float(half[worst]),
-        float(segment.time_s[known][worst]),
+        float(difference[worst]),
+        float(half_width[worst]),
+        float(segment.time_s[finite][worst]),
         inside,
         answer,
-        why,
+        reason,
     )
 
 
-def _together(test: Test, rows: Sequence[Row | None]) -> tuple[str, str]:
+def _combine_answers(test: Test, rows: Sequence[Row | None]) -> tuple[str, str]:
     """Answer and reason of a test from its rows: alternatives need one pass, the others all."""
     groups: dict[str, list[Row | None]] = {}
     for k, (band, row) in enumerate(zip(test.bands, rows, strict=True)):
         groups.setdefault(band.one_of or str(k), []).append(row)
-    answers = [_best(group) for group in groups.values()]
-    for wanted in (FAIL, UNSURE):
-        found = next((why for answer, why in answers if answer == wanted), None)
-        if found is not None:
-            return wanted, found
+    answers = [_best_alternative(group) for group in groups.values()]
+    for decisive in (FAIL, INCONCLUSIVE):
+        first_reason = next((why for answer, why in answers if answer == decisive), None)
+        if first_reason is not None:
+            return decisive, first_reason
     return PASS, ""
 
 
-def _best(group: Sequence[Row | None]) -> tuple[str, str]:
-    known = [r for r in group if r is not None]
-    if not known:
-        return UNSURE, "a channel has no samples"
-    best = min(known, key=lambda r: (PASS, UNSURE, FAIL).index(r.answer))
-    return best.answer, best.why
+def _best_alternative(group: Sequence[Row | None]) -> tuple[str, str]:
+    available = [r for r in group if r is not None]
+    if not available:
+        return INCONCLUSIVE, "a channel has no samples"
+    best = min(available, key=lambda r: (PASS, INCONCLUSIVE, FAIL).index(r.answer))
+    return best.answer, best.reason
 
 
-def _mode_of(
-    test: Test, asked: Oscillation, segment: History, suffix: str, from_s: float
-) -> Judged | str:
+def _evaluate_oscillation(
+    test: Test, tolerances: Oscillation, segment: History, suffix: str, from_s: float
+) -> SegmentResult | str:
     """The free oscillation after the last input, of log and model."""
-    name = asked.channel
+    name = tolerances.channel
     if name not in segment.columns or f"{name}{suffix}" not in segment.columns:
         return f"the results have no {name} of log and model"
     free = segment.time_s > from_s
@@ -503,86 +505,89 @@ def _mode_of(
     if t.size < 12:
         return "the records end with the last input"
     log, model = (
-        fit_mode(t, segment.columns[c][free], asked.shortest_s, asked.longest_s)
+        fit_mode(t, segment.columns[c][free], tolerances.shortest_s, tolerances.longest_s)
         for c in (name, f"{name}{suffix}")
     )
     response = _travel(segment.columns[name])
     if (
         not response
         or log is None
-        or log.cycles < _LEAST_CYCLES
-        or log.amplitude <= max(_SEEN * log.left, _SHARE_SEEN * response)
+        or log.cycles < _MIN_CYCLES
+        or log.amplitude
+        <= max(_MIN_AMPLITUDE_RATIO * log.residual_std, _MIN_RESPONSE_SHARE * response)
     ):
         return (
-            f"no oscillation of {_LEAST_CYCLES:g} cycles or more is seen after the input; the"
+            f"no oscillation of {_MIN_CYCLES:g} cycles or more is seen after the input; the"
             f" records have {t[-1] - t[0]:.1f} s"
         )
     if model is None:
-        return Judged(test, segment, (), FAIL, "the model does not oscillate there")
-    rows = _mode_rows(asked, log, model, float(t[0]))
-    needed = asked.cycles
-    if log.cycles < needed and not (asked.channel == "V_mps" and log.half_s <= t[-1] - t[0]):
-        said = f"{log.cycles:.1f} of the {needed:g} cycles that the test needs"
-        return Judged(test, segment, rows, UNSURE, said)
-    damping = min(rows[1:], key=lambda r: (PASS, UNSURE, FAIL).index(r.answer))
+        return SegmentResult(test, segment, (), FAIL, "the model does not oscillate there")
+    rows = _mode_rows(tolerances, log, model, float(t[0]))
+    needed_cycles = tolerances.cycles
+    if log.cycles < needed_cycles and not (
+        tolerances.channel == "V_mps" and log.half_s <= t[-1] - t[0]
+    ):
+        reason = f"{log.cycles:.1f} of the {needed_cycles:g} cycles that the test needs"
+        return SegmentResult(test, segment, rows, INCONCLUSIVE, reason)
+    damping = min(rows[1:], key=lambda r: (PASS, INCONCLUSIVE, FAIL).index(r.answer))
     answers = [rows[0].answer, damping.answer]
-    answer = next((a for a in (FAIL, UNSURE) if a in answers), PASS)
-    return Judged(
+    answer = next((a for a in (FAIL, INCONCLUSIVE) if a in answers), PASS)
+    return SegmentResult(
         test,
         segment,
         rows,
         answer,
-        "the record is too short or too noisy to tell" if answer == UNSURE else "",
+        "the record is too short or too noisy to tell" if answer == INCONCLUSIVE else "",
     )
 
 
-def _mode_rows(asked: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple[Row, ...]:
+def _mode_rows(tolerances: Oscillation, log: Mode, model: Mode, at_s: float) -> tuple[Row, ...]:
     half_std = log.half_s * log.damping_std / abs(log.damping) if log.damping else math.inf
-    found = (
+    quantities = (
         (
             "period_s",
             log.period_s,
             model.period_s,
-            max(asked.period_s, asked.period_share * log.period_s),
+            max(tolerances.period_s, tolerances.period_share * log.period_s),
             log.period_std_s,
         ),
         (
             "time to half or double amplitude_s",
             log.half_s,
             model.half_s,
-            asked.half_share * log.half_s,
+            tolerances.half_share * log.half_s,
             half_std,
         ),
-        ("damping ratio", log.damping, model.damping, asked.damping, log.damping_std),
+        ("damping ratio", log.damping, model.damping, tolerances.damping, log.damping_std),
     )
     rows = []
-    for quantity, measured, flown, band, std in found:
-        gap = measured - flown
-        answer = PASS if abs(gap) <= band else FAIL
+    for quantity, measured, modelled, band, std in quantities:
+        difference = measured - modelled
+        answer = PASS if abs(difference) <= band else FAIL
         # A measurement less sure than the tolerance can neither hold nor break it.
-        unsure = not (math.isfinite(gap) and 2.0 * std <= band)
+        inconclusive = not (math.isfinite(difference) and 2.0 * std <= band)
         rows.append(
             Row(
                 quantity,
-                gap,
+                difference,
                 band,
                 at_s,
                 math.nan,
-                UNSURE if unsure else answer,
+                INCONCLUSIVE if inconclusive else answer,
                 "",
                 measured,
-                flown,
+                modelled,
             )
         )
     return tuple(rows)
 
 
 def _travel(values: FloatArray | None) -> float:
-    known = np.empty(0) if values is None else values[np.isfinite(values)]
-    return float(np.ptp(known)) if known.size else 0.0
+    finite = np.empty(0) if values is None else values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
 
 
-def _input(segment: History, moved: Sequence[str]) -> tuple[float, float]:
+def _input_interval(segment: History, moved: Sequence[str]) -> tuple[float, float]:
     """When the moved controls first leave where they stand and last come to rest [s]; both the
     first time where none moves.
     """
@@ -590,10 +595,10 @@ def _input(segment: History, moved: Sequence[str]) -> tuple[float, float]:
     first, last = float(t[-1]), float(t[0])
     for control in moved:
         values = segment.columns[control]
-        away = np.abs(np.diff(values)) > 0.0
-        near_start = np.abs(values - values[0]) > _AT_REST * _travel(values)
-        near_end = np.abs(values - values[-1]) > _AT_REST * _travel(values)
-        if away.any() and near_start.any():
-            first = min(first, float(t[int(np.argmax(near_start))]))
-            last = max(last, float(t[min(len(t) - 1, len(t) - int(np.argmax(near_end[::-1])))]))
+        changes = np.abs(np.diff(values)) > 0.0
+        left_start = np.abs(values - values[0]) > _AT_REST_SHARE * _travel(values)
+        off_end = np.abs(values - values[-1]) > _AT_REST_SHARE * _travel(values)
+        if changes.any() and left_start.any():
+            first = min(first, float(t[int(np.argmax(left_start))]))
+            last = max(last, float(t[min(len(t) - 1, len(t) - int(np.argmax(off_end[::-1])))]))
     return (first, last) if moved and last > first else (float(t[0]), float(t[0]))

@@ -15,7 +15,7 @@ from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
 from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
-from uqharness.files import write_whole
+from uqharness.files import write_atomically
 from uqharness.flight.fly import Recorded, record_mission
 from uqharness.flight.random_numbers import drawn
 from uqharness.flight.spec import FlightSpec
@@ -185,14 +185,14 @@ def write_record(
         return _write_dataflash(table, path, aircraft, start or {})
     if path.suffix == ".csv":
         # repr round trip: 17 digits bring every double back.
-        write_whole(
+        write_atomically(
             path,
             lambda target: table.to_csv(
                 target, index=False, float_format="%.17g", lineterminator="\n"
             ),
         )
     else:
-        write_whole(path, lambda target: table.to_parquet(target, index=False))
+        write_atomically(path, lambda target: table.to_parquet(target, index=False))
     return ()
 
 
@@ -213,7 +213,7 @@ def _write_dataflash(
             else None
         )
         record = FlightRecord(known, Metadata(dialect="simulation", start=dict(start)))
-        write_whole(
+        write_atomically(
             path, lambda target: left.extend(write_dataflash(record, target, card, surfaces=True))
         )
     except LogError as error:

@@ -87,7 +87,7 @@ class Refinement:
     judged: Judged
     aircraft: Aircraft
     given: Aircraft
-    earlier: checksums.Earlier = field(default_factory=checksums.Earlier)
+    earlier: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
 
     def __repr__(self) -> str:
         return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
@@ -158,7 +158,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
 
         judged = shown("judged", Judged, flown_both_ways)
         say("writing the aircraft")
-        earlier = checksums.take_away(request.out)
+        earlier = checksums.remove_sums(request.out)
         target = _put(write(judged.found), aircraft, request.out)
         baked = bake_scales(target.folder) if request.bake else None
         if baked is not None:

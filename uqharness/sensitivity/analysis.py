@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid.distributions import student_quantile
-from uqharness.arguments import flag, instance, whole
+from uqharness.arguments import flag, instance, integer
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.measures import anova, corner_pairs, local, pinching, scatter
 from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
@@ -122,7 +122,7 @@ def analyse(
     True
     """
     instance("study", study, Study, "a Study, as run_study gives it,")
-    whole("seed", seed)
+    integer("seed", seed)
     flag("intervals", intervals)
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:

@@ -118,7 +118,7 @@ def _root(aircraft: HasFiles, files: Opened, name: str) -> _Section | None:
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
     where = str(aircraft.folder / name)
     try:
-        root = etree.parse(BytesIO(files.own[name].content), parser).getroot()
+        root = etree.parse(BytesIO(files.own[name].output), parser).getroot()
     except etree.XMLSyntaxError as error:
         raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {error.msg}") from None
     return _Section(root, where)
@@ -272,7 +272,7 @@ def _try_in_child(aircraft: Named) -> tuple[Undefined, ...]:
     if ended.code < 0:
         raise BadInputError(
             f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last"
-            f" words: {ended.said or 'no message'}; look there for an unknown element or function"
+            f" words: {ended.output or 'no message'}; look there for an unknown element or function"
             " operation, or a property name with illegal characters"
         )
     return tuple(Undefined(*row) for row in ended.answer.get("undefined", ()))

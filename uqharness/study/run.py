@@ -162,7 +162,7 @@ def run_chain(
             f"--out {out}: cannot be made: {error.strerror or error}; choose another"
         ) from None
     with run_lock(out):
-        earlier = checksums.take_away(out)
+        earlier = checksums.remove_sums(out)
         was = read_study(out) or {}
         old = {row["name"]: row for row in (*was.get("former", []), *was.get("stages", []))}
         document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
-from uqharness.arguments import whole
+from uqharness.arguments import integer
 from uqharness.campaign.execution.worker import (
     CaseOutcome,
     FlightFunction,
@@ -139,7 +139,7 @@ class ProcessExecutor:
         if start_method not in multiprocessing.get_all_start_methods():
             known = ", ".join(multiprocessing.get_all_start_methods())
             raise BadInputError(f"start method '{start_method}': this system has {known}")
-        self.workers = whole("workers", workers, 1)
+        self.workers = integer("workers", workers, 1)
         self._context: Any = multiprocessing.get_context(start_method)
         self._timeout_s = timeout_s
         self._retries = retries
