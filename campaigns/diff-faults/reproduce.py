@@ -25,7 +25,7 @@ from uqharness.differences import (
     fly_matched,
 )
 from uqharness.files import scratch_folder
-from uqharness.simulator import Aircraft, copy_beside, copy_folder, engine, find_aircraft
+from uqharness.simulator import Aircraft, copy_folder, copy_shared_parts, engine, find_aircraft
 
 FAULTS: Any = importlib.import_module("campaigns.diff-faults.faults")
 HOME = Path(__file__).parent
@@ -139,7 +139,7 @@ def _asked(flown: Flown, changed: Any, first: Sequence[str]) -> dict[str, Any]:
         given = find_aircraft(flown.name)
         folder = scratch.path / "aircraft" / given.folder.name
         copy_folder(given.folder, folder)
-        copy_beside(given, scratch.path, engine.default_root())
+        copy_shared_parts(given, scratch.path, engine.default_root())
         (folder / given.xml.name).write_bytes(etree.tostring(changed))
         other: Aircraft = find_aircraft(folder)
         terms = differing_terms(given.folder, folder)

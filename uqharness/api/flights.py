@@ -24,9 +24,9 @@ from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     TURBULENCE_W20_KT,
     FlightSpec,
-    as_asked,
     recorded_flight,
-    start_of,
+    seeded_spec,
+    start_position,
     write_record,
 )
 from uqharness.heartbeat import notebook_line
@@ -192,7 +192,7 @@ def fly(
         properties=settings(properties),
         record_rate_hz=rate_hz,
     )
-    frame, recorded = recorded_flight(model, run, as_asked(spec, seed))
+    frame, recorded = recorded_flight(model, run, seeded_spec(spec, seed))
     known = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
     record = FlightRecord(known, Metadata(source=run.path.stem, dialect="record"))
     record = FlightRecord(
@@ -205,7 +205,7 @@ def fly(
         recorded.status,
         recorded.reason,
         model,
-        start_of(recorded),
+        start_position(recorded),
     )
 
 

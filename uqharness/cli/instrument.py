@@ -140,7 +140,7 @@ def _run(args: argparse.Namespace) -> int:
         check_page(args.page, "--page")
     mass = MassProperties(**{name: getattr(args, name) for name in _MASS})
     if args.undo:
-        if mass.given():
+        if mass.specified():
             raise BadInputError("--undo: takes everything back; leave the mass properties out")
         return _undo(args)
     aircraft = find_aircraft(args.aircraft)

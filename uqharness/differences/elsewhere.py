@@ -1,7 +1,10 @@
-"""A flight in another environment: its own Python interpreter, with its own version of JSBSim.
+"""Flights of a comparison, frame by frame, in this environment or with another JSBSim.
 
-``python -m uqharness.differences.elsewhere JOB.json OUT.npz`` is the child; `fly_elsewhere` starts
-it."""
+`channels_of` lists the compared properties in the order of cause and effect, and `fly_frames`
+records them in a worker process. `fly_elsewhere` does the same with the interpreter, and hence the
+JSBSim version, of another environment; its child is ``python -m uqharness.differences.elsewhere
+JOB.json OUT.npz``.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,11 @@ from sysid.units import FT_M, IN_M, LBF_FT_NM, LBF_N, SLUG_FT2_KGM2, SLUG_KG
 from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder, write_json
-from uqharness.flight import FlightSpec, as_asked, record_mission
+from uqharness.flight import FlightSpec, record_mission, seeded_spec
 from uqharness.isolation import run_isolated
 from uqharness.simulator import Aircraft, Source, StagedMission, engine, find_aircraft, read_script
 
-# What two models are compared by: JSBSim's own numbers along a flight, in the order in which
-# one causes the next.
+# Compared channels.
 
 GROUPS = (
     "mass and CG",
@@ -39,15 +41,26 @@ GROUPS = (
     "airspeed and angles",
     "path",
 )
-"""In the order of cause and effect within a frame: a force off the centre of gravity makes a
-moment, a moment makes no force.
+"""Groups of channels in the order of cause and effect within a frame.
+
+Forces precede moments: a force off the centre of gravity causes a moment, not the reverse.
 """
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One compared number: name, unit, group of GROUPS, where JSBSim has it, and the size below
-    which it is called zero.
+    """A compared quantity.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit in tables.
+    group : str
+        One of `GROUPS`.
+    source : Source
+        JSBSim property and factor.
+    floor : float
+        Magnitude [unit] below which the quantity counts as zero.
     """
 
     name: str
@@ -58,15 +71,23 @@ class Channel:
 
     @property
     def rank(self) -> int:
-        """Place of its group in the order of cause and effect."""
+        """Return the place of its group in the order of cause and effect."""
         return GROUPS.index(self.group)
 
 
 def channels_of(
     aircraft: Aircraft, fdm: Any, extra_properties: tuple[str, ...] = ()
 ) -> list[Channel]:
-    """Channels of an aircraft's model ``fdm``; coefficients by its own reference area and lengths.
-    extra_properties: properties besides.
+    """Return the channels that an aircraft's model has.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its card names positions of surfaces.
+    fdm : FGFDMExec
+        The loaded model; its reference area and lengths make the coefficients.
+    extra_properties : tuple of str
+        Further properties to compare, in their own unit.
     """
     S, b, c = (float(fdm[f"metrics/{name}"]) for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
     property_manager = fdm.get_property_manager()
@@ -108,12 +129,14 @@ def channels_of(
 
 
 def _mass_channel(name: str, source: tuple[str, str, float]) -> Channel:
+    """Return a channel of mass properties from (property, unit, factor)."""
     prop, unit, factor = source
     group = "inertia" if name.startswith("I") else "mass and CG"
     return Channel(name, unit, group, Source(prop, factor), 1e-6)
 
 
 def _surface_channels(aircraft: Aircraft, property_manager: Any) -> list[Channel]:
+    """Return the positions of surfaces that exist: of the card first, else JSBSim's usual names."""
     names = {
         card.position: control for control, card in aircraft.card.inputs.items() if card.position
     }
@@ -178,15 +201,28 @@ _MOTION = (
 )
 
 
-# One flight of one model, every frame of it.
+# Flights, recorded in every frame.
 
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """A flight of at most ``most_s`` in steps of ``dt_s`` [s], its air and its seed.
+    """Settings of one flight.
 
-    one_ulp_off: from a start that is one unit in the last place away; properties: set before the
-    flight."""
+    Attributes
+    ----------
+    max_s : float
+        Longest duration [s]; a script may end earlier.
+    dt_s : float
+        Integration step [s].
+    turbulence : str
+        Intensity of turbulence.
+    seed : int
+        Seed of turbulence and noise.
+    one_ulp_off : bool
+        Whether the initial velocity is one unit in the last place larger.
+    properties : mapping
+        Properties set before the flight.
+    """
 
     max_s: float
     dt_s: float
@@ -199,13 +235,17 @@ class FlightSettings:
 def fly_frames(
     aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
-    """time_s and channels of a flight in a worker process, a row a frame. Raises BadInputError."""
+    """Fly in a worker process; return ``time_s`` and the channels by name, each (frames,).
+
+    Raises BadInputError if the aircraft or the script cannot be flown.
+    """
     return run_isolated(_fly_in_worker, aircraft, path, channels, settings)
 
 
 def _fly_in_worker(
     aircraft: Aircraft, path: Path, channels: Sequence[Channel], settings: FlightSettings
 ) -> dict[str, FloatArray]:
+    """Fly and record all frames; both models of a comparison use the same step."""
     script = read_script(path)
     if settings.dt_s != aircraft.dt_s:
         section = aircraft.card.aircraft.model_copy(update={"dt_s": settings.dt_s})
@@ -222,7 +262,7 @@ def _fly_in_worker(
         optional = {c.name: c.source for c in channels}
         recorded = record_mission(
             mission,
-            as_asked(spec, settings.seed),
+            seeded_spec(spec, settings.seed),
             {},
             optional,
             keep_burn_in=True,
@@ -232,10 +272,11 @@ def _fly_in_worker(
 
 
 TIMEOUT_S = 600.0
+"""Longest flight in another environment, in wall-clock time [s]."""
 
 
 class RefusedError(BadInputError):
-    """The other JSBSim runs, and does not fly the aircraft."""
+    """The other JSBSim runs but does not fly the aircraft."""
 
 
 def fly_elsewhere(
@@ -245,20 +286,34 @@ def fly_elsewhere(
     channels: Sequence[Channel],
     settings: FlightSettings,
 ) -> tuple[dict[str, FloatArray], str]:
-    """Channels of a flight by name, ``time_s`` among them, flown by another interpreter, and the
-    version of its JSBSim.
+    """Fly with the interpreter of another environment.
 
     Parameters
     ----------
-    python
-        Interpreter of an environment that has JSBSim and what this package needs.
+    python : Path
+        Interpreter of an environment with JSBSim and the dependencies of this package.
+    aircraft : Aircraft
+        The aircraft.
+    script : Path
+        Run script.
+    channels : sequence of Channel
+        What to record.
+    settings : FlightSettings
+        Duration, step, air and start.
+
+    Returns
+    -------
+    signals : dict
+        ``time_s`` and channels by name, each (frames,).
+    version : str
+        Version of the other JSBSim.
 
     Raises
     ------
     RefusedError
-        Where its JSBSim does not fly the aircraft.
+        If the other JSBSim does not fly the aircraft.
     BadInputError
-        Where the interpreter cannot be started, or its environment lacks a library.
+        If the interpreter does not start or its environment lacks a library.
     """
     with scratch_folder("elsewhere") as scratch:
         job, out = scratch.path / "job.json", scratch.path / "out.npz"
@@ -268,7 +323,7 @@ def fly_elsewhere(
             "systems": aircraft.systems_path,
             "script": script,
         }
-        # A stock aircraft's engines are those of its own JSBSim: both sides fly the same files.
+        # Engine files of this environment: otherwise a stock aircraft would fly other files there.
         document = {k: str(v) for k, v in places.items()} | {
             "channels": [asdict(c) for c in channels],
             "how": asdict(settings),
@@ -291,6 +346,7 @@ def fly_elsewhere(
 
 
 def _child(job: Path, out: Path) -> None:
+    """Fly the job in this process and save the signals."""
     request = json.loads(job.read_text(encoding="utf-8"))
     channels = [
         Channel(**{**row, "source": Source(**row["source"])}) for row in request["channels"]

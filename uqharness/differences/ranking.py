@@ -1,4 +1,10 @@
-"""Where two models part: channels beyond what rounding makes, the earliest and nearest to the cause first."""
+"""Differences between two models in flight, ranked by time, cause and effect.
+
+`fly_matched` flies both models from the same start with the same controls and air.
+`differing_terms` lists the XML elements that differ. `differences` reports channels whose
+difference exceeds what rounding explains, the earliest and the closest to the cause first, each
+with the XML elements that may explain it.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +33,8 @@ from uqharness.simulator import (
     MISSIONS,
     Aircraft,
     StartSection,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
     open_aircraft,
@@ -37,11 +43,7 @@ from uqharness.simulator import (
 )
 from uqharness.xml import Node, folder_documents
 
-# The same flights of two models: same start, same controls in time, same air, one frame after
-# the other.
-
-# How far one model's flight varies by itself: in other air of the same kind, and within the
-# bounds of its model form.
+# Matched flights of two models, and variations of the first one.
 
 
 def fly_variations(
@@ -52,9 +54,21 @@ def fly_variations(
     repeats: int,
     bounds: bool,
 ) -> list[dict[str, FloatArray]]:
-    """Flights of a model as `flown` gives them: with ``repeats`` other seeds of the air, and at either end of each bound.
+    """Fly one model in other air and at the ends of its bounds, as `fly_frames` does.
 
-    Raises BadInputError where there is no air to repeat or no bound.
+    Parameters
+    ----------
+    aircraft, script, channels, settings
+        As of `fly_frames`.
+    repeats : int
+        Number of further seeds of turbulence.
+    bounds : bool
+        Whether to fly each coefficient at its lower and its upper bound.
+
+    Raises
+    ------
+    BadInputError
+        If there is no turbulence to repeat, or no bound.
     """
     if repeats and settings.turbulence == "none":
         raise BadInputError(
@@ -71,7 +85,10 @@ def fly_variations(
 def largest_deviation(
     flight: Mapping[str, FloatArray], variations: Iterable[Mapping[str, FloatArray]]
 ) -> dict[str, float]:
-    """Largest difference of the others from the flight, by channel, over the time that both flew."""
+    """Return the largest deviation of the variations from a flight, by channel, in their units.
+
+    Flights of different length are compared over the shorter one.
+    """
     deviations = dict.fromkeys(flight, 0.0)
     for other in variations:
         for name, values in flight.items():
@@ -83,7 +100,7 @@ def largest_deviation(
 
 
 def _bound_settings(aircraft: Aircraft) -> list[dict[str, float]]:
-    """Settings for each coefficient at its lower and at its upper bound, the others without one."""
+    """Return properties for each coefficient alone at its lower and at its upper bound."""
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
     if not bounded:
@@ -103,16 +120,29 @@ def _bound_settings(aircraft: Aircraft) -> list[dict[str, float]]:
 
 
 SCRIPT_LIMIT_S = 60.0
-"""Longest flight of a script [s]; a mission of one's own ends by itself."""
+"""Longest flight of a run script [s]; generated missions end by themselves."""
 
 
 @dataclass(frozen=True)
 class MatchedRequest:
-    """What is flown: manoeuvres from a trim of A at each speed [m/s] and height [m], and run scripts of one's own.
+    """What `fly_matched` flies.
 
-    properties: of the simulation, compared besides the channels that every aircraft has.
-    repeats: flights of A in other air, bounds: flights of A at the ends of its bounds, both beside the one that is compared.
-    python_b: interpreter that flies B with the JSBSim of its own environment; None: this one.
+    Attributes
+    ----------
+    speeds_mps, altitude_m : tuple of float, float
+        True airspeeds [m/s] and altitude [m] at which A is trimmed.
+    missions : tuple of str
+        Generated manoeuvres at each speed.
+    scripts : tuple of Path
+        Further run scripts.
+    turbulence, seed
+        Air of all flights.
+    properties : tuple of str
+        Properties compared in addition to `channels_of`.
+    python_b : Path or None
+        Interpreter that flies B with another JSBSim; None for this one.
+    repeats, bounds
+        Variations of A, as of `fly_variations`.
     """
 
     speeds_mps: tuple[float, ...] = ()
@@ -131,11 +161,23 @@ class MatchedRequest:
 class MatchedFlight:
     """One flight of both models.
 
-    name       of the manoeuvre or script; time_s (n,); a, b, nudged: channel -> (n,), nudged being A from a start one unit in the
-               last place away, which tells how far rounding alone goes
-    only_a, only_b  channels that one model has alone; reason: why there is no flight of B, "" where there is one
-    varied     channel -> how far A varies by itself, in other air and within its bounds; empty: not flown
-    jsbsim_b   version of JSBSim that flew B, "" for this process's own
+    Attributes
+    ----------
+    name : str
+        Manoeuvre or script.
+    time_s : ndarray
+        Time [s] of the frames that both flew, (n,).
+    a, b, nudged : mapping
+        Channel to (n,). `nudged` is A from an initial velocity one unit in the last place larger:
+        the effect of rounding.
+    only_a, only_b : tuple of str
+        Channels that only one model has.
+    reason : str
+        Why there is no flight of B, or why it is shorter; empty otherwise.
+    jsbsim_b : str
+        Version of JSBSim that flew B; empty for this process's own.
+    varied : mapping
+        Channel to the largest deviation of A's variations; empty without any.
     """
 
     name: str
@@ -156,9 +198,28 @@ def fly_matched(
     request: MatchedRequest,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[Channel], list[MatchedFlight]]:
-    """Channels of A, and every flight asked for in both models. Raises BadInputError for what A itself cannot fly.
+    """Fly all requested flights in both models.
 
-    ``on_progress`` is told how many flights are flown in both models, of how many.
+    Parameters
+    ----------
+    a, b : Aircraft
+        The two models; A is trimmed, and B starts from A's trim.
+    request : MatchedRequest
+        What to fly.
+    on_progress : callable, optional
+        Called with the numbers of finished and of all flights.
+
+    Returns
+    -------
+    channels : list of Channel
+        Channels of A.
+    flights : list of MatchedFlight
+        In the order of the request.
+
+    Raises
+    ------
+    BadInputError
+        If nothing is requested, or A cannot be flown.
     """
     if not request.speeds_mps and not request.scripts:
         raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
@@ -176,6 +237,7 @@ def fly_matched(
         for speed in request.speeds_mps:
             start = StartSection(V_mps=speed, altitude_m=request.altitude_m)
             for kind in request.missions:
+                # B flies the start and script that were written for A's trim.
                 existing_names = {p.name for p in copy_a.folder.iterdir()}
                 path, _ = write_own_mission(copy_a, start, kind)
                 for mission_file in copy_a.folder.iterdir():
@@ -211,8 +273,9 @@ def fly_matched(
 
 
 def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
+    """Copy an aircraft to where scripts can be written; engines and systems stay the original's."""
     copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
-    copy_beside(aircraft, root, engine.default_root())
+    copy_shared_parts(aircraft, root, engine.default_root())
     copied = find_aircraft(root / "aircraft" / aircraft.folder.name)
     return replace(copied, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
@@ -227,6 +290,7 @@ def _fly_both(
     request: MatchedRequest,
     limit_s: float,
 ) -> MatchedFlight:
+    """Fly one script with A, with A nudged by one unit in the last place, and with B."""
     settings = FlightSettings(limit_s, copy_a.dt_s, request.turbulence, request.seed)
     try:
         flight_a, nudged_flight = (
@@ -273,7 +337,10 @@ def _fly_b(
     settings: FlightSettings,
     python: Path | None,
 ) -> tuple[dict[str, FloatArray], str]:
-    """B's flight and the version of JSBSim, "" for this process's own. Raises RefusedError where B is not flown."""
+    """Fly B; return its channels and its JSBSim version, empty for this process's own.
+
+    Raises RefusedError if B does not fly.
+    """
     if python is not None:
         return fly_elsewhere(python, copy_b, script, channels, settings)
     try:
@@ -282,8 +349,8 @@ def _fly_b(
         raise RefusedError(str(error)) from None
 
 
-# Elements of the XML in which two models differ: numbers, names, elements added or gone;
-# comments, spaces and order of attributes do not count.
+# Differing XML elements: numbers, names, and elements added or removed. Comments, white space and
+# the order of attributes do not count.
 
 _AXIS = {
     "DRAG": "CX",
@@ -317,11 +384,20 @@ _GROUP = {
 
 @dataclass(frozen=True)
 class Term:
-    """One element that differs.
+    """An XML element that differs.
 
-    path      its place in words, from the section down: ``aerodynamics / axis PITCH / function aero/coefficient/Cmalpha / value``
-    a, b      what stands there, "" where nothing; a_where, b_where: file:line, "" likewise
-    group     group of channels it belongs to, "" where that is not known; channel: coefficient of its axis, ""
+    Attributes
+    ----------
+    path : str
+        Place in words, such as ``aerodynamics / axis PITCH / function aero/coefficient/Cmalpha``.
+    a, b : str
+        Content in each model; empty if it has no such element.
+    a_where, b_where : str
+        ``file:line``, empty likewise.
+    group : str
+        Group of channels that it affects; empty if unknown.
+    channel : str
+        Coefficient of its axis; empty outside the aerodynamics.
     """
 
     path: str
@@ -335,6 +411,8 @@ class Term:
 
 @dataclass(frozen=True)
 class _Line:
+    """An XML element as a line of text for the comparison."""
+
     key: str
     path: str
     content: str
@@ -344,7 +422,13 @@ class _Line:
 
 
 def differing_terms(a: Path, b: Path) -> list[Term]:
-    """What differs between the XML of two aircraft folders, in the order of the files. Raises BadInputError."""
+    """Return the XML elements in which two aircraft folders differ, in the order of the files.
+
+    Raises
+    ------
+    BadInputError
+        If a folder holds no XML.
+    """
     first, second = _lines(a), _lines(b)
     terms: list[Term] = []
     for name in sorted({*first, *second}):
@@ -356,7 +440,7 @@ def differing_terms(a: Path, b: Path) -> list[Term]:
 
 
 def _without_moved(terms: list[Term]) -> list[Term]:
-    """The terms less elements that stand elsewhere in the same parent: gone in one place, added in another."""
+    """Return the terms without elements that only moved within their parent."""
     removed = [(t.path, t.a) for t in terms if not t.b_where]
     added = [(t.path, t.b) for t in terms if not t.a_where]
     moved = [key for key in removed if key in added]
@@ -368,7 +452,7 @@ def _without_moved(terms: list[Term]) -> list[Term]:
 
 
 def _without_inner(terms: list[Term]) -> list[Term]:
-    """The terms less what lies in an element that is itself added or gone."""
+    """Return the terms without children of elements that are themselves added or removed."""
     out: list[Term] = []
     outer = ""
     for t in terms:
@@ -381,7 +465,7 @@ def _without_inner(terms: list[Term]) -> list[Term]:
 
 
 def _paired(lines_a: list[_Line], lines_b: list[_Line]) -> list[Term]:
-    """Lines that stand for each other, by their path, and those that have no counterpart."""
+    """Pair differing lines of equal path; the others have no counterpart."""
     unpaired = list(lines_b)
     terms = []
     for x in lines_a:
@@ -404,10 +488,11 @@ def _paired(lines_a: list[_Line], lines_b: list[_Line]) -> list[Term]:
 
 
 def _lines(folder: Path) -> dict[str, list[_Line]]:
+    """Return the elements of each XML file of a folder, file headers left out."""
     lines_by_file: dict[str, list[_Line]] = {}
     for document in folder_documents(folder):
         relative = document.path.relative_to(folder).as_posix()
-        # The aircraft's own file is named for its folder, which may be another.
+        # The aircraft's main file is named after its folder, which may differ.
         name = "aircraft" if document.path.stem == folder.name else relative
         lines = lines_by_file.setdefault(name, [])
         for node in document.root.walk():
@@ -424,6 +509,7 @@ def _lines(folder: Path) -> dict[str, list[_Line]]:
 
 
 def _line(node: Node, where: str, root: str) -> _Line:
+    """Return an element as a line with its place, content, and affected channels."""
     chain = [*reversed(list(_ancestors(node))), node][1:]
     path = " / ".join(_label(n) for n in chain)
     attributes = " ".join(
@@ -437,6 +523,7 @@ def _line(node: Node, where: str, root: str) -> _Line:
 
 
 def _ancestors(node: Node) -> Iterator[Node]:
+    """Yield the parents of an element, the nearest first."""
     ancestor = node.parent
     while ancestor is not None:
         yield ancestor
@@ -444,6 +531,7 @@ def _ancestors(node: Node) -> Iterator[Node]:
 
 
 def _label(node: Node) -> str:
+    """Return an element's tag and name."""
     name = node.attributes.get("name", "")
     if node.tag == "property" and not name:
         name = node.text.strip()
@@ -451,11 +539,12 @@ def _label(node: Node) -> str:
 
 
 def _normalise_text(text: str) -> str:
+    """Return text with numbers by value and single blanks."""
     return " ".join(_normalise_number(word) for word in text.split())
 
 
 def _normalise_number(word: str) -> str:
-    """A number by its value, anything else as it is."""
+    """Return a number by its value, and any other word unchanged."""
     try:
         return repr(float(word) + 0.0)
     except ValueError:
@@ -463,19 +552,31 @@ def _normalise_number(word: str) -> str:
 
 
 ROUNDING = 1e-9
-"""Share of a channel's range within which two orders of the same sums stay."""
+"""Relative difference (of a channel's range) that a different order of summation may cause."""
 NUDGE_FACTOR = 1000.0
-"""How often the difference that one unit in the last place of the start makes is allowed: rounding acts in every frame."""
+"""Allowed multiple of the nudged flight's deviation: rounding acts in every frame, not once."""
 
 
 @dataclass(frozen=True)
 class Difference:
     """A channel in which two models differ in one flight.
 
-    from_s    time of the first frame beyond benign; size: largest difference in the channel's unit, at at_s
-    share     size over the channel's range in the flight of A (or its magnitude where it does not move)
-    times     size over what is benign there
-    terms     differing elements of the XML that may make it, the likeliest first
+    Attributes
+    ----------
+    channel, unit, group, flight : str
+        Which channel in which flight.
+    from_s : float
+        Time [s] of the first frame beyond the benign difference.
+    size, at_s : float
+        Largest difference [unit] and its time [s].
+    share : float
+        Size over the channel's range in A's flight (its magnitude if it hardly moves).
+    times : float
+        Size over the benign difference at that time.
+    a, b : float
+        Values of both models at that time.
+    terms : tuple of Term
+        Differing XML elements, the most likely cause first.
     """
 
     channel: str
@@ -498,9 +599,20 @@ def differences(
     terms: Sequence[Term],
     tolerance: float = ROUNDING,
 ) -> list[Difference]:
-    """Everything beyond benign, ranked: first the flight and frame in which it shows first, then cause before effect.
+    """Return all differences beyond the benign ones, ranked.
 
-    tolerance: share of a channel's range that is benign in any case.
+    The order is by time of the first frame, then from cause to effect, then by size.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        Channels to compare.
+    flights : iterable of MatchedFlight
+        Matched flights.
+    terms : sequence of Term
+        Differing XML elements.
+    tolerance : float
+        Share of a channel's range that is always benign.
     """
     ranked: list[tuple[tuple[float, ...], Difference]] = []
     for order, flight in enumerate(flights):
@@ -515,7 +627,7 @@ def differences(
 
 
 def by_channel(ranked: Sequence[Difference]) -> list[Difference]:
-    """The first row of each channel, in order."""
+    """Return the first difference of each channel, in order."""
     first_rows: dict[str, Difference] = {}
     for d in ranked:
         first_rows.setdefault(d.channel, d)
@@ -523,7 +635,10 @@ def by_channel(ranked: Sequence[Difference]) -> list[Difference]:
 
 
 def scale_of(channel: Channel, values: FloatArray) -> float:
-    """Range of a channel in a flight, or its magnitude where it hardly moves; never below its floor."""
+    """Return the scale of a channel in a flight, in its unit.
+
+    Its range, or its magnitude if it hardly moves, but at least its floor.
+    """
     reach = float(np.ptp(values)) if len(values) else 0.0
     magnitude = float(np.max(np.abs(values), initial=0.0))
     return max(reach if reach > 1e-3 * magnitude else magnitude, channel.floor)
@@ -532,14 +647,17 @@ def scale_of(channel: Channel, values: FloatArray) -> float:
 def _difference(
     channel: Channel, flight: MatchedFlight, terms: Sequence[Term], tolerance: float
 ) -> tuple[float, Difference] | None:
+    """Return (relative size at the first frame, difference); None if all is benign."""
     a, b = flight.a[channel.name], flight.b[channel.name]
     scale = scale_of(channel, a)
-    # A start that is one unit off moves everything after it: what it has moved so far is what rounding may have.
+    # Benign: a multiple of the largest deviation so far of the nudged flight, a share of the range,
+    # and what A varies by itself.
     benign = np.maximum(
         NUDGE_FACTOR * np.maximum.accumulate(np.abs(flight.nudged[channel.name] - a)),
         tolerance * scale,
     )
     benign = np.maximum(benign, flight.varied.get(channel.name, 0.0))
+    # NaN in one model only counts as a difference, because NaN <= benign is False.
     distance = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(b - a))
     exceeds = ~(distance <= benign)
     if not exceeds.any():
@@ -574,11 +692,11 @@ _NAMES = {
     "Cm": ("Cm",),
     "Cn": ("Cn",),
 }
-"""How authors begin the names of a coefficient's terms."""
+"""Prefixes of names that authors use for the terms of a coefficient."""
 
 
 def _name_matches(term: Term, channel: Channel) -> bool:
-    """Whether some part of a term's path has a name that begins as the coefficient's do."""
+    """Return whether some name in a term's path begins like the coefficient's names."""
     words = (word for part in term.path.split(" / ") for word in part.split(" ")[1:])
     return any(
         word.rpartition("/")[2].startswith(_NAMES.get(channel.name, ("?",))) for word in words
@@ -586,7 +704,10 @@ def _name_matches(term: Term, channel: Channel) -> bool:
 
 
 def rank_terms(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Terms that may move a channel: those of its own axis, then of its group, then of any group before it."""
+    """Sort terms by how likely they affect a channel.
+
+    First the terms of its own axis, then of its group, then of groups before it.
+    """
 
     def penalty(term: Term) -> float:
         if _name_matches(term, channel):
@@ -598,7 +719,7 @@ def rank_terms(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
         rank = GROUPS.index(term.group)
         if rank > channel.rank:
             return 8.0
-        # Aerodynamics of another axis is farther than a part that acts on all.
+        # Aerodynamics of another axis are less likely than a part that acts on all axes.
         other_axis = term.channel and channel.group.endswith("coefficients")
         return 1.0 + (channel.rank - rank) * 0.5 + (2.0 if other_axis else 0.0)
 

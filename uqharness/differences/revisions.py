@@ -1,8 +1,9 @@
-"""An aircraft as it stood in a revision of a git repository: ``REVISION:PATH``.
+"""Aircraft from a revision of a git repository, given as ``REVISION:PATH``.
 
-The repository may be somebody else's. Its configuration can name programs (filters, hooks, remotes
-that hold missing objects, a file-system monitor), so git never sees it: git runs in an empty
-repository of ours that borrows the objects and the references."""
+The repository may be untrusted: its configuration can name programs to run (filters, hooks, a
+file-system monitor, remotes for missing objects). Git therefore runs in an empty repository of this
+program, which borrows only objects and references of the other one.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +21,19 @@ from uqharness.simulator import Aircraft, find_aircraft
 
 MAX_FILES = 5_000
 MAX_BYTES = 64_000_000
-"""Files of an aircraft, and their content together; the largest of JSBSim's has 2 MB."""
+"""Largest number of files of an aircraft and of bytes in them; JSBSim's largest has 2 MB."""
 _LISTING_BYTES = 4_000_000
 _REFERENCE_BYTES = 64_000_000
 _MEMORY_BYTES = 2_000_000_000
 _TIMEOUT_S = 60.0
 _MESSAGE_CHARACTERS = 200
-"""Characters of what was asked for that a message repeats."""
+"""Characters of the user's text that a message repeats."""
 _FILE_MODES = (b"100644", b"100755")
 _EXAMPLE = "give REVISION:FOLDER, such as HEAD~1:aircraft/espaaro"
 
 
 def split_revision(text: str) -> tuple[str, str] | None:
-    """Revision and path of ``REVISION:PATH``; None for a name or a path that exists, and for a
-    drive letter.
-    """
+    """Split ``REVISION:PATH``; None for a name, an existing path, or a drive letter."""
     revision, colon, path = text.partition(":")
     if not colon or len(revision) < 2 or not path or _exists(text):
         return None
@@ -42,9 +41,19 @@ def split_revision(text: str) -> tuple[str, str] | None:
 
 
 def aircraft_at(text: str, scratch: Path) -> Aircraft:
-    """An aircraft by name, folder or ``REVISION:PATH``, the last unpacked under ``scratch``.
+    """Return an aircraft by name, folder or ``REVISION:PATH``.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    text : str
+        Name, folder, or revision and path.
+    scratch : Path
+        Folder into which the files of a revision are unpacked.
+
+    Raises
+    ------
+    BadInputError
+        If there is no such aircraft, revision or repository, or git fails.
     """
     revision_and_path = split_revision(text)
     if revision_and_path is None:
@@ -75,8 +84,16 @@ def aircraft_at(text: str, scratch: Path) -> Aircraft:
 
 @dataclass(frozen=True)
 class _Repository:
-    """``top``: the working folder; ``folder``: its .git; ``common``: where objects and references
-    are.
+    """Folders of a repository.
+
+    Attributes
+    ----------
+    top : Path
+        Working folder.
+    folder : Path
+        Its ``.git`` folder.
+    common : Path
+        Folder of objects and references; another one for a worktree.
     """
 
     top: Path
@@ -85,7 +102,10 @@ class _Repository:
 
 
 def _find_repository(start: Path) -> _Repository | None:
-    """The repository that a folder is in, found without git, which would read its configuration."""
+    """Find the repository that contains a folder; None outside any.
+
+    Git itself is not asked, because it would read the repository's configuration.
+    """
     for top in (start, *start.parents):
         place = top / ".git"
         if place.is_file():  # of a worktree or a submodule
@@ -101,16 +121,14 @@ def _find_repository(start: Path) -> _Repository | None:
 
 
 def _path_within(path: str, top: Path) -> str | None:
-    """A path, relative to the working folder or absolute, as git writes it below ``top``; None
-    outside and at ``top`` itself.
-    """
+    """Return a path as git writes it below ``top``; None outside it and for ``top`` itself."""
     full = posixpath.normpath(posixpath.join(Path.cwd().as_posix(), path))
     inside = posixpath.relpath(full, top.as_posix())
     return None if "\0" in path or inside == "." or inside.split("/")[0] == ".." else inside
 
 
 class _Reader:
-    """Git in an empty repository in ``place`` with the objects and references of another one."""
+    """Git in an empty repository that borrows objects and references of another one."""
 
     def __init__(self, repository: _Repository, place: Path, requested: str) -> None:
         self._place, self._requested = place, requested
@@ -143,7 +161,7 @@ class _Reader:
         }
 
     def commit(self, revision: str) -> str:
-        """The commit that a revision names."""
+        """Return the hash of the commit that a revision names."""
         words = ["rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}"]
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
@@ -154,8 +172,9 @@ class _Reader:
         return name
 
     def files(self, commit: str, folder: str) -> dict[str, bytes]:
-        """Content of every regular file below a folder of a commit, by path; sizes are looked at
-        before anything is read.
+        """Return path and content of every regular file below a folder of a commit.
+
+        Number and size are checked before any content is read.
         """
         listing = self._run(["ls-tree", "-r", "-l", "-z", commit, "--", folder], _LISTING_BYTES)
         sizes: dict[str, tuple[str, int]] = {}
@@ -163,7 +182,7 @@ class _Reader:
             facts, _, name = line.partition(b"\t")
             mode, kind, blob, size = facts.split()
             path = os.fsdecode(name)
-            # A link leads out of the folder, and a submodule is in another repository.
+            # Links lead out of the folder, and submodules are in another repository.
             if mode in _FILE_MODES and kind == b"blob" and path.startswith(f"{folder}/"):
                 if not _is_plain(path):
                     raise BadInputError(
@@ -183,6 +202,7 @@ class _Reader:
             )
         names = "".join(f"{blob}\n" for blob, _ in sizes.values())
         limit = total + 200 * len(sizes)
+        # One process reads all files; each is preceded by a header line and followed by a line end.
         content = self._run(["cat-file", "--batch"], limit, names.encode())
         files: dict[str, bytes] = {}
         position = 0
@@ -193,8 +213,9 @@ class _Reader:
         return files
 
     def _run(self, words: Sequence[str], max_bytes: int, stdin: bytes = b"") -> bytes:
-        """What a git command prints; BadInputError where it fails, prints more than ``max_bytes``
-        or takes too long.
+        """Run a git command and return its output.
+
+        Raises BadInputError if it fails, prints more than ``max_bytes``, or takes too long.
         """
         output = self._place / "output"
         try:
@@ -231,7 +252,7 @@ class _Reader:
 
 
 def _limits(max_bytes: int) -> Callable[[], None]:
-    """Limits that a git process sets itself before it begins."""
+    """Return a function that limits memory and output of the child before git starts."""
 
     def limit() -> None:
         import resource
@@ -244,8 +265,9 @@ def _limits(max_bytes: int) -> Callable[[], None]:
 
 
 def _config(common: Path) -> str:
-    """Our own configuration; of the repository's, only the kind of its hashes matters, which its
-    own words tell.
+    """Return the configuration of the empty repository.
+
+    Only the hash algorithm is taken from the other repository's configuration.
     """
     sha256 = False
     path = common / "config"
@@ -262,7 +284,7 @@ def _config(common: Path) -> str:
 
 
 def _copy_references(source: Path, target: Path, remaining: int) -> int:
-    """Copy a file or folder of references, links left out; how many bytes may still be copied."""
+    """Copy references without links; return the bytes that may still be copied."""
     if source.is_symlink():
         return remaining
     if source.is_dir():
@@ -272,7 +294,7 @@ def _copy_references(source: Path, target: Path, remaining: int) -> int:
     elif source.is_file():
         content = read_regular(source, remaining)
         target.write_bytes(content)
-        # An empty file takes a place on the disk too.
+        # Each file counts at least 100 bytes, so that many empty files end the copy too.
         remaining -= len(content) + 100
         if remaining <= 0:
             raise ValueError(
@@ -282,11 +304,13 @@ def _copy_references(source: Path, target: Path, remaining: int) -> int:
 
 
 def _is_plain(path: str) -> bool:
+    """Return whether a path has no part that leads elsewhere on any system."""
     parts = path.split("/")
     return not any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts)
 
 
 def _write(files: dict[str, bytes], folder: Path) -> None:
+    """Write files below a folder."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -294,6 +318,7 @@ def _write(files: dict[str, bytes], folder: Path) -> None:
 
 
 def _exists(text: str) -> bool:
+    """Return whether a path exists; False for text that is no path."""
     try:
         return Path(text).exists()
     except (OSError, ValueError):

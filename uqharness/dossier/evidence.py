@@ -1,5 +1,8 @@
-"""What a folder of results holds: its parts in the order in which they were made, the files they
-rest on, what is missing.
+"""Inventory of a folder of results: the steps in order, their source files, and what is missing.
+
+`read_evidence` finds the results of every command below a folder by their marker files, checks
+recorded SHA-256 digests, and lists gaps as sentences. `factors` then sorts the evidence by the
+eight credibility factors of NASA-STD-7009. The report page `dossier` prints both.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ _MARKS: tuple[tuple[str, str, type[Part] | None], ...] = (
     ("coverage.json", "validate-bounds", Coverage),
     ("manifest.json", "campaign", None),
 )
-"""File that marks a folder's results, the command that writes it, and what it has to look like."""
+"""Marker file of a command's results, the command, and the model that validates the file."""
 _LEFTOVERS = (
     ("model.diff", "refine", "refinement.json"),
     ("journal.sqlite", "campaign", "manifest.json"),
@@ -46,9 +49,7 @@ _LEFTOVERS = (
     ("model-form.xml", "bounds", "model-form.json"),
     ("campaign-before.toml", STUDY, "study.json"),
 )
-"""File that a command leaves beside its mark, from which a folder that has lost its mark is
-known.
-"""
+"""Further file of a command; without the marker file (third entry), the results are damaged."""
 _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     "identify": (HISTORIES, "aircraft"),
     "refine": (HISTORIES, "model.diff", "aircraft"),
@@ -56,6 +57,7 @@ _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     "bounds": ("bounds.json",),
     "campaign": ("cases.parquet", "statements.csv", "pbox.parquet"),
 }
+"""Files that a command writes next to its marker file."""
 _NOT_LISTED = frozenset({"report.html", "dossier.html", "run.lock"})
 _NOT_ENTERED = frozenset(
     {"figures", "aircraft", "log", "before", "intervals", "shards", "flights", "Systems", "systems"}
@@ -66,10 +68,19 @@ _MAX_DEPTH = 3
 
 @dataclass(frozen=True)
 class Step:
-    """One command's results.
+    """Results of one command.
 
-    kind      identify, refine, ...; place: its folder within the folder of results, "." for that
-    itself document  what its mark says; None where that cannot be read"""
+    Attributes
+    ----------
+    kind : str
+        Command, such as ``identify`` or ``refine``.
+    place : str
+        Folder relative to the folder of results; ``"."`` for that folder itself.
+    folder : Path
+        The same folder as a path.
+    document : mapping or None
+        Content of the marker file; None if it cannot be read.
+    """
 
     kind: str
     place: str
@@ -78,20 +89,28 @@ class Step:
 
     @property
     def command(self) -> str:
-        """The command line that made it, "" where it is not recorded."""
+        """Return the command line that wrote the results; empty if it is not recorded."""
         return str((self.document or {}).get("command") or "")
 
     @property
     def version(self) -> str:
-        """Version of the program that made it, "" where it is not recorded."""
+        """Return the version of uqharness that wrote the results; empty if it is not recorded."""
         document = self.document or {}
         return str(document.get("version") or document.get("versions", {}).get("uqharness") or "")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file that the dossier rests on; command and version are of the step that wrote it, "" where
-    not recorded.
+    """A file that the dossier cites.
+
+    Attributes
+    ----------
+    file : str
+        Path relative to the folder of results.
+    sha256 : str
+        Digest of its content.
+    command, version : str
+        Of the step that wrote the file; empty if not recorded.
     """
 
     file: str
@@ -102,8 +121,18 @@ class Source:
 
 @dataclass
 class Evidence:
-    """A folder's content. missing: sentences, of what should be there and is not, or is not as it
-    was written.
+    """Content of a folder of results.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder.
+    steps : list of Step
+        Steps in the order in which they were run.
+    sources : list of Source
+        Files of the steps, with their digests.
+    missing : list of str
+        One sentence for each file that is missing, unreadable or altered.
     """
 
     folder: Path
@@ -112,13 +141,11 @@ class Evidence:
     missing: list[str] = field(default_factory=list)
 
     def of(self, kind: str) -> list[Step]:
-        """Steps of a kind that can be read, in order."""
+        """Return the readable steps of one kind, in order."""
         return [s for s in self.steps if s.kind == kind and s.document is not None]
 
     def histories(self, step: Step) -> list[History]:
-        """Segments of a step, none where they cannot be read; that is then said among what is
-        missing.
-        """
+        """Return the replayed segments of a step; an unreadable file is reported in `missing`."""
         try:
             return read_histories(step.folder / HISTORIES)
         except BadInputError as error:
@@ -126,22 +153,38 @@ class Evidence:
             return []
 
     def add_error(self, error: BadInputError) -> None:
-        """Add an error's words, without the place of the folder: a copy elsewhere gives the same
-        dossier.
+        """Add an error message to `missing`, with paths relative to the folder.
+
+        A copy of the folder elsewhere must give the same dossier.
         """
         self.add_missing(str(error).replace(f"{self.folder}/", "").replace(str(self.folder), "DIR"))
 
     def add_missing(self, text: str) -> None:
-        """Add to what is missing, once."""
+        """Add a sentence to `missing` unless it is there already."""
         if text not in self.missing:
             self.missing.append(text)
 
 
 def read_evidence(folder: Path) -> Evidence:
-    """Everything of a folder of results that can be read.
+    """Read all results in a folder and its subfolders.
 
-    A folder that is incomplete or damaged is no error: what is wrong stands in ``missing``. Raises
-    BadInputError for a folder that no command of this program wrote."""
+    Incomplete or damaged results are listed in `Evidence.missing`; they are no error.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder of ``study``, ``refine``, ``campaign run`` or ``identify``.
+
+    Returns
+    -------
+    Evidence
+        Steps, source files and gaps.
+
+    Raises
+    ------
+    BadInputError
+        If the path is no folder, or no command of this program wrote to it.
+    """
     if not folder.is_dir():
         raise BadInputError(
             f"{folder}: is no folder; dossier takes the --out of study, refine, campaign run or"
@@ -164,6 +207,7 @@ def read_evidence(folder: Path) -> Evidence:
 
 
 def _folders(folder: Path) -> Iterator[Path]:
+    """Yield the folder and its subfolders, sorted, at most `_MAX_DEPTH` levels deep."""
     yield folder
 
     def below(at: Path, depth: int) -> Iterator[Path]:
@@ -180,6 +224,7 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _read_folder(evidence: Evidence, place: Path) -> None:
+    """Add the steps whose marker files lie in one folder."""
     relative = place.relative_to(evidence.folder).as_posix()
     marks = [mark for mark in _MARKS if (place / mark[0]).is_file()]
     for name, kind, shape in marks:
@@ -189,6 +234,7 @@ def _read_folder(evidence: Evidence, place: Path) -> None:
             evidence.add_error(error)
             document = None
         evidence.steps.append(Step(kind, relative, place, document))
+    # A command's other files without its marker file mean that the marker was lost.
     marked_kinds = {kind for _, kind, _ in marks}
     for leftover, kind, mark in _LEFTOVERS:
         if kind not in marked_kinds and (place / leftover).is_file():
@@ -201,11 +247,13 @@ def _read_folder(evidence: Evidence, place: Path) -> None:
 
 
 def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
+    """Read and validate a marker file."""
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
         form = read_document(place / name, Part)
         bounds_file = place / "bounds.json"
+        # The dossier compares this digest with that of the aircraft that a campaign flew.
         aircraft = form.get("aircraft")
         digest = aircraft.get("sha256", "") if isinstance(aircraft, dict) else ""
         return (
@@ -218,7 +266,7 @@ def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) ->
 
 
 def _read_study(evidence: Evidence) -> None:
-    """What a study says of its own stages: their folders, and the digests of what they wrote."""
+    """Report stages of a study that are unfinished, whose folder is gone, or whose output changed."""
     for study in evidence.of(STUDY):
         assert study.document is not None
         for stage in study.document["stages"]:
@@ -238,7 +286,11 @@ def _read_study(evidence: Evidence) -> None:
 
 
 def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str) -> None:
-    """Say it where a file is gone or has another content than its recorded digest."""
+    """Report a file that is missing or whose SHA-256 differs from the recorded one.
+
+    ``recorded_by`` begins the sentence, such as ``stage fit``. Folders and values that are no
+    digest are ignored.
+    """
     name = (
         path.relative_to(evidence.folder).as_posix()
         if path.is_relative_to(evidence.folder)
@@ -255,6 +307,7 @@ def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str)
 
 
 def _read_companions(evidence: Evidence, step: Step) -> None:
+    """Report missing companion files of a step, and campaign tables that were altered."""
     tables = (step.document or {}).get("tables") or {} if step.kind == "campaign" else {}
     for name in _COMPANIONS.get(step.kind, ()):
         if name not in tables and not (step.folder / name).exists():
@@ -266,8 +319,9 @@ def _read_companions(evidence: Evidence, step: Step) -> None:
 
 
 def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
-    """Stages as a study orders them; else what a chain of commands would do first, refinements
-    after what they began from.
+    """Return the sort key of a step: a study's own order, else the usual order of commands.
+
+    Refinements follow the step that wrote their aircraft.
     """
     for study in evidence.of(STUDY):
         assert study.document is not None
@@ -280,9 +334,8 @@ def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
 
 
 def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
-    """How many other steps of the folder stand between a step's aircraft and an aircraft from
-    elsewhere.
-    """
+    """Return how many steps of the folder lie between a step's aircraft and an external aircraft."""
+    # The third word of a command line is the aircraft.
     words = step.command.split()
     for other in evidence.steps:
         name = Path(other.place).name
@@ -297,7 +350,7 @@ def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
 
 
 def _list_sources(evidence: Evidence) -> None:
-    """Every file of a step's own folder, and of the aircraft it wrote."""
+    """List each file of each step once, with its digest."""
     listed: set[Path] = set()
     for step in evidence.steps:
         for path in _files(step.folder):
@@ -308,6 +361,7 @@ def _list_sources(evidence: Evidence) -> None:
 
 
 def _files(folder: Path) -> Sequence[Path]:
+    """Return the files of a step's folder, its aircraft and its flights, sorted."""
     step_files = [
         p
         for p in folder.iterdir()
@@ -319,7 +373,7 @@ def _files(folder: Path) -> Sequence[Path]:
         for p in (folder / name).rglob("*")
         if p.is_file() and not p.is_symlink() and p.suffix in (".xml", ".toml", ".bin", ".parquet")
     ]
-    # A database that is opened for reading may be tidied up: its bytes are no evidence.
+    # SQLite rewrites a database on reading, so its digest is no evidence.
     return sorted(
         p
         for p in (*step_files, *aircraft_and_flights)
@@ -328,11 +382,11 @@ def _files(folder: Path) -> Sequence[Path]:
 
 
 def _join(place: str, name: str) -> str:
+    """Return a file name relative to the folder of results."""
     return name if place == "." else f"{place}/{name}"
 
 
-# Evidence of a folder by NASA-STD-7009's factors of credibility. No level is given: that is for
-# those who use the model.
+# Credibility factors of NASA-STD-7009. No level is assigned: that is left to the user of the model.
 
 STANDARD = "NASA-STD-7009B"
 NOT_ASSESSED = "not assessed"
@@ -341,8 +395,14 @@ ENGINE_CHECK = "engine-check.csv"
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor, what it is about, and what the folder holds of it; no evidence is "not
-    assessed".
+    """One credibility factor.
+
+    Attributes
+    ----------
+    name, about : str
+        Name in the standard, and what it covers.
+    evidence : tuple of str
+        Statements; empty if the folder holds no evidence ("not assessed").
     """
 
     name: str
@@ -351,14 +411,27 @@ class Factor:
 
 
 def factors(evidence: Evidence, match: Match) -> tuple[Factor, ...]:
-    """The eight factors with the folder's evidence."""
+    """Return the eight credibility factors of NASA-STD-7009 with their evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Content of the folder.
+    match : Match
+        Objective tests of its segments.
+
+    Returns
+    -------
+    tuple of Factor
+        In the order of the standard.
+    """
     return tuple(
         Factor(name, about, tuple(collect(evidence, match))) for name, about, collect in _FACTORS
     )
 
 
 def simulating_models(evidence: Evidence) -> list[str]:
-    """Aircraft that flew a study's flights in place of a real one."""
+    """Return the models that simulated the flights of a study, each once, in order."""
     stages = [
         s
         for study in evidence.of(STUDY)
@@ -373,6 +446,7 @@ def simulating_models(evidence: Evidence) -> list[str]:
 
 
 def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    """State the flights that the model was identified and refined from."""
     statements = []
     for aircraft in simulating_models(evidence):
         statements.append(
@@ -399,7 +473,8 @@ def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
 
 
 def _verification(evidence: Evidence, _: Match) -> list[str]:
-    # Imported here: a folder without a campaign needs none of it.
+    """State the comparison of engines and the convergence of estimations."""
+    # Imported here: loading it is slow, and folders without a campaign need none of it.
     from uqharness.campaign.folder import read_check
 
     statements = []
@@ -423,6 +498,7 @@ def _verification(evidence: Evidence, _: Match) -> list[str]:
 
 
 def _validation(evidence: Evidence, match: Match) -> list[str]:
+    """State the outcome of objective tests, refinement and comparison."""
     statements = []
     counts = {
         answer: sum(j.answer == answer for j in match.results)
@@ -436,7 +512,7 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
         )
     for step in evidence.of("refine"):
         test = _document_of(step)["gap"]["test"]
-        # In turbulence replays hold what the gusts did, and predictions judge.
+        # In turbulence, replay residuals contain the gust response; one-step predictions do not.
         predicted = test.get("predictions") or {}
         rows = predicted or test["channels"]
         ratios = {
@@ -460,6 +536,7 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
 
 
 def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
+    """State the digests of a campaign's inputs, and its wind and turbulence."""
     statements = []
     for step in evidence.of("campaign"):
         hashes = _document_of(step).get("hashes") or {}
@@ -475,6 +552,7 @@ def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
 
 
 def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
+    """State standard errors, error bounds, their coverage, and the p-boxes."""
     statements = []
     for step in evidence.of("identify"):
         rows = _document_of(step)["parameters"].values()
@@ -509,6 +587,7 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
 
 
 def _robustness(evidence: Evidence, _: Match) -> list[str]:
+    """State sensitivities of the p-boxes and the sampling of epistemic variables."""
     statements = []
     for step in evidence.of("campaign"):
         if (step.folder / "sensitivity.csv").is_file():
@@ -526,6 +605,7 @@ def _robustness(evidence: Evidence, _: Match) -> list[str]:
 
 
 def _no_evidence(_: Evidence, __: Match) -> list[str]:
+    """Return no statement: no command records evidence for this factor."""
     return []
 
 
@@ -539,15 +619,19 @@ _FACTORS: Sequence[tuple[str, str, Callable[[Evidence, Match], list[str]]]] = (
     ("Use history", "earlier use of the model for the same purpose", _no_evidence),
     ("People", "qualification of those who made and used the model", _no_evidence),
 )
+"""Factor, what it covers, and the function that collects its evidence."""
 
 
 def _document_of(step: Step) -> dict[str, Any]:
+    """Return a step's document; empty if it cannot be read."""
     return dict(step.document or {})
 
 
 def _place_of(step: Step) -> str:
+    """Return the name that statements use for a step."""
     return step.kind if step.place == "." else step.place
 
 
 def _comma_separated(value: object) -> str:
+    """Return a list as text separated by commas."""
     return ", ".join(str(v) for v in value) if isinstance(value, (list, tuple)) else str(value)

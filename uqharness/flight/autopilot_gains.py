@@ -26,7 +26,7 @@ NO_LIMIT = 1000.0
 """In place of a rate limit or a filter's band that 0 switches off [deg/s or Hz]: far beyond what an
 aeroplane does.
 """
-_OLD: Mapping[str, tuple[str, float]] = {
+_RENAMED: Mapping[str, tuple[str, float]] = {
     "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
     "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
     "ARSPD_FBW_MIN": ("AIRSPEED_MIN", 1.0),
@@ -35,8 +35,14 @@ _OLD: Mapping[str, tuple[str, float]] = {
     "LIM_PITCH_MIN": ("PTCH_LIM_MIN_DEG", 0.01),
 }
 """Names before ArduPlane 4.5 -> today's, and the factor of the unit."""
-_OFF = ("RLL2SRV_RMAX", "PTCH2SRV_RMAX_UP", "PTCH2SRV_RMAX_DN", "RLL_RATE_FLTT", "PTCH_RATE_FLTT")
-_INSTEAD = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
+_ZERO_IS_OFF = (
+    "RLL2SRV_RMAX",
+    "PTCH2SRV_RMAX_UP",
+    "PTCH2SRV_RMAX_DN",
+    "RLL_RATE_FLTT",
+    "PTCH_RATE_FLTT",
+)
+_PITCH_LIMIT_OF = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
 """Limits of TECS that, where they are 0, are those of the aircraft's pitch."""
 _POSITIVE = (
     "NAVL1_PERIOD",
@@ -73,7 +79,7 @@ _LOOPS = (
     "TRIM_THROTTLE",
     "WP_LOITER_RAD",
 )
-_WHY = {
+_IGNORED_REASONS = {
     "NAVL1_XTRACK_I": "acts on straight legs alone; the autopilot loiters",
     "WP_LOITER_RAD": "belongs to the mission: the run script sets the circle",
     "AIRSPEED_CRUISE": "belongs to the mission: the run script sets the airspeed",
@@ -111,9 +117,9 @@ class AutopilotGains:
     taken    gains in the file's order              ignored  name -> reason, of parameters of these
     loops others   number of parameters of other parts of the autopilot"""
 
-    taken: tuple[Gain, ...]
+    gains: tuple[Gain, ...]
     ignored: Mapping[str, str]
-    others: int
+    n_others: int
 
     @property
     def properties(self) -> dict[str, float]:
@@ -121,22 +127,22 @@ class AutopilotGains:
 
         The derivative terms are computed where one of their gains is not 0.
         """
-        found = {gain.prop: gain.value for gain in self.taken}
-        if any(found.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
-            found[f"{PREFIX}RATE_D_ON"] = 1.0
-        return found
+        properties = {gain.prop: gain.value for gain in self.gains}
+        if any(properties.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
+            properties[f"{PREFIX}RATE_D_ON"] = 1.0
+        return properties
 
     def lines(self) -> list[str]:
         """What was taken, what was ignored and why, for a terminal."""
-        taken = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.taken)
-        found = [f"{len(self.taken)} gains taken: {taken}"]
+        values = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.gains)
+        lines = [f"{len(self.gains)} gains taken: {values}"]
         by_reason: dict[str, list[str]] = {}
         for name, reason in self.ignored.items():
             by_reason.setdefault(reason, []).append(name)
-        found += [f"ignored: {', '.join(names)} ({reason})" for reason, names in by_reason.items()]
-        if self.others:
-            found.append(f"ignored: {self.others} parameters of other functions")
-        return found
+        lines += [f"ignored: {', '.join(names)} ({reason})" for reason, names in by_reason.items()]
+        if self.n_others:
+            lines.append(f"ignored: {self.n_others} parameters of other functions")
+        return lines
 
 
 def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]) -> AutopilotGains:
@@ -154,19 +160,22 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
             "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have"
             " another meaning (docs/autopilot.md). Give an ArduPlane parameter file"
         )
-    today = dict(_today(parameters))
-    taken, ignored = [], {}
-    others = 0
+    current = dict(_current_parameters(parameters))
+    gains, ignored = [], {}
+    n_others = 0
     for name, value in parameters.items():
-        now, factor = _OLD.get(name, (name, 1.0))
-        prop = f"{PREFIX}{now}"
-        if name != now and now in parameters:
+        current_name, factor = _RENAMED.get(name, (name, 1.0))
+        prop = f"{PREFIX}{current_name}"
+        if name != current_name and current_name in parameters:
             ignored[name] = "the file has the newer name too"
-        elif prop in properties and now not in _WHY:
-            taken.append(Gain(name, prop, _as_flown(now, value * factor, today)))
-        elif now in ("RLL_RATE_FLTD", "PTCH_RATE_FLTD") and f"{PREFIX}RATE_FLTD" in properties:
-            if today.get("RLL_RATE_FLTD", value) == today.get("PTCH_RATE_FLTD", value):
-                taken.append(
+        elif prop in properties and current_name not in _IGNORED_REASONS:
+            gains.append(Gain(name, prop, _property_value(current_name, value * factor, current)))
+        elif (
+            current_name in ("RLL_RATE_FLTD", "PTCH_RATE_FLTD")
+            and f"{PREFIX}RATE_FLTD" in properties
+        ):
+            if current.get("RLL_RATE_FLTD", value) == current.get("PTCH_RATE_FLTD", value):
+                gains.append(
                     Gain(
                         name,
                         f"{PREFIX}RATE_FLTD",
@@ -175,38 +184,40 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
                 )
             else:
                 ignored[name] = "the autopilot has one filter for both rates, and the two differ"
-        elif now.startswith(_LOOPS):
-            ignored[name] = _WHY.get(now) or (
+        elif current_name.startswith(_LOOPS):
+            ignored[name] = _IGNORED_REASONS.get(current_name) or (
                 "0: off, as in the autopilot" if value == 0.0 else "the autopilot has no such term"
             )
         else:
-            others += 1
-    if not taken:
+            n_others += 1
+    if not gains:
         raise ValueError(
             f"none of the {len(parameters)} parameters is a gain of this autopilot, such as"
             " RLL_RATE_P"
         )
-    _in_order(today)
-    return AutopilotGains(tuple(taken), ignored, others)
+    _check_order(current)
+    return AutopilotGains(tuple(gains), ignored, n_others)
 
 
-def _today(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+def _current_parameters(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
     """Parameters under today's names, in today's units; where both names are there the newer one
     counts.
     """
     for name, value in parameters.items():
-        now, factor = _OLD.get(name, (name, 1.0))
-        if name == now or now not in parameters:
-            yield now, value * factor
+        current_name, factor = _RENAMED.get(name, (name, 1.0))
+        if name == current_name or current_name not in parameters:
+            yield current_name, value * factor
 
 
-def _as_flown(name: str, value: float, today: Mapping[str, float]) -> float:
+def _property_value(name: str, value: float, current: Mapping[str, float]) -> float:
     if name in _POSITIVE:
         return _checked(name, value, lambda x: x > 0.0, "above 0")
-    if name in _OFF:
+    if name in _ZERO_IS_OFF:
         return _checked(name, value, lambda x: x >= 0.0, "0 (off) or above") or NO_LIMIT
-    if name in _INSTEAD and value == 0.0:
-        return today.get(_INSTEAD[name], {"TECS_PITCH_MAX": 20.0, "TECS_PITCH_MIN": -25.0}[name])
+    if name in _PITCH_LIMIT_OF and value == 0.0:
+        return current.get(
+            _PITCH_LIMIT_OF[name], {"TECS_PITCH_MAX": 20.0, "TECS_PITCH_MIN": -25.0}[name]
+        )
     return value
 
 
@@ -216,18 +227,18 @@ def _checked(name: str, value: float, allowed: Callable[[float], bool], words: s
     return value
 
 
-def _in_order(today: Mapping[str, float]) -> None:
+def _check_order(current: Mapping[str, float]) -> None:
     for low, high in (("AIRSPEED_MIN", "AIRSPEED_MAX"), ("THR_MIN", "THR_MAX")):
-        if today.get(low, -math.inf) >= today.get(high, math.inf):
+        if current.get(low, -math.inf) >= current.get(high, math.inf):
             raise ValueError(
-                f"{low} {today[low]:g}: allowed is a number below {high} {today[high]:g}"
+                f"{low} {current[low]:g}: allowed is a number below {high} {current[high]:g}"
             )
 
 
 # Reads the gains of an autopilot from ArduPilot's parameter file, as ground stations and
 # MAVProxy save it.
 
-_MOST_BYTES = 10_000_000
+_MAX_BYTES = 10_000_000
 
 
 def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
@@ -248,12 +259,12 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
     """
     try:
         with open_regular(path) as file:
-            content = file.read(_MOST_BYTES + 1)
+            content = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise BadInputError(
             f"{path}: {error.strerror or error}; give an ArduPilot parameter file (.parm or .param)"
         ) from None
-    if len(content) > _MOST_BYTES or b"\0" in content:
+    if len(content) > _MAX_BYTES or b"\0" in content:
         raise BadInputError(
             f"{path}: is no parameter file: a text with a name and a value a line (.parm or .param)"
         )
@@ -269,9 +280,9 @@ def _line_of(text: str, message: str) -> str:
     in reading.
     """
     name = message.split()[0]
-    found = [
+    numbers = [
         n
         for n, line in enumerate(text.splitlines(), 1)
         if name in line.split("#")[0].replace(",", " ").split()
     ]
-    return f"line {found[-1]}: " if found else ""
+    return f"line {numbers[-1]}: " if numbers else ""

@@ -25,7 +25,7 @@ from sysid.arrays import FloatArray
 from sysid.units import FT_M, KT_MPS
 from uqharness.errors import BadInputError
 from uqharness.flight import random_numbers as exact
-from uqharness.flight.random_numbers import Normals, Pairs, Source, Split, numpy_pairs, spliced
+from uqharness.flight.random_numbers import Normals, Pairs, Source, Split, numpy_pairs, splice
 from uqharness.flight.spec import BELOW_CEILING, TURBULENCE_CEILING_M
 
 # Filters that make Dryden gusts of white noise, exact at any step, with the same bytes on every
@@ -45,7 +45,7 @@ _PER_STEP = (1, 3, 3, 1)
 """Steps that are made at once."""
 
 _SEGMENT_STEPS = 64
-_SMALLEST = 1e-290
+_MIN_FACTOR = 1e-290
 """A segment is so short that the product of its factors stays above this."""
 
 # Gauss and Legendre, 12 nodes in -1..1.
@@ -64,7 +64,7 @@ class FirstOrder:
     """x' = ``keep`` x + ``spread`` n, of variance 1."""
 
     keep: float
-    spread: float
+    noise_std: float
 
 
 @dataclass(frozen=True)
@@ -119,10 +119,10 @@ def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matri
     for node, weight in _NODES:
         root = math.sqrt(half * weight)
         for s in (half * (1.0 - node), half * (1.0 + node)):
-            vectors.append(_moved(A, [root * b for b in B], s))
+            vectors.append(_propagate(A, [root * b for b in B], s))
     rows = list(vectors)
     for _ in range(pieces - 1):
-        vectors = [_moved(A, vector, 2.0 * half) for vector in vectors]
+        vectors = [_propagate(A, vector, 2.0 * half) for vector in vectors]
         rows += vectors
     return _exponential(A, dt), _triangular(rows)
 
@@ -150,10 +150,10 @@ def numpy_recursion(
     out[0] = last
     sums = drive.reshape(-1, powers.size) * inverse
     np.add.accumulate(sums, axis=1, out=sums)
-    starts, whole = [], float(powers[-1])
+    starts, segment_factor = [], float(powers[-1])
     for end in sums[:, -1].tolist():
         starts.append(last)
-        last = (end + last) * whole
+        last = (end + last) * segment_factor
     sums += np.array(starts)[:, None]
     np.multiply(sums, powers, out=out[1:].reshape(sums.shape))
     return out
@@ -175,7 +175,7 @@ class UnitGusts:
         self._u, self._p = _FirstOrderGusts(filters.u, recur), _FirstOrderGusts(filters.p, recur)
         self._v, self._w = _LateralGusts(filters.v, recur), _LateralGusts(filters.w, recur)
         self.keeps_noise = False
-        self._begun: tuple[UnitGusts, list[FloatArray]] | None = None
+        self._page_start: tuple[UnitGusts, list[FloatArray]] | None = None
 
     def __deepcopy__(self, memo: object) -> UnitGusts:
         """Gusts that go on from here: what does not change is shared."""
@@ -213,21 +213,21 @@ class UnitGusts:
 
         None where ``keeps_noise`` was not set when the page was made.
         """
-        if self._begun is None:
+        if self._page_start is None:
             return None
-        before, kept = self._begun
-        other, noise = before._copied(), []
+        start, page_noise = self._page_start
+        other, noise = start._copied(), []
         other._normals, other.keeps_noise = tuple(normals), True
-        for source, known in zip(normals, kept, strict=True):
-            rows = known.copy()
+        for source, old_noise in zip(normals, page_noise, strict=True):
+            rows = old_noise.copy()
             rows[:, step:] = source.take(len(rows) * (PAGE_STEPS - step)).reshape(len(rows), -1)
             noise.append(rows)
         return other, other._filtered(noise)
 
     def _filtered(self, noise: list[FloatArray]) -> FloatArray:
-        self._begun = (self._copied(), noise) if self.keeps_noise else None
-        if self._begun is not None:
-            self._begun[0]._begun = None
+        self._page_start = (self._copied(), noise) if self.keeps_noise else None
+        if self._page_start is not None:
+            self._page_start[0]._page_start = None
         u, v, w, p = noise
         out = np.empty((6, PAGE_STEPS))
         out[0] = self._u.page(u[0])
@@ -246,14 +246,14 @@ class _Recursion:
         while len(powers) < _SEGMENT_STEPS:
             powers.append(powers[-1] * keep)
         steps = _SEGMENT_STEPS
-        while steps > 1 and powers[steps - 1] < _SMALLEST:
+        while steps > 1 and powers[steps - 1] < _MIN_FACTOR:
             steps //= 2
         self._powers = np.array(powers[:steps])
-        self._inverse = 1.0 / np.maximum(self._powers, _SMALLEST)
+        self._inverse = 1.0 / np.maximum(self._powers, _MIN_FACTOR)
 
     def page(self, drive: FloatArray) -> FloatArray:
         """x of the page's steps, behind that of the step before: (PAGE_STEPS + 1,)."""
-        if self._keep < _SMALLEST:
+        if self._keep < _MIN_FACTOR:
             out = np.concatenate([[self._last], drive])
         else:
             out = self._recur(drive, self._powers, self._inverse, self._last)
@@ -263,7 +263,11 @@ class _Recursion:
 
 class _FirstOrderGusts:
     def __init__(self, filter_: FirstOrder, recur: Recur) -> None:
-        self._spread, self._begun, self._x = filter_.spread, False, _Recursion(filter_.keep, recur)
+        self._noise_std, self._has_started, self._x = (
+            filter_.noise_std,
+            False,
+            _Recursion(filter_.keep, recur),
+        )
 
     def copy(self) -> _FirstOrderGusts:
         """Another that goes on from here."""
@@ -275,16 +279,16 @@ class _FirstOrderGusts:
         """(PAGE_STEPS,) of as many normals; the first of all is drawn from the stationary
         distribution.
         """
-        drive = self._spread * noise
-        if not self._begun:
+        drive = self._noise_std * noise
+        if not self._has_started:
             drive[0] = noise[0]
-            self._begun = True
+            self._has_started = True
         return self._x.page(drive)[1:]
 
 
 class _LateralGusts:
     def __init__(self, filter_: Lateral, recur: Recur) -> None:
-        self._filter, self._begun = filter_, False
+        self._filter, self._has_started = filter_, False
         self._states = [_Recursion(filter_.step[i][i], recur) for i in range(3)]
 
     def copy(self) -> _LateralGusts:
@@ -302,10 +306,10 @@ class _LateralGusts:
         drives[1] += one.factor[1][1] * noise[1]
         drives[2] += one.factor[1][2] * noise[1]
         drives[2] += one.factor[2][2] * noise[2]
-        if not self._begun:
+        if not self._has_started:
             for drive, row in zip(drives, one.start, strict=True):
                 drive[0] = _dot(row, noise[:, 0].tolist())
-            self._begun = True
+            self._has_started = True
         z1 = self._states[0].page(drives[0])
         drives[1] += one.step[1][0] * z1[:-1]
         z2 = self._states[1].page(drives[1])
@@ -316,7 +320,7 @@ class _LateralGusts:
         return w, (w - y[1:]) / one.T_span_s
 
 
-def _moved(A: Matrix, x: list[float], t: float) -> list[float]:
+def _propagate(A: Matrix, x: list[float], t: float) -> list[float]:
     """e^(A t) x by Taylor's series; the elements of A t are at most 1."""
     result = x
     for k in range(32, 0, -1):
@@ -347,12 +351,12 @@ def _stationary(A: Matrix, B: Sequence[float]) -> list[list[float]]:
     P = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            known = (
+            partial_sum = (
                 B[i] * B[j]
                 + math.fsum(A[i][k] * P[k][j] for k in range(i))
                 + math.fsum(A[j][k] * P[i][k] for k in range(j))
             )
-            P[i][j] = P[j][i] = -known / (A[i][i] + A[j][j])
+            P[i][j] = P[j][i] = -partial_sum / (A[i][i] + A[j][j])
     return P
 
 
@@ -558,14 +562,14 @@ def gust_blocks(
     if n < 1:
         raise BadInputError(f"n = {n}: at least one sample is needed")
     gusts = DrydenGusts(dryden_parameters(V_mps, h_m, W20_kt, b_m), dt_s, seed)
-    held = np.empty((len(COMPONENTS), 0))
+    buffered = np.empty((len(COMPONENTS), 0))
     for first in range(0, n, block):
         size = min(block, n - first)
-        missing = -(-(size - held.shape[1]) // PAGE_STEPS)
+        missing = -(-(size - buffered.shape[1]) // PAGE_STEPS)
         if missing > 0:
-            held = np.concatenate([held, *(gusts.page() for _ in range(missing))], axis=1)
-        yield GustSeries(dt_s, *held[:, :size])
-        held = held[:, size:]
+            buffered = np.concatenate([buffered, *(gusts.page() for _ in range(missing))], axis=1)
+        yield GustSeries(dt_s, *buffered[:, :size])
+        buffered = buffered[:, size:]
 
 
 class DrydenGusts:
@@ -638,11 +642,11 @@ class DrydenGusts:
             Normals(np.random.PCG64(split.stream("turbulence", number)), self._pairs)
             for number in _STREAMS.values()
         ]
-        found = self._unit.branched(step, normals)
-        if found is None:
+        branched = self._unit.branched(step, normals)
+        if branched is None:
             return None
         other = copy.copy(self)
-        other._unit, page = found
+        other._unit, page = branched
         page *= self._scales
         return other, page
 
@@ -652,7 +656,7 @@ class DrydenGusts:
 
         def noise(place: int, source: Source) -> Source:
             name, per_step = numbers[place]
-            return spliced(
+            return splice(
                 source,
                 splits,
                 "turbulence",

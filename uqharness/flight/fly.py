@@ -38,7 +38,7 @@ from uqharness.simulator import (
     find_folder,
     find_script,
     folder_fingerprint,
-    marked,
+    marked_equilibrium,
     parse_xml,
     refuse_conflicts,
 )
@@ -94,12 +94,12 @@ def lost_control(
 ) -> bool:
     """Whether a flight lost control at any sample; a sample that is not finite counts as lost."""
     finite = np.isfinite(phi_rad) & np.isfinite(alpha_rad) & np.isfinite(altitude_error_m)
-    beyond = (
+    exceeded = (
         (np.abs(phi_rad) > BANK_LIMIT_RAD)
         | (np.abs(alpha_rad) > ALPHA_LIMIT_RAD)
         | (np.abs(altitude_error_m) > ALTITUDE_LIMIT_M)
     )
-    return bool(np.any(beyond | ~finite))
+    return bool(np.any(exceeded | ~finite))
 
 
 _STATISTICS = ("median", "mean", "max")
@@ -136,16 +136,16 @@ def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
     }
 
 
-def from_start_signals(straight: bool) -> dict[str, Source]:
+def from_start_signals(flies_straight: bool) -> dict[str, Source]:
     """What deviations from the start are made of; any JSBSim aircraft has it.
 
-    ``straight``: the flight is to go straight on.
+    ``flies_straight``: the flight is to go straight on.
     """
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
     table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {
         "load_factor": Source("accelerations/Nz")
     }
-    if straight:
+    if flies_straight:
         table |= {
             f"{axis}_m": Source(f"position/from-start-neu-{axis[0]}-ft", FT_M)
             for axis in ("north", "east")
@@ -164,13 +164,13 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
             values = recorded.signals.get(key + suffix)
             names = [f"{key}_{kind}_{unit}{suffix}" for kind in _STATISTICS]
             if values is None or not complete:
-                why = (
+                reason = (
                     recorded.reason
                     if values is not None
                     else f"the card names no {key}{suffix} under [metrics]"
                 )
                 metrics |= dict.fromkeys(names, math.nan)
-                undefined |= dict.fromkeys(names, why)
+                undefined |= dict.fromkeys(names, reason)
             else:
                 metrics |= dict(zip(names, absolute_statistics(values), strict=True))
     for radius in spec.excursion_radius_m:
@@ -253,8 +253,10 @@ def _result(
 ) -> FlightResult:
     bank = recorded.signals["phi_rad"]
     error = altitude if altitude.size else np.zeros_like(bank)
-    lost = recorded.status != "ok" or lost_control(bank, recorded.signals["alpha_rad"], error)
-    metrics["loss_of_control"] = float(lost)
+    control_lost = recorded.status != "ok" or lost_control(
+        bank, recorded.signals["alpha_rad"], error
+    )
+    metrics["loss_of_control"] = float(control_lost)
     outside = recorded.signals.get("extrapolated")
     if outside is None or outside.size == 0:
         metrics["extrapolated_share"] = math.nan
@@ -271,7 +273,7 @@ def _result(
 
 _MARGIN_FT = 1.0
 # Ten g towards the ground for as long as nobody looks.
-_HARDEST_FPS2 = 320.0
+_MAX_SINK_ACCELERATION_FPS2 = 320.0
 
 
 class GroundWatch:
@@ -294,28 +296,31 @@ class GroundWatch:
         self._climb = engine.handle(fdm, "velocities/h-dot-fps").get_double_value
         self._airborne = not self._touching()
 
-    def advance(self, run: Callable[[int], None], steps: int) -> str:
+    def advance(self, advance_steps: Callable[[int], None], steps: int) -> str:
         """Run ``steps`` steps, or up to the first contact of an airborne flight; what touched,
         empty where nothing did.
         """
-        if not self._near():
-            run(steps)
+        if not self._is_near_ground():
+            advance_steps(steps)
             self._airborne = True
         else:
             for _ in range(steps):
-                run(1)
+                advance_steps(1)
                 name = self._touching()
                 if name and self._airborne:
                     return name
                 self._airborne = self._airborne or not name
         return "the centre of gravity" if self._height() <= 0.0 else ""
 
-    def _near(self) -> bool:
+    def _is_near_ground(self) -> bool:
         """Whether a contact point could reach the ground within a block.
 
         Each step is looked at only then: it costs time.
         """
-        fall_ft = 2.0 * abs(self._climb()) * self._block_s + 0.5 * _HARDEST_FPS2 * self._block_s**2
+        fall_ft = (
+            2.0 * abs(self._climb()) * self._block_s
+            + 0.5 * _MAX_SINK_ACCELERATION_FPS2 * self._block_s**2
+        )
         return bool(self._points) and self._height() < self._reach_ft + fall_ft
 
     def _touching(self) -> str:
@@ -337,15 +342,15 @@ class ContactPoint:
 def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
     """Those of a loaded aircraft. Raises BadInputError where JSBSim does not say where they are."""
     units = _units(fdm)
-    found = []
+    points = []
     for unit, name in zip(units, _names(aircraft, len(units)), strict=True):
         names = [f"{unit}/{axis}-position" for axis in "xyz"]
         engine.require(fdm, names)
         x, y, z = (float(fdm[n]) for n in names)
-        found.append(
+        points.append(
             ContactPoint(name, (x, y, z), fdm.get_property_manager().hasNode(f"{unit}/pos-norm"))
         )
-    return found
+    return points
 
 
 def _units(fdm: Any) -> list[str]:
@@ -353,27 +358,27 @@ def _units(fdm: Any) -> list[str]:
     together.
     """
     exists = fdm.get_property_manager().hasNode
-    found = []
+    units = []
     for number in range(int(fdm["gear/num-units"])):
-        found += [
+        units += [
             unit
             for unit in (f"gear/unit[{number}]", f"contact/unit[{number}]")
             if exists(f"{unit}/WOW")
         ]
-    return found
+    return units
 
 
 def _names(aircraft: Aircraft, count: int) -> list[str]:
     """What the XML calls the contact points; their numbers where it is not to be had."""
     try:
-        found = [
+        xml_names = [
             item.get("name", "")
             for item in parse_xml(aircraft.xml).getroot().iterfind("ground_reactions/contact")
         ]
     except BadInputError:
-        found = []
-    named = found if len(found) == count else [""] * count
-    return [f"contact point {name.strip() or number}" for number, name in enumerate(named)]
+        xml_names = []
+    names = xml_names if len(xml_names) == count else [""] * count
+    return [f"contact point {name.strip() or number}" for number, name in enumerate(names)]
 
 
 def _distance_ft(fdm: Any, unit: str) -> float:
@@ -421,17 +426,17 @@ def fly(spec: FlightSpec) -> FlightResult:
     A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult
     with its status and reason. Raises BadInputError for what cannot start: unknown aircraft, script
     or property, impossible values."""
-    return _flown(spec, one_ulp_off=False)
+    return _fly_and_score(spec, one_ulp_off=False)
 
 
 def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
     """The same flight from a velocity over the ground that is one unit in the last place larger:
     what rounding alone may change.
     """
-    return _flown(spec, one_ulp_off=True)
+    return _fly_and_score(spec, one_ulp_off=True)
 
 
-def _flown(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
+def _fly_and_score(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
     mission = staged_mission(spec)
     recorded = record_mission(
         mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off
@@ -521,29 +526,31 @@ def record_mission(
     for name, value in first_levels(spec, dt_s).items():
         engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
-    _require_kept(fdm, as_model_has(fdm, spec.properties))
+    _require_settings_hold(fdm, without_missing_switches(fdm, spec.properties))
     set_wind_without_air(fdm, spec)
     if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
-    if (rest := marked(mission.script.run_properties, mission.aircraft, fdm)) is not None:
-        bring_to_rest(fdm, rest)
+    if (
+        equilibrium := marked_equilibrium(mission.script.run_properties, mission.aircraft, fdm)
+    ) is not None:
+        bring_to_rest(fdm, equilibrium)
     present = {name: source for name, source in (optional or {}).items() if _exists(fdm, source)}
     table = {"time_s": Source("simulation/sim-time-sec"), **signals, **present}
     try:
         getters = _getters(fdm, table)
     except BadInputError as error:
         raise BadInputError(f"{mission.aircraft.xml}: {error}") from None
-    burn, wanted = row_counts(spec, dt_s * stride, keep_burn_in)
-    advance = stepper(fdm, spec, dt_s, (burn + wanted) * stride, splits)
-    read = array("d")
+    burn_in_rows, recorded_rows = row_counts(spec, dt_s * stride, keep_burn_in)
+    advance = stepper(fdm, spec, dt_s, (burn_in_rows + recorded_rows) * stride, splits)
+    values = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
     watch = GroundWatch(fdm, mission.aircraft, stride * dt_s)
     status, reason = "ok", ""
-    if burn == 0:
-        read.extend([get() for get in getters])
+    if burn_in_rows == 0:
+        values.extend([get() for get in getters])
     try:
-        for block in range(burn + wanted):
+        for block in range(burn_in_rows + recorded_rows):
             report_time(block * stride * dt_s)
             touched = watch.advance(advance, stride)
             if not math.isfinite(speed() + height()):
@@ -552,13 +559,13 @@ def record_mission(
             if touched:
                 status, reason = "ground-contact", f"{touched} touched the ground at {_clock(fdm)}"
                 break
-            if block >= burn:
-                read.extend([get() for get in getters])
+            if block >= burn_in_rows:
+                values.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
     except MemoryError:
         status, reason = "crashed", f"JSBSim ran out of memory at {_clock(fdm)}"
-    rows = in_signals(np.frombuffer(read).reshape(-1, len(getters)), table)
+    rows = to_signals(np.frombuffer(values).reshape(-1, len(getters)), table)
     return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
 
 
@@ -603,7 +610,7 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
     return [engine.handle(fdm, name).get_double_value for name in names]
 
 
-def in_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
+def to_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
     """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a
     divisor is zero.
     """
@@ -666,7 +673,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly"
             " it with sensor_noise = false (without --noise)"
         )
-    for name, value in as_model_has(fdm, spec.properties).items():
+    for name, value in without_missing_switches(fdm, spec.properties).items():
         if name not in CHANGEABLE:
             engine.set_property(fdm, name, value)
     # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
@@ -686,30 +693,30 @@ def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> No
     if spec.transient is None:
         return
     exists = fdm.get_property_manager().hasNode
-    lacking = [
+    missing = [
         name for name in (f"uq/{c}/transient-level" for c in COEFFICIENTS) if not exists(name)
     ]
-    if lacking:
+    if missing:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no property {lacking[0]}, so no transient"
+            f"aircraft '{mission.aircraft.name}' has no property {missing[0]}, so no transient"
             " model error can act on it: make its model-form.xml anew (uqharness instrument), or"
             " fly it with [epistemic] transient = false"
         )
 
 
-def as_model_has(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
+def without_missing_switches(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
     """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's
     plugin does not have.
     """
     exists = fdm.get_property_manager().hasNode
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for name, value in properties.items():
-        plugin, _, what = name.rpartition("/")
-        if what == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
-            found |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
+        plugin, _, setting = name.rpartition("/")
+        if setting == "active" and plugin.startswith("uq/") and value == 0.0 and not exists(name):
+            result |= {f"{plugin}/lower": 0.0, f"{plugin}/upper": 0.0}
         else:
-            found[name] = value
-    return found
+            result[name] = value
+    return result
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
@@ -724,18 +731,18 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
     fdm["atmosphere/wind-down-fps"] = 0.0
 
 
-def _require_kept(fdm: Any, properties: Mapping[str, float]) -> None:
+def _require_settings_hold(fdm: Any, properties: Mapping[str, float]) -> None:
     """BadInputError for a setting that initialising has overwritten: it would have no effect and no
     message.
     """
     for name, value in properties.items():
-        kept = fdm[name]
+        actual = fdm[name]
         if (
             name not in CHANGEABLE
             and not name.startswith("ic/")
-            and abs(kept - value) > 1e-9 * max(abs(value), 1.0)
+            and abs(actual - value) > 1e-9 * max(abs(value), 1.0)
         ):
             raise BadInputError(
-                f"property {name} was set to {value:g} and stands at {kept:g} after initialising:"
+                f"property {name} was set to {value:g} and stands at {actual:g} after initialising:"
                 " the model computes it, so it cannot be set"
             )

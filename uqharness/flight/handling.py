@@ -66,7 +66,7 @@ class Assessment:
 
 
 def assess(
-    model: LinearModel, found: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
+    model: LinearModel, all_modes: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
 ) -> list[Assessment]:
     """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
     if category not in CATEGORIES or aircraft_class not in CLASSES:
@@ -75,7 +75,7 @@ def assess(
             f" and {', '.join(CLASSES)}"
         )
     by_name: dict[str, list[Mode]] = {name: [] for name in MODE_NAMES}
-    for mode in found:
+    for mode in all_modes:
         by_name[mode.name].append(mode)
     return [
         *_short_period(by_name["short_period"], by_name["third"], model, category),
@@ -113,11 +113,19 @@ def _short_period(
     zeta, wn = _damping_and_frequency(pair)
     first, second, third_low = SHORT_PERIOD_DAMPING[category]
     damping = (
-        1 if _within(zeta, first) else 2 if _within(zeta, second) else 3 if zeta >= third_low else 4
+        1
+        if _is_within(zeta, first)
+        else 2
+        if _is_within(zeta, second)
+        else 3
+        if zeta >= third_low
+        else 4
     )
     cap = wn**2 / load_factor_per_alpha(model)
     one, two = CAP[category]
-    control = 1 if _within(cap, one) else 2 if _within(cap, two) else 3 if cap >= two[0] else 4
+    control = (
+        1 if _is_within(cap, one) else 2 if _is_within(cap, two) else 3 if cap >= two[0] else 4
+    )
     return [
         Assessment(name, "damping", zeta, "1", damping, "3.2.2.1.2"),
         Assessment(name, "CAP", cap, "1/(g s^2)", control, "3.2.2.1.1"),
@@ -183,14 +191,14 @@ def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[As
         return [Assessment("dutch_roll", "damping", float("nan"), "1", 4, "3.3.1.1")]
     zeta, wn = _damping_and_frequency(pair)
     decay = -pair[0].real if len(pair) == 1 else zeta * wn
-    level = _first(
+    level = _best_level(
         zeta >= least_zeta and decay >= product and wn >= least_wn
         for least_zeta, product, least_wn in dutch_roll_limits(category, aircraft_class)
     )
     return [Assessment("dutch_roll", "damping", zeta, "1", level, "3.3.1.1")]
 
 
-def _roll_spiral(found: list[Mode], category: str) -> list[Assessment]:
+def _roll_spiral(coupled_modes: list[Mode], category: str) -> list[Assessment]:
     """Judge a coupled roll-spiral oscillation (lateral phugoid)."""
     return [
         Assessment(
@@ -198,41 +206,43 @@ def _roll_spiral(found: list[Mode], category: str) -> list[Assessment]:
             "coupled roll-spiral, zeta wn",
             -mode.real,
             "rad/s",
-            4 if category == "A" else _first(-mode.real >= limit for limit in ROLL_SPIRAL_RADPS),
+            4
+            if category == "A"
+            else _best_level(-mode.real >= limit for limit in ROLL_SPIRAL_RADPS),
             "3.3.1.4",
         )
-        for mode in found
+        for mode in coupled_modes
     ]
 
 
-def _roll(found: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
-    if not found:
+def _roll(roots: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    if not roots:
         return []
-    real = found[0].real
+    real = roots[0].real
     if real >= 0:
         return [Assessment("roll", "time constant", float("nan"), "s", 4, "3.3.1.2")]
     constant = -1.0 / real
-    level = _first(constant <= limit for limit in roll_limits_s(category, aircraft_class))
+    level = _best_level(constant <= limit for limit in roll_limits_s(category, aircraft_class))
     return [Assessment("roll", "time constant", constant, "s", level, "3.3.1.2")]
 
 
-def _spiral(found: list[Mode], category: str) -> list[Assessment]:
-    if not found:
+def _spiral(roots: list[Mode], category: str) -> list[Assessment]:
+    if not roots:
         return []
-    real = found[0].real
+    real = roots[0].real
     if real <= 0:
         return [Assessment("spiral", "time to double", math.inf, "s", 1, "3.3.1.3")]
     double = math.log(2.0) / real
-    level = _first(double >= limit for limit in spiral_limits_s(category))
+    level = _best_level(double >= limit for limit in spiral_limits_s(category))
     return [Assessment("spiral", "time to double", double, "s", level, "3.3.1.3")]
 
 
-def _first(met: Iterable[bool]) -> int:
+def _best_level(limits_met: Iterable[bool]) -> int:
     """The best Level whose limit is met, 4 for none."""
-    return next((level for level, yes in enumerate(met, start=1) if yes), 4)
+    return next((level for level, yes in enumerate(limits_met, start=1) if yes), 4)
 
 
-def _within(value: float, limits: tuple[float, float]) -> bool:
+def _is_within(value: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= value <= limits[1]
 
 
@@ -253,16 +263,16 @@ def level_edges(
     here. ValueError for a mode that is not of `OSCILLATORY`."""
     if mode == "short_period":
         (one, _), (two, _), three = SHORT_PERIOD_DAMPING[category]
-        return _damped(one, imag), _damped(two, imag), _damped(three, imag)
+        return _real_part(one, imag), _real_part(two, imag), _real_part(three, imag)
     if mode == "phugoid":
-        first, second = (_damped(zeta, imag) for zeta in PHUGOID_DAMPING)
+        first, second = (_real_part(zeta, imag) for zeta in PHUGOID_DAMPING)
         return first, second, np.full(imag.shape, math.log(2.0) / PHUGOID_DOUBLE_S)
     if mode != "dutch_roll":
         raise ValueError(f"mode {mode!r}: allowed are {', '.join(OSCILLATORY)}")
     edges = []
     for zeta, product, wn in dutch_roll_limits(category, aircraft_class):
         slow = -np.sqrt(np.maximum(wn**2 - imag**2, 0.0))
-        edges.append(np.minimum(np.minimum(_damped(zeta, imag), slow), -max(product, 0.0)))
+        edges.append(np.minimum(np.minimum(_real_part(zeta, imag), slow), -max(product, 0.0)))
     return edges[0], edges[1], edges[2]
 
 
@@ -287,7 +297,7 @@ def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]
     return CAP[category]
 
 
-def _damped(zeta: float, imag: FloatArray) -> FloatArray:
+def _real_part(zeta: float, imag: FloatArray) -> FloatArray:
     """Real part of a pair of that damping, below 1."""
     return np.asarray(-zeta / math.sqrt(1.0 - zeta**2) * imag)
 
@@ -296,7 +306,7 @@ def _damped(zeta: float, imag: FloatArray) -> FloatArray:
 
 SLOWEST, FASTEST, STEPS = 0.7, 1.6, 12
 """Range of the usual speeds as shares of the speed asked for, and the number of steps in it."""
-_GIVEN_UP = 2
+_MAX_FAILURES = 2
 
 
 @dataclass(frozen=True)
@@ -329,10 +339,10 @@ def usual_speeds(
 
 def point_at(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
     """Modes and Levels of a linear model."""
-    found = modes(model)
-    levels = assess(model, found, category, aircraft_class)
+    all_modes = modes(model)
+    levels = assess(model, all_modes, category, aircraft_class)
     return LocusPoint(
-        model.trim.condition.V_mps, tuple(found), tuple(levels), load_factor_per_alpha(model)
+        model.trim.condition.V_mps, tuple(all_modes), tuple(levels), load_factor_per_alpha(model)
     )
 
 
@@ -343,7 +353,7 @@ def root_locus(
     category: str,
     aircraft_class: str,
     first: LocusPoint | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    callback: Callable[[int, int], None] = lambda done, total: None,
 ) -> Locus:
     """Modes at each of ``speeds`` [m/s], all else as in ``condition``.
 
@@ -353,16 +363,19 @@ def root_locus(
     centre = condition.V_mps
     points = {} if first is None else {first.V_mps: first}
     refused: dict[float, str] = {}
-    wanted = sorted(set(speeds) | ({centre} if first is None else set()))
-    sides = ([v for v in reversed(wanted) if v <= centre], [v for v in wanted if v > centre])
+    all_speeds = sorted(set(speeds) | ({centre} if first is None else set()))
+    sides = (
+        [v for v in reversed(all_speeds) if v <= centre],
+        [v for v in all_speeds if v > centre],
+    )
     done = 0
-    for side, beyond in zip(sides, ("slower", "faster"), strict=True):
+    for side, direction in zip(sides, ("slower", "faster"), strict=True):
         failed: list[float] = []
         for V in side:
             done += 1
-            if len(failed) >= _GIVEN_UP:
+            if len(failed) >= _MAX_FAILURES:
                 refused[V] = (
-                    f"not tried: {beyond} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do"
+                    f"not tried: {direction} than {failed[0]:.4g} and {failed[1]:.4g} m/s, which do"
                     " not trim"
                 )
             elif V not in points:
@@ -373,7 +386,7 @@ def root_locus(
                 else:
                     refused[V] = trim.reason
                     failed.append(V)
-            progress(done, len(wanted))
+            callback(done, len(all_speeds))
     return Locus(
         tuple(points[v] for v in sorted(points)), tuple((v, refused[v]) for v in sorted(refused))
     )

@@ -113,7 +113,7 @@ MAX_SCATTER = 0.1
 """Largest difference between the records of either sign, as a share of |L|, at a line that margins
 are read from.
 """
-_FEWEST_LINES = 10
+_MIN_LINES = 10
 
 # Amplitudes: large against the rounding of the log, small against servo rate (240 deg/s), throttle
 # slew and the throws.
@@ -208,8 +208,8 @@ def choose_lines(
 ) -> NDArray[np.int64]:
     """Harmonics of the period, evenly spread in log frequency."""
     base = 2 * np.pi / period_s
-    wanted = np.geomspace(max(lowest_radps / base, 1.0), highest_radps / base, count)
-    return np.unique(np.rint(wanted).astype(np.int64))
+    harmonics = np.geomspace(max(lowest_radps / base, 1.0), highest_radps / base, count)
+    return np.unique(np.rint(harmonics).astype(np.int64))
 
 
 def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
@@ -226,12 +226,12 @@ def margins_of(frequency_radps: Floats, response: Complexes) -> Margins:
         )
 
     def crossings(signal: Floats) -> list[float]:
-        found = []
+        log_frequencies = []
         for i in range(len(signal) - 1):
             a, b = signal[i], signal[i + 1]
             if a == 0.0 or a * b < 0.0:
-                found.append(float(log_w[i] + (log_w[i + 1] - log_w[i]) * a / (a - b)))
-        return found
+                log_frequencies.append(float(log_w[i] + (log_w[i + 1] - log_w[i]) * a / (a - b)))
+        return log_frequencies
 
     gain_crossings = crossings(log_gain)
     turns = range(
@@ -295,18 +295,18 @@ def measure_loop(
     lines = choose_lines(loop.lowest_radps, loop.highest_radps, loop.period_s)
     excitation = multisine(lines, samples, loop.rms)
     settling = round(settle_s / dt)
-    every = settling + 2 * (periods + 1) * samples
-    tell = on_progress or (lambda _share: None)
+    total_steps = settling + 2 * (periods + 1) * samples
+    callback = on_progress or (lambda _share: None)
 
     for _ in range(settling):
         fdm.run()
-    tell(settling / every)
+    callback(settling / total_steps)
     output, applied = [], []  # at the lines, of the injection as it is and with the other sign
     for k, sign in enumerate((1.0, -1.0)):
         records = []
         for period in range(1 + periods):
             records.append(_fly_period(fdm, loop, sign * excitation))
-            tell((settling + (k * (periods + 1) + period + 1) * samples) / every)
+            callback((settling + (k * (periods + 1) + period + 1) * samples) / total_steps)
         out, on = (
             sign * np.fft.rfft(np.sum(signal, axis=0))[lines]
             for signal in zip(*records[1:], strict=True)
@@ -321,15 +321,15 @@ def measure_loop(
     response = -(output[0] + output[1]) / (applied[0] + applied[1])
     scatter = np.abs(output[0] / applied[0] - output[1] / applied[1]) / np.abs(response)
     frequency = np.asarray(2 * np.pi * lines / (samples * dt), dtype=np.float64)
-    good = scatter < MAX_SCATTER
-    if np.count_nonzero(good) < _FEWEST_LINES:
+    reliable = scatter < MAX_SCATTER
+    if np.count_nonzero(reliable) < _MIN_LINES:
         raise ValueError(
             f"{loop.name}: the records of either sign of the injection disagree, the flight was not"
             " steady"
         )
     return LoopMargins(
         loop=loop.name,
-        margins=margins_of(frequency[good], response[good]),
+        margins=margins_of(frequency[reliable], response[reliable]),
         frequency_radps=frequency,
         response=response,
         scatter=scatter,

@@ -72,7 +72,7 @@ class Operations(Protocol):
     def sqrt(self, x: Any) -> Any:
         """The square root, correctly rounded."""
 
-    def least(self, a: Any, b: Any) -> Any:
+    def minimum(self, a: Any, b: Any) -> Any:
         """The smaller of two doubles."""
 
     def integer(self, operation: str, a: Any, b: Any) -> Any:
@@ -104,7 +104,7 @@ class NumpyOperations:
         """The square root, correctly rounded."""
         return np.sqrt(x)
 
-    def least(self, a: Any, b: Any) -> Any:
+    def minimum(self, a: Any, b: Any) -> Any:
         """The smaller of two doubles."""
         return np.minimum(a, b)
 
@@ -150,12 +150,12 @@ def normal_pair(first: Any, second: Any, m: Operations) -> tuple[Any, Any]:
     sine = x * _polynomial(x * x, _SINE)
     cosine = m.sqrt(1.0 - sine * sine)
     sign = m.integer("shl", m.integer("and", second, 2), 62)
-    along = m.integer("xor", m.bits(radius * cosine), sign)
-    across = m.bits(radius * sine)
+    axial = m.integer("xor", m.bits(radius * cosine), sign)
+    lateral = m.bits(radius * sine)
     swapped = m.integer(
-        "and", m.integer("xor", along, across), m.integer("sub", 0, m.integer("and", second, 1))
+        "and", m.integer("xor", axial, lateral), m.integer("sub", 0, m.integer("and", second, 1))
     )
-    return m.double(m.integer("xor", along, swapped)), m.double(m.integer("xor", across, swapped))
+    return m.double(m.integer("xor", axial, swapped)), m.double(m.integer("xor", lateral, swapped))
 
 
 def numpy_pairs(raw: NDArray[np.int64]) -> FloatArray:
@@ -188,8 +188,8 @@ class Normals:
                 .view(np.int64)
                 .reshape(groups, 2, GROUP // 2)
             )
-            made = self._pairs(raw).reshape(-1)
-            self._left = np.concatenate([self._left, made]) if self._left.size else made
+            normals = self._pairs(raw).reshape(-1)
+            self._left = np.concatenate([self._left, normals]) if self._left.size else normals
         out, self._left = self._left[:n], self._left[n:]
         return out
 
@@ -206,7 +206,7 @@ class Normals:
         return self.copy()
 
 
-def drawn(seed: np.random.SeedSequence, n: int) -> FloatArray:
+def draw_normals(seed: np.random.SeedSequence, n: int) -> FloatArray:
     """The first ``n`` normals (n,) of the stream of that seed."""
     return Normals(np.random.PCG64(seed)).take(n)
 
@@ -302,10 +302,10 @@ def cholesky(matrix: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]
     low = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            rest = matrix[i][j] - math.fsum(low[i][k] * low[j][k] for k in range(j))
-            if i == j and not rest > 0.0:
+            remainder = matrix[i][j] - math.fsum(low[i][k] * low[j][k] for k in range(j))
+            if i == j and not remainder > 0.0:
                 raise ValueError(f"row {i}: the matrix is not positive definite")
-            low[i][j] = math.sqrt(rest) if i == j else rest / low[j][j]
+            low[i][j] = math.sqrt(remainder) if i == j else remainder / low[j][j]
     return tuple(map(tuple, low))
 
 
@@ -476,12 +476,12 @@ class Spliced:
         return np.hstack([before[:, :-new], behind.reshape(self._per_step, new)]).reshape(-1)
 
 
-def spliced(
+def splice(
     first: Source,
     splits: Sequence[Split],
     kind: str,
     number: int,
-    made: Callable[[np.random.PCG64], Source],
+    make_source: Callable[[np.random.PCG64], Source],
     per_step: int = 1,
     done: int = 0,
 ) -> Source:
@@ -490,6 +490,10 @@ def spliced(
     """
     for split in splits:
         first = Spliced(
-            first, made(np.random.PCG64(split.stream(kind, number))), split.frame, per_step, done
+            first,
+            make_source(np.random.PCG64(split.stream(kind, number))),
+            split.frame,
+            per_step,
+            done,
         )
     return first

@@ -17,7 +17,7 @@ from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_atomically
 from uqharness.flight.fly import Recorded, record_mission
-from uqharness.flight.random_numbers import drawn
+from uqharness.flight.random_numbers import draw_normals
 from uqharness.flight.spec import FlightSpec
 from uqharness.isolation import ProcessEndedError, run_isolated
 from uqharness.simulator import (
@@ -51,19 +51,19 @@ def recorded_flight(
     A flight that ends its process is flown again up to the last row before: the same seeds give the
     same rows. Raises BadInputError."""
     try:
-        recorded = run_isolated(_recorded, aircraft, script, spec)
+        recorded = run_isolated(_record_in_worker, aircraft, script, spec)
     except ProcessEndedError as error:
         if error.time_s is None:
             raise
         until_s = math.floor(error.time_s * spec.record_rate_hz + 0.5) / spec.record_rate_hz
         recorded = run_isolated(
-            _recorded, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
+            _record_in_worker, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
         )
         recorded.status, recorded.reason = "crashed", error.reason
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
 
 
-def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
+def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
     with StagedMission(aircraft, script.path) as mission:
         table = {
             name: source
@@ -80,28 +80,30 @@ def _recorded(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
         # Without a sensors system nothing in the aircraft is told of noise; the record has it all
         # the same.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
-        flown = spec if has_sensors else replace(spec, sensor_noise=False)
-        return record_mission(mission, flown, table, optional, keep_burn_in=True)
+        flight = spec if has_sensors else replace(spec, sensor_noise=False)
+        return record_mission(mission, flight, table, optional, keep_burn_in=True)
 
 
-def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
+def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:
     """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of
     second order.
 
     Raises BadInputError for a duration, wind, direction, rate or seed that cannot be flown.
     """
-    for name, value, least, most in (
+    for name, value, minimum, maximum in (
         ("duration_s", spec.duration_s, 0.0, 1e6),
         ("wind_mps", spec.wind_mps, None, 100.0),
         ("rate_hz", spec.record_rate_hz, 0.0, 1e5),
     ):
         if not (
             math.isfinite(value)
-            and (value >= 0.0 if least is None else value > least)
-            and value <= most
+            and (value >= 0.0 if minimum is None else value > minimum)
+            and value <= maximum
         ):
-            low = "of at least 0" if least is None else f"above {least:g}"
-            raise BadInputError(f"{name} = {value:g}: a number {low} and up to {most:g} is needed")
+            low = "of at least 0" if minimum is None else f"above {minimum:g}"
+            raise BadInputError(
+                f"{name} = {value:g}: a number {low} and up to {maximum:g} is needed"
+            )
     if not math.isfinite(spec.wind_from_deg):
         raise BadInputError(f"wind_from_deg = {spec.wind_from_deg}: an angle in degrees is needed")
     if seed < 0:
@@ -111,7 +113,7 @@ def as_asked(spec: FlightSpec, seed: int) -> FlightSpec:
     return replace(spec, seed_turbulence=turbulence, seed_noise=noise, properties=settings)
 
 
-def start_of(recorded: Recorded) -> dict[str, float]:
+def start_position(recorded: Recorded) -> dict[str, float]:
     """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above
     sea level [m].
     """
@@ -131,12 +133,12 @@ def to_record(
     aircraft: Aircraft,
     spec: FlightSpec,
     manoeuvre: str,
-    named: Mapping[int, str] | None = None,
+    manoeuvre_names: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
     """The flight record of a recorded flight: heights from the start, headings within 0..2 pi,
     noise where asked for.
 
-    The column ``manoeuvre`` follows the script's count of ``named`` manoeuvres, empty in between;
+    The column ``manoeuvre`` follows the script's count of ``manoeuvre_names`` manoeuvres, empty in between;
     without any it is ``manoeuvre``."""
     # Imported here: a second of loading that no other command should pay.
     import pandas as pd
@@ -151,11 +153,13 @@ def to_record(
                 # One stream a channel, named by the channel: adding a sensor changes no other's
                 # noise.
                 stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])
-                columns[name] = columns[name] + std * drawn(stream, columns[name].size)
+                columns[name] = columns[name] + std * draw_normals(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
     frame = pd.DataFrame(columns)
     frame["manoeuvre"] = (
-        [named.get(int(k), "") for k in number] if named and number is not None else manoeuvre
+        [manoeuvre_names.get(int(k), "") for k in number]
+        if manoeuvre_names and number is not None
+        else manoeuvre
     )
     return frame
 
@@ -204,27 +208,28 @@ def _write_dataflash(
     from sysid.record import FlightRecord, Metadata
     from sysid.vocabulary import SIGNALS
 
-    known = {str(name): table[name].to_numpy() for name in table.columns if name in SIGNALS}
-    left: list[str] = [str(name) for name in table.columns if name not in SIGNALS]
+    columns = {str(name): table[name].to_numpy() for name in table.columns if name in SIGNALS}
+    left_out: list[str] = [str(name) for name in table.columns if name not in SIGNALS]
     try:
         card = (
             read_card(aircraft.folder)
             if aircraft is not None and (aircraft.folder / "airframe.toml").is_file()
             else None
         )
-        record = FlightRecord(known, Metadata(dialect="simulation", start=dict(start)))
+        record = FlightRecord(columns, Metadata(dialect="simulation", start=dict(start)))
         write_atomically(
-            path, lambda target: left.extend(write_dataflash(record, target, card, surfaces=True))
+            path,
+            lambda target: left_out.extend(write_dataflash(record, target, card, surfaces=True)),
         )
     except LogError as error:
         raise BadInputError(str(error)) from None
-    return tuple(left)
+    return tuple(left_out)
 
 
 # A flight record as the lines of a FlightGear playback: position on the ellipsoid, attitude,
 # airspeed, at a constant rate.
 
-NEEDED = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
+PLAYBACK_COLUMNS = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
 _RADIUS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
 """Of the WGS 84 ellipsoid: equatorial radius [m] and first eccentricity squared [-]."""
 
@@ -246,18 +251,18 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
     BadInputError
         For a record without one of ``NEEDED``, or with nothing known in it.
     """
-    missing = [name for name in NEEDED if name not in record]
+    missing = [name for name in PLAYBACK_COLUMNS if name not in record]
     if missing:
         raise BadInputError(
             f"FlightGear needs {', '.join(missing)}, which the record does not have; it needs"
-            f" {', '.join(NEEDED)}"
+            f" {', '.join(PLAYBACK_COLUMNS)}"
         )
     time_s = np.asarray(record["time_s"])
     at = np.arange(time_s[0], time_s[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     right = np.clip(np.searchsorted(time_s, at), 1, len(time_s) - 1)
     rows = np.where(at - time_s[right - 1] <= time_s[right] - at, right - 1, right)
     north, east, h, phi, theta, psi, airspeed = (
-        _held(name, np.asarray(record[name]))[rows] for name in NEEDED
+        _fill_gaps(name, np.asarray(record[name]))[rows] for name in PLAYBACK_COLUMNS
     )
     latitude, longitude = geodetic(north, east, start["lat_deg"], start["lon_deg"])
     heading = np.mod(psi * RAD_DEG, 360.0)
@@ -280,9 +285,9 @@ def geodetic(
     return lat_deg + np.degrees(north_m / meridian), lon_deg + np.degrees(east_m / parallel)
 
 
-def _held(name: str, values: FloatArray) -> FloatArray:
-    known = np.isfinite(values)
-    if not known.any():
+def _fill_gaps(name: str, values: FloatArray) -> FloatArray:
+    finite = np.isfinite(values)
+    if not finite.any():
         raise BadInputError(f"FlightGear needs {name}, and the record has no value of it")
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    return values[np.where(last < 0, int(np.argmax(known)), last)]
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    return values[np.where(last < 0, int(np.argmax(finite)), last)]

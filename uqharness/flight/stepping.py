@@ -29,7 +29,7 @@ from uqharness.flight.random_numbers import (
     Source,
     Split,
     numpy_pairs,
-    spliced,
+    splice,
     transient_stream,
     walk_stream,
 )
@@ -187,7 +187,7 @@ def _transient_column(
             rate,
             dt_s,
             pairs,
-            lambda first: spliced(first, splits, "transient", number, lambda g: Normals(g, pairs)),
+            lambda first: splice(first, splits, "transient", number, lambda g: Normals(g, pairs)),
         )
     )
 
@@ -225,35 +225,35 @@ def stepper(
     Behind each of ``splits``, in their order, gusts and noise are those of a branch. Raises
     ValueError where JSBSim's own turbulence or a transient model error would have to branch."""
     if not splits:
-        return _straight(fdm, spec, dt_s, steps)
+        return _unbranched(fdm, spec, dt_s, steps)
     if spec.transient is not None or (
         spec.turbulence != "none" and spec.turbulence_source != "spec"
     ):
         raise ValueError(
             "a branch is flown in JSBSim with the host's gusts alone, without transient model error"
         )
-    return _branching(fdm, _straight(fdm, spec, dt_s, steps, splits), splits)
+    return _branched(fdm, _unbranched(fdm, spec, dt_s, steps, splits), splits)
 
 
-def _branching(
+def _branched(
     fdm: Any, advance: Callable[[int], None], splits: Sequence[Split]
 ) -> Callable[[int], None]:
     """The same steps, with the sensors' generator seeded anew behind each split."""
-    left, done = list(splits), 0
+    remaining, done = list(splits), 0
 
     def stepped(count: int) -> None:
         nonlocal done
         while count:
-            while left and left[0].frame == done:
-                fdm["simulation/randomseed"] = left.pop(0).seed("noise")
-            part = min(count, left[0].frame - done) if left else count
+            while remaining and remaining[0].frame == done:
+                fdm["simulation/randomseed"] = remaining.pop(0).seed("noise")
+            part = min(count, remaining[0].frame - done) if remaining else count
             advance(part)
             done, count = done + part, count - part
 
     return stepped
 
 
-def _straight(
+def _unbranched(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split] = ()
 ) -> Callable[[int], None]:
     run = fdm.run
@@ -281,16 +281,16 @@ def _straight(
 
 def first_levels(spec: FlightSpec, dt_s: float) -> dict[str, float]:
     """Levels of the first step as properties: what initialising has to see."""
-    found: dict[str, float] = {}
+    levels: dict[str, float] = {}
     for driver, columns in _drivers(spec):
         row = _first_row(driver, dt_s)
         moved = zip(COEFFICIENTS, columns, row, strict=True)
-        found |= {
+        levels |= {
             name: float(value)
             for coefficient, name, value in moved
             if coefficient in driver.coefficients
         }
-    return found
+    return levels
 
 
 @lru_cache(maxsize=4096)
@@ -302,10 +302,10 @@ def _first_row(driver: LevelDriver | TransientDriver, dt_s: float) -> tuple[floa
 
 def _drivers(spec: FlightSpec) -> list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]]:
     """What moves levels in flight, with the properties that it moves."""
-    found: list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]] = []
-    found += [(spec.levels, _LEVELS)] if spec.levels is not None else []
-    found += [(spec.transient, _TRANSIENTS)] if spec.transient is not None else []
-    return found
+    drivers: list[tuple[LevelDriver | TransientDriver, tuple[str, ...]]] = []
+    drivers += [(spec.levels, _LEVELS)] if spec.levels is not None else []
+    drivers += [(spec.transient, _TRANSIENTS)] if spec.transient is not None else []
+    return drivers
 
 
 def _rows(*series: Iterable[FloatArray]) -> Rows:
@@ -374,8 +374,8 @@ def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], No
 
     def fed(count: int) -> None:
         for row in islice(rows, count):
-            for put, one in zip(setters, row, strict=True):
-                put(one)
+            for set_value, one in zip(setters, row, strict=True):
+                set_value(one)
             run()
 
     return fed

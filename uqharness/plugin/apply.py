@@ -20,11 +20,11 @@ from uqharness.plugin.instrument import (
     Bounds,
     Change,
     Plan,
-    changed,
+    make_change,
     metrics_of,
     plan,
     read_record,
-    restored,
+    restore,
     to_json,
 )
 from uqharness.simulator import (
@@ -32,14 +32,14 @@ from uqharness.simulator import (
     Aircraft,
     check_loadable,
     content_hash,
-    copy_beside,
     copy_folder,
+    copy_shared_parts,
     engine,
     find_aircraft,
-    numbers_for,
-    opened,
+    model_files,
     read_xml,
     undefined_properties,
+    xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.xml import (
@@ -55,7 +55,7 @@ from uqharness.xml import (
     folder_documents,
     parse_document,
     read_document,
-    with_attribute,
+    replace_attribute,
 )
 
 # Engines, propellers and systems that an aircraft takes from beside its folder: a copy that
@@ -71,22 +71,22 @@ def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
     root = out.absolute().parent.parent
     stock = engine.default_root()
     files = {}
-    parts = opened(aircraft)
-    for place in parts.beside:
+    parts = model_files(aircraft)
+    for place in parts.shared:
         kind, _, name = place.partition("/")
-        if any(f"{folder}/{name}".lstrip("/") in parts.own for folder in INSIDE[kind]):
+        if any(f"{folder}/{name}".lstrip("/") in parts.local for folder in INSIDE[kind]):
             continue
         content = read_xml(
             (aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name
         )
         shared = root / kind
-        found = (shared if shared.is_dir() else stock / kind) / name
-        if not (found.is_file() and read_xml(found) == content):
+        existing = (shared if shared.is_dir() else stock / kind) / name
+        if not (existing.is_file() and read_xml(existing) == content):
             folders = [folder for folder in INSIDE[kind] if folder]
-            own = next(
+            subfolder = next(
                 (folder for folder in folders if (aircraft.folder / folder).is_dir()), folders[0]
             )
-            files[f"{own}/{name}"] = content
+            files[f"{subfolder}/{name}"] = content
     return files
 
 
@@ -114,14 +114,14 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     changes, files = dict(planned.changes), dict(planned.files)
     if not in_place:
         for name, content in carried_files(aircraft, out).items():
-            files[name], changes[name] = content, changed(None, content)
+            files[name], changes[name] = content, make_change(None, content)
     if (aircraft.folder / FILE_NAME).is_file():
-        changes = _chained(read_record(aircraft.folder), changes)
+        changes = _merge_records(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy, keep_links=in_place)
         for name, content in files.items():
-            _put(copy / name, content)
+            _write_file(copy / name, content)
         (copy / FILE_NAME).write_bytes(to_json(changes))
         _swap(copy, out, Path(temporary) / "old")
 
@@ -143,15 +143,15 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                 if change.edited:
                     raise BadInputError(f"{folder / name}: is gone; undo cannot bring it back")
                 continue
-            content = restored(folder / name, change, path.read_bytes())
+            content = restore(folder / name, change, path.read_bytes())
             if content is None:
                 path.unlink()
                 if not any(path.parent.iterdir()):
                     path.parent.rmdir()
                 done.append((name, "removed"))
             else:
-                _put(path, content)
-                same = changed(None, content).after == change.before
+                _write_file(path, content)
+                same = make_change(None, content).after == change.before
                 done.append(
                     (
                         name,
@@ -176,7 +176,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
     return done
 
 
-def _put(path: Path, content: bytes) -> None:
+def _write_file(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Written through a link, the file of another aircraft would change.
     if path.is_symlink():
@@ -199,20 +199,20 @@ def _swap(new: Path, out: Path, old: Path) -> None:
         raise
 
 
-def _chained(earlier: Mapping[str, Change], now: Mapping[str, Change]) -> dict[str, Change]:
+def _merge_records(old: Mapping[str, Change], new: Mapping[str, Change]) -> dict[str, Change]:
     """The record of both: what an earlier instrumentation changed goes on being undone to the
     author's own bytes.
     """
-    out = dict(earlier)
-    for name, change in now.items():
-        first = earlier.get(name)
+    merged = dict(old)
+    for name, change in new.items():
+        first = old.get(name)
         if first is None:
-            out[name] = change
+            merged[name] = change
         elif first.edited or change.edited:
             raise BadInputError(f"{name}: was instrumented before; undo that first (--undo)")
         else:
-            out[name] = Change(first.before, change.after, (), first.content)
-    return out
+            merged[name] = Change(first.before, change.after, (), first.content)
+    return merged
 
 
 # Mass, inertia and centre of gravity given as numbers, and the aircraft's <mass_balance> edited
@@ -251,7 +251,7 @@ class MassProperties:
     cg_y_m: float | None = None
     cg_z_m: float | None = None
 
-    def given(self) -> dict[str, float]:
+    def specified(self) -> dict[str, float]:
         """Those that are given, by name."""
         values = ((item.name, getattr(self, item.name)) for item in fields(self))
         return {name: float(value) for name, value in values if value is not None}
@@ -265,23 +265,23 @@ def mass_insertions(
 
     The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body
     has, and where a number is not in this file."""
-    given = mass.given()
-    if not given:
+    values = mass.specified()
+    if not values:
         return ()
-    for name, value in given.items():
+    for name, value in values.items():
         free = name.startswith(("cg", "ixz"))
         if not math.isfinite(value) or not (free or value > 0.0):
             raise BadInputError(
                 f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed"
             )
-    moments = [given.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
+    moments = [values.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
     if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
         raise BadInputError(
             f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of"
             " the other two"
         )
-    wanted = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in given.items()}
-    texts = numbers_for(aircraft, wanted)
+    target = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in values.items()}
+    texts = xml_numbers_for(aircraft, target)
     return tuple(_edit(document, path, text) for path, text in texts.items())
 
 
@@ -362,13 +362,13 @@ def instrument_aircraft(
     facts, notes = None, []
     if not aircraft.has_card:
         try:
-            facts = aircraft_facts.ask_in_child(aircraft.folder)
+            facts = aircraft_facts.measure_facts_in_child(aircraft.folder)
         except BadInputError as error:
             if check:
                 raise BadInputError(
                     f"{error}; --no-check instruments it unflown, for a host that knows better"
                 ) from None
-            facts = aircraft_facts.assumed(*metrics_of(aircraft))
+            facts = aircraft_facts.assumed_facts(*metrics_of(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
     unmeasured = {
         name: control.unmeasured
@@ -399,7 +399,7 @@ def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Ver
     with scratch_folder("mass") as scratch:
         folder = scratch.path / "aircraft" / aircraft.folder.name
         copy_folder(aircraft.folder, folder)
-        copy_beside(aircraft, scratch.path, engine.default_root())
+        copy_shared_parts(aircraft, scratch.path, engine.default_root())
         document = read_document(folder / aircraft.xml.name)
         document.path.write_bytes(apply(document, list(edits)))
         return check_in_child(folder, out, CHECK_S)
@@ -409,7 +409,7 @@ def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Ver
 # long as the process.
 
 _LOG = logging.getLogger("uqharness")
-_made: dict[str, tuple[Scratch, Aircraft]] = {}
+_instrumented: dict[str, tuple[Scratch, Aircraft]] = {}
 
 
 def with_card(aircraft: Aircraft) -> Aircraft:
@@ -421,7 +421,7 @@ def with_card(aircraft: Aircraft) -> Aircraft:
     if aircraft.has_card:
         return aircraft
     key = content_hash(aircraft)
-    if key not in _made:
+    if key not in _instrumented:
         check_loadable(
             aircraft
         )  # names the user's file; later checks would name the copy and its lines
@@ -433,8 +433,8 @@ def with_card(aircraft: Aircraft) -> Aircraft:
             _LOG.info(
                 "%s: %s could not be measured and is assumed: %s", aircraft.name, control, reason
             )
-        _made[key] = scratch, find_aircraft(folder)
-    return _made[key][1]
+        _instrumented[key] = scratch, find_aircraft(folder)
+    return _instrumented[key][1]
 
 
 # Write numbers into an aircraft's XML as a hand would: the value changes, formatting and
@@ -468,12 +468,12 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".aircraft-") as temporary:
         copy = Path(temporary) / "new"
         copy_folder(aircraft.folder, copy)
-        left = put_values(copy, estimates)
+        undeclared = put_values(copy, estimates)
         old = Path(temporary) / "old"
         if out.exists():
             out.rename(old)
         copy.rename(out)
-    return left
+    return undeclared
 
 
 def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
@@ -489,38 +489,38 @@ def with_value(document: Document, name: str, estimate: Estimate) -> bytes | Non
 def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
-    rest = _REMARK.sub(b"", old).rstrip(b" \t")
+    other_text = _REMARK.sub(b"", old).rstrip(b" \t")
     # A remark inside a comment that runs over lines would end it early; such a line keeps its
     # number alone.
-    runs_on = b"<!--" in _COMMENT.sub(b"", rest)
+    runs_on = b"<!--" in _COMMENT.sub(b"", other_text)
     remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
-    number = with_attribute(document, node, "value", f"{estimate.value:.8g}")
-    return [number, Insertion(node.end, rest + remark, old)]
+    number = replace_attribute(document, node, "value", f"{estimate.value:.8g}")
+    return [number, Insertion(node.end, other_text + remark, old)]
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
     """Write values of properties into the XML files of a folder, in place; names that no file
     declares are returned.
     """
-    left = dict(values)
+    remaining = dict(values)
     for document in folder_documents(folder):
         edited = document
-        while edits := _together(edited, left):
+        while edits := _edits_by_line(edited, remaining):
             edited = parse_document(document.path, apply(edited, edits))
         if edited is not document:
             document.path.write_bytes(edited.raw)
-    return list(left)
+    return list(remaining)
 
 
-def _together(document: Document, left: dict[str, Estimate]) -> list[Insertion]:
-    """Edits of the declarations of a file's properties ``left``, one to a line; the properties are
-    taken out of ``left``.
+def _edits_by_line(document: Document, remaining: dict[str, Estimate]) -> list[Insertion]:
+    """Edits of the declarations of a file's properties ``remaining``, one to a line; the properties are
+    taken out of ``remaining``.
     """
     edits: list[Insertion] = []
     until = -1
     for name, node in declarations(document):
-        if name in left and node.start > until:
-            edits += _edits(document, node, left.pop(name))
+        if name in remaining and node.start > until:
+            edits += _edits(document, node, remaining.pop(name))
             end = document.raw.find(b"\n", node.end)
             until = len(document.raw) if end < 0 else end
     return edits

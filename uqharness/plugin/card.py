@@ -25,6 +25,7 @@ from uqharness.xml import (
     Reference,
     SectionEdit,
     append_child,
+    append_remark,
     apply,
     attribute,
     call,
@@ -33,11 +34,10 @@ from uqharness.xml import (
     folder_documents,
     function_lines,
     number,
-    prop,
-    remarked,
+    property_value,
+    replace_attribute,
+    replace_text,
     value,
-    with_attribute,
-    with_text,
 )
 
 # What an aircraft made for FlightGear reads of it, passed on in JSBSim alone: a system that
@@ -69,12 +69,12 @@ def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
         f'  <property value="0">{SWITCH}</property>',
         f'  <channel name="FlightGear" execute="{SWITCH}">',
     ]
-    for index, (theirs, own) in enumerate(pairs):
+    for index, (host_name, jsbsim_name) in enumerate(pairs):
         lines += [
             f'    <pure_gain name="host/copy-{index}">',
-            f"      <input>{own}</input>",
+            f"      <input>{jsbsim_name}</input>",
             "      <gain>1</gain>",
-            f"      <output>{theirs}</output>",
+            f"      <output>{host_name}</output>",
             "    </pure_gain>",
         ]
     return "\n".join([*lines, "  </channel>", "</system>", ""]).encode()
@@ -124,9 +124,9 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
     What was scaled, in order.
     """
     section = edit.section
-    named, edit = _names(edit)
-    short = _short_names(section, named)
-    done = []
+    names, edit = _names(edit)
+    short = _short_names(section, names)
+    all_rows = []
     for _, axis in sorted(section.axes.items()):
         for at_cg in (False, True):
             nodes = [
@@ -139,7 +139,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
             rows = [
                 Scaled(
                     axis.name,
-                    named[id(node)],
+                    names[id(node)],
                     str(axis.document.path.relative_to(section.folder)),
                     node.line,
                     f"uq/scale/{short[id(node)]}",
@@ -147,12 +147,12 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
                 )
                 for node in nodes
             ]
-            done += rows
+            all_rows += rows
             edit = edit.plus(
                 axis.document,
                 append_child(axis.document, axis.node, _function(axis, rows, at_cg, reference)),
             )
-    return edit, done
+    return edit, all_rows
 
 
 def scale_system(rows: list[Scaled]) -> bytes:
@@ -188,12 +188,12 @@ class BakedScales:
     ----------
     changed : dict of str to tuple of float
         Scale property to the author's number before and after.
-    kept : tuple of str
+    remaining : tuple of str
         Scales that stay properties: their functions have no single number, such as a table.
     """
 
     changed: Mapping[str, tuple[float, float]]
-    kept: tuple[str, ...]
+    remaining: tuple[str, ...]
 
 
 def bake_scales(folder: Path) -> BakedScales:
@@ -217,7 +217,7 @@ def bake_scales(folder: Path) -> BakedScales:
     documents = list(folder_documents(folder))
     functions = _scaled_functions(documents)
     changed: dict[str, tuple[float, float]] = {}
-    kept = []
+    remaining = []
     edits: dict[Path, list[Insertion]] = {document.path: [] for document in documents}
     for document in documents:
         for name, declared in declarations(document):
@@ -228,7 +228,7 @@ def bake_scales(folder: Path) -> BakedScales:
                 continue
             place = _constant_factor(documents, functions.get(name, ""))
             if place is None:
-                kept.append(name)
+                remaining.append(name)
                 continue
             owner, node = place
             before = number(node, f"<{node.tag}>", owner)
@@ -238,17 +238,17 @@ def bake_scales(folder: Path) -> BakedScales:
             if note:
                 remark += f" ({note.group(1).decode('utf-8', 'replace').strip()})"
             edits[owner.path] += [
-                with_text(owner, node, f"{before * scale:.8g}"),
-                remarked(owner, node, remark),
+                replace_text(owner, node, f"{before * scale:.8g}"),
+                append_remark(owner, node, remark),
             ]
-            edits[document.path] += [with_attribute(document, declared, "value", "1")]
+            edits[document.path] += [replace_attribute(document, declared, "value", "1")]
             if note:
                 at = declared.end + note.start()
                 edits[document.path].append(Insertion(at, b"", note.group(0)))
     for document in documents:
         if edits[document.path]:
             document.path.write_bytes(apply(document, edits[document.path]))
-    return BakedScales(changed, tuple(kept))
+    return BakedScales(changed, tuple(remaining))
 
 
 def _behind(document: Document, node: Node) -> bytes:
@@ -293,15 +293,19 @@ def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference)
     slot = SLOT[axis.name]
     lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
     scaled = [
-        call("product", call("difference", prop(row.scale), value(1, "g")), prop(row.function))
+        call(
+            "product",
+            call("difference", property_value(row.scale), value(1, "g")),
+            property_value(row.function),
+        )
         for row in rows
     ]
     biases = call(
         "product",
-        prop("aero/qbar-psf"),
+        property_value("aero/qbar-psf"),
         reference.area,
         *lengths,
-        call("sum", *(prop(row.bias) for row in rows)),
+        call("sum", *(property_value(row.bias) for row in rows)),
     )
     name = f"uq/scaled/{axis.name}{'-at-cg' if at_cg else ''}"
     return function_lines(name, "sum", [term.line() for term in (*scaled, biases)], at_cg)
@@ -327,17 +331,17 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
     return names, edit
 
 
-def _short_names(section: AeroSection, named: dict[int, str]) -> dict[int, str]:
+def _short_names(section: AeroSection, names: dict[int, str]) -> dict[int, str]:
     """The last part of each function's name where that is enough to distinguish them, else all of
     it with hyphens.
     """
     nodes: list[tuple[Axis, Node]] = [
         (axis, node) for axis in section.axes.values() for node in axis.functions
     ]
-    count = Counter(_leaf(named[id(node)]) for _, node in nodes)
+    count = Counter(_leaf(names[id(node)]) for _, node in nodes)
     out = {}
     for axis, node in nodes:
-        name = named[id(node)]
+        name = names[id(node)]
         short = _leaf(name) if count[_leaf(name)] == 1 else name.strip("/").replace("/", "-")
         short = re.sub(r"[^\w.\-]", "-", short)
         out[id(node)] = short if re.match(r"[A-Za-z_]", short) else f"{axis.name}-{short}"
@@ -365,10 +369,10 @@ def card_text(
     """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by
     its properties.
     """
-    shown = as_toml(name)[1:-1]
+    plain_name = as_toml(name)[1:-1]
     lines = [
         (
-            f"# What XML cannot say of {shown}. Written by `uqharness instrument`, which measured"
+            f"# What XML cannot say of {plain_name}. Written by `uqharness instrument`, which measured"
             f" the aircraft in JSBSim{_where(facts)}:"
         ),
         (
@@ -387,8 +391,8 @@ def card_text(
         f"b_m = {facts.b_m!r}",
         f"c_m = {facts.c_m!r}",
     ]
-    for control, found in facts.controls.items():
-        remark = _remark(found)
+    for control, control_facts in facts.controls.items():
+        remark = _remark(control_facts)
         lines += [
             "",
             f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
@@ -396,20 +400,20 @@ def card_text(
             'unit = "norm"',
         ]
         lines += [
-            f'positive = "{_POSITIVE[control][found.sense < 0]}"',
+            f'positive = "{_POSITIVE[control][control_facts.sense < 0]}"',
             f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
         ]
-        throw = found.throw_deg
+        throw = control_facts.throw_deg
         if control != "throttle":
             assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
-                throw = _ASSUMED_THROW_DEG if found.sense else 1.0
-            lines.append(f"throw_deg = {(found.sense or 1) * throw:.6g}{assumed}")
+                throw = _ASSUMED_THROW_DEG if control_facts.sense else 1.0
+            lines.append(f"throw_deg = {(control_facts.sense or 1) * throw:.6g}{assumed}")
         lines.append(
             f"servo_pwm = {_pulses(control, throw)}     # assumed: your log's, if it has others"
         )
-        if found.position is not None:
-            lines.append(f"position = {as_toml(found.position)}")
+        if control_facts.position is not None:
+            lines.append(f"position = {as_toml(control_facts.position)}")
     if facts.host:
         lines += [
             "",

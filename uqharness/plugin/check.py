@@ -77,7 +77,7 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
     try:
         names, first = _fly(untouched, steps, None)
-        again = _fly(untouched, steps, names)[1]
+        repeated = _fly(untouched, steps, names)[1]
     except (BadInputError, engine.RuntimeFailure) as error:
         return Verdict("fails", " ".join(str(error).split()))
     height, speed = (names.index(n) for n in ("position/h-sl-ft", "velocities/vt-fps"))
@@ -89,39 +89,41 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
             "reaches the ground after"
             f" {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s",
         )
-    steady = np.all((first == again) | (np.isnan(first) & np.isnan(again)), axis=0)
+    steady = np.all((first == repeated) | (np.isnan(first) & np.isnan(repeated)), axis=0)
     if _has_air(instrumented) and not _has_air(untouched):
         steady &= np.array([not _AIR_OWNS.fullmatch(name) for name in names])
-    compared = [name for name, good in zip(names, steady, strict=True) if good]
-    same: dict[str, Any] = {
+    compared = [name for name, is_steady in zip(names, steady, strict=True) if is_steady]
+    verdict_fields: dict[str, Any] = {
         "properties": len(compared),
         "unsteady": len(names) - len(compared),
         "dt_s": untouched.dt_s,
     }
     try:
         idle = _fly(instrumented, steps, compared)[1]
-        flown = first[:, steady]
-        differs = ~np.all((idle == flown) | (np.isnan(idle) & np.isnan(flown)), axis=0)
+        reference = first[:, steady]
+        differs = ~np.all((idle == reference) | (np.isnan(idle) & np.isnan(reference)), axis=0)
         if differs.any():
-            changed = [name for name, bad in zip(compared, differs, strict=True) if bad]
+            changed = [
+                name for name, is_changed in zip(compared, differs, strict=True) if is_changed
+            ]
             return Verdict(
                 "wrong",
                 f"with uq/active 0 {len(changed)} properties differ: {', '.join(changed[:5])}",
-                **same,
+                **verdict_fields,
             )
-        return _switched(instrumented, compared, same)
+        return _switch_each(instrumented, compared, verdict_fields)
     except (BadInputError, engine.RuntimeFailure) as error:
-        return Verdict("wrong", " ".join(str(error).split()), **same)
+        return Verdict("wrong", " ".join(str(error).split()), **verdict_fields)
 
 
-def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any]) -> Verdict:
+def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any]) -> Verdict:
     """Each coefficient on its own, on for one frame."""
-    wanted = [*names, *(n for n in (*_FORCES, *_MOMENTS) if n not in names)]
-    idle = _frame(aircraft, wanted, None)[0]
-    at = {name: k for k, name in enumerate(wanted)}
+    all_names = [*names, *(n for n in (*_FORCES, *_MOMENTS) if n not in names)]
+    idle = _frame(aircraft, all_names, None)[0]
+    at = {name: k for k, name in enumerate(all_names)}
     worst = 0.0
     for index, name in enumerate(COEFFICIENTS):
-        moved, delta, scales = _frame(aircraft, wanted, name)
+        moved, delta, scales = _frame(aircraft, all_names, name)
         if not delta:
             return Verdict(
                 "wrong", f"uq/{name}/delta stays 0 with uq/active and uq/{name}/active 1", **same
@@ -144,13 +146,15 @@ def _switched(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any])
                 )
         changed = moved != idle
         changed &= ~(np.isnan(moved) & np.isnan(idle))
-        others = [
-            n for n, bad in zip(wanted, changed, strict=True) if bad and not _MAY_CHANGE.match(n)
+        unexpected = [
+            n
+            for n, is_changed in zip(all_names, changed, strict=True)
+            if is_changed and not _MAY_CHANGE.match(n)
         ]
-        if others:
+        if unexpected:
             return Verdict(
                 "wrong",
-                f"{name} changes {', '.join(others[:5])} in its first frame",
+                f"{name} changes {', '.join(unexpected[:5])} in its first frame",
                 worst=worst,
                 **same,
             )
@@ -189,13 +193,13 @@ def _fly(
 ) -> tuple[list[str], NDArray[np.float64]]:
     """Rows of properties (all that the aircraft has, or ``names``) every SAMPLE_EVERY frames."""
     fdm, step = open_mid_envelope(aircraft)
-    wanted = list(names) if names is not None else _readable(fdm)
+    recorded_names = list(names) if names is not None else _readable(fdm)
     rows = []
     for k in range(steps):
         step(k)
         if k % SAMPLE_EVERY == 0 or k == steps - 1:
-            rows.append([_get(fdm, name) for name in wanted])
-    return wanted, np.array(rows)
+            rows.append([_get(fdm, name) for name in recorded_names])
+    return recorded_names, np.array(rows)
 
 
 def _has_air(aircraft: Aircraft) -> bool:

@@ -85,11 +85,13 @@ class Change:
         return bool(self.insertions)
 
 
-def changed(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
+def make_change(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
     """The change from ``before`` (None: the file is new) to ``after``."""
     old = "" if before is None else sha256_hex(before)
-    kept = None if insertions else before
-    return Change(old, sha256_hex(after), tuple(sorted(insertions, key=lambda item: item.at)), kept)
+    old_content = None if insertions else before
+    return Change(
+        old, sha256_hex(after), tuple(sorted(insertions, key=lambda item: item.at)), old_content
+    )
 
 
 def to_json(changes: Mapping[str, Change]) -> bytes:
@@ -155,7 +157,7 @@ def _change(row: Mapping[str, Any]) -> Change:
     return Change(before, after, insertions, None if content is None else base64.b64decode(content))
 
 
-def restored(path: Path, change: Change, now: bytes) -> bytes | None:
+def restore(path: Path, change: Change, content: bytes) -> bytes | None:
     """The content of an edited or replaced file without the instrumentation; None: the file is to
     be removed.
 
@@ -163,27 +165,27 @@ def restored(path: Path, change: Change, now: bytes) -> bytes | None:
     once."""
     if not change.edited:
         return change.content
-    if sha256_hex(now) == change.after:
-        return _exactly(path, change, now)
+    if sha256_hex(content) == change.after:
+        return _undo_insertions(path, change, content)
     for insertion in change.insertions:
-        if now.count(insertion.text) != 1:
+        if content.count(insertion.text) != 1:
             line = next(iter(insertion.text.decode("latin-1").strip().splitlines()), "")
             raise BadInputError(
                 f"{path}: changed since it was instrumented, and the lines that begin with '{line}'"
                 " are not there once as they were written; take the uq/ lines out by hand"
             )
-        now = now.replace(insertion.text, insertion.removed)
-    return now
+        content = content.replace(insertion.text, insertion.removed)
+    return content
 
 
-def _exactly(path: Path, change: Change, now: bytes) -> bytes:
+def _undo_insertions(path: Path, change: Change, content: bytes) -> bytes:
     pieces, position, shift = [], 0, 0
     for insertion in change.insertions:
         begin = insertion.at + shift
-        pieces += [now[position:begin], insertion.removed]
+        pieces += [content[position:begin], insertion.removed]
         position = begin + len(insertion.text)
         shift += len(insertion.text) - len(insertion.removed)
-    out = b"".join([*pieces, now[position:]])
+    out = b"".join([*pieces, content[position:]])
     if sha256_hex(out) != change.before:
         raise BadInputError(
             f"{path}: the record of the instrumentation does not fit this file; take the uq/ lines"
@@ -196,7 +198,7 @@ SYSTEM = "model-form"
 AIR_SYSTEM = "air"
 AIR_FILE = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "air.xml"
 _SAME = 1e-6  # a card's rounded figures mean the XML's metrics
-_OWN = re.compile(r"uq/[\w./\-]+")
+_PLUGIN_NAME = re.compile(r"uq/[\w./\-]+")
 
 
 @dataclass(frozen=True)
@@ -247,21 +249,21 @@ def plan(
     if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
         require_reference(section)
     notes = _notes(section)
-    had = _has_plugin(section)
+    had_plugin = _has_plugin(section)
     edit = SectionEdit(section, tuple((section.main, insertion) for insertion in mass))
     scaled: list[Scaled] = []
     files: dict[str, bytes] = {}
-    if had:
+    if had_plugin:
         system = _plugin_system(aircraft, section)
     else:
         _refuse_taken(aircraft)
         system = _system_file(aircraft, SYSTEM)
-        known = coefficient_properties(
+        coefficient_names = coefficient_properties(
             [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
         )
-        if known:
+        if coefficient_names:
             notes.append(
-                f"{len(known)} coefficient properties ({known[0]}, ...): no scales and biases are"
+                f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no scales and biases are"
                 " needed"
             )
         else:
@@ -288,18 +290,21 @@ def plan(
             " aerodynamics are the same"
         )
     changes = {
-        name: changed(_content(aircraft.folder / name), content) for name, content in files.items()
+        name: make_change(_content(aircraft.folder / name), content)
+        for name, content in files.items()
     }
     for document in section.documents:
         if mine := edit.made_in(document):
             name = document.path.relative_to(aircraft.folder).as_posix()
             files[name] = edit.files()[document.path]
-            changes[name] = changed(document.raw, files[name], mine)
+            changes[name] = make_change(document.raw, files[name], mine)
     if card is not None:
         raw = (aircraft.folder / "airframe.toml").read_bytes()
         files["airframe.toml"] = raw + card.text
-        changes["airframe.toml"] = changed(raw, raw + card.text, [card])
-    return Plan(section, files, changes, tuple(scaled), had, tuple(notes), _rows(section, had))
+        changes["airframe.toml"] = make_change(raw, raw + card.text, [card])
+    return Plan(
+        section, files, changes, tuple(scaled), had_plugin, tuple(notes), _rows(section, had_plugin)
+    )
 
 
 def _add_card(
@@ -356,16 +361,16 @@ def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference
     with other numbers gets these.
     """
     card = aircraft.card.reference
-    wanted = (
+    card_values = (
         card.S_m2 and card.S_m2 / FT_M**2,
         card.b_m and card.b_m / FT_M,
         card.c_m and card.c_m / FT_M,
     )
-    written = read_reference(section)
+    xml_values = read_reference(section)
     return Reference(
         *(
             None if w is None or abs(w - x) <= _SAME * w else w
-            for w, x in zip(wanted, written, strict=True)
+            for w, x in zip(card_values, xml_values, strict=True)
         )
     )
 
@@ -378,18 +383,18 @@ def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
 
 def _has_plugin(section: AeroSection) -> bool:
     """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
-    found: dict[str, str] = {}
+    delta_places: dict[str, str] = {}
     for document in section.documents:
         for node in document.root.walk():
             if node.tag in ("property", "p") and (
                 match := re.fullmatch(r"uq/(C\w)/delta", node.text.strip())
             ):
-                found.setdefault(match.group(1), document.where(node))
-    if not found:
+                delta_places.setdefault(match.group(1), document.where(node))
+    if not delta_places:
         return False
-    missing = [c for c in COEFFICIENTS if c not in found]
+    missing = [c for c in COEFFICIENTS if c not in delta_places]
     if missing:
-        name, where = next(iter(found.items()))
+        name, where = next(iter(delta_places.items()))
         raise BadInputError(
             f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta;"
             " complete the plugin or take it out"
@@ -405,7 +410,7 @@ def _refuse_taken(aircraft: Aircraft) -> None:
         document = read_document(path)
         for node in document.root.walk():
             for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
-                if _OWN.fullmatch(text):
+                if _PLUGIN_NAME.fullmatch(text):
                     raise BadInputError(
                         f"{document.where(node)}: '{text}' is a name of the plugin, which this"
                         " aircraft does not carry; rename it, or undo what was left of an earlier"
@@ -518,30 +523,30 @@ def _content(path: Path) -> bytes | None:
     return path.read_bytes() if path.is_file() else None
 
 
-def _rows(section: AeroSection, had: bool) -> tuple[tuple[str, str, str], ...]:
+def _rows(section: AeroSection, had_plugin: bool) -> tuple[tuple[str, str, str], ...]:
     """(coefficient, axis it goes into, file:line) for the table."""
-    if had:
+    if had_plugin:
         return tuple((c, "already there", "") for c in COEFFICIENTS)
-    spread = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)
+    turned_axes = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)
     out = []
     for slot, c in enumerate(COEFFICIENTS):
-        own = section.axes.get(slot)
+        axis = section.axes.get(slot)
         name = axis_name(section, slot)
         turned = (
-            (spread is not None and (slot != 1 or section.force == "wind"))
+            (turned_axes is not None and (slot != 1 or section.force == "wind"))
             if slot < 3
             else section.moment != "body"
         )
         target = (
             name
             if not turned
-            else spread
-            if slot < 3 and spread
+            else turned_axes
+            if slot < 3 and turned_axes
             else f"ROLL, PITCH, YAW ({section.moment})"
         )
         where = (
-            own.document.where(own.node)
-            if own
+            axis.document.where(axis.node)
+            if axis
             else f"{section.document.where(section.node)} (axis made)"
         )
         out.append((c, target, where))

@@ -17,7 +17,16 @@ from sysid.model_form import CoefficientBounds, ModelForm
 from sysid.units import FT_M, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, position_factor
-from uqharness.xml import Expression, Powers, call, declare, horner, in_comment, prop, value
+from uqharness.xml import (
+    Expression,
+    Powers,
+    call,
+    declare,
+    horner,
+    in_comment,
+    property_value,
+    value,
+)
 
 RATE_HZ = 50.0
 """Bounds are computed at least this often; levels and deltas in every frame."""
@@ -76,18 +85,18 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
 
     Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in
     degrees or percent."""
-    every = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
+    frames = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
     clamped = form.outside == "clamp"
     states: dict[_Normalised, str] = {}
     groups = _groups(form, states)
     body = [*_declarations(form)]
-    body += [f'<channel name="Bounds" execrate="{every}">']
+    body += [f'<channel name="Bounds" execrate="{frames}">']
     for state, name in states.items():
         body += _indent(
             _component(f"{name}-free" if clamped else name, _normalise(state, aircraft))
         )
         if clamped:
-            body += _indent(_held(name, state))
+            body += _indent(_clamp(name, state))
     for group in groups:
         form_of_group = quadratic_form(group.bounds)
         body += _indent(_component(group.leverage, horner(form_of_group, group.names)))
@@ -98,12 +107,12 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
                     horner(form_of_group, [f"{name}-free" for name in group.names]),
                 )
             )
-    body += _indent(_outside(states, groups, clamped))
+    body += _indent(_extrapolation(states, groups, clamped))
     for name, bounds in form.coefficients.items():
         group = next(group for group in groups if name in group.coefficients)
         body += _indent(_coefficient(name, bounds, group))
     body += ["</channel>", *_deltas()]
-    return _document(_remarks(form, aircraft, every), body)
+    return _document(_remarks(form, aircraft, frames), body)
 
 
 def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> bytes:
@@ -174,7 +183,7 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
 
 def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
     name, factor = state_source(state.state, aircraft)
-    scaled = call("product", prop(name), value(factor / state.scale))
+    scaled = call("product", property_value(name), value(factor / state.scale))
     return call("difference", scaled, value(state.centre / state.scale))
 
 
@@ -195,11 +204,11 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
         if card.unit in _TO_DEGREES or card.throw_deg is not None:
             throw = card.throw_deg if card.unit == "norm" and card.throw_deg is not None else 1.0
             return card.selected or card.property, _TO_DEGREES.get(card.unit, throw)
-    known = (
+    problem = (
         "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
     )
     raise BadInputError(
-        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {known};"
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {problem};"
         " say in airframe.toml how to read it, or make the bounds from other states"
     )
 
@@ -209,7 +218,7 @@ def _edges(state: _Normalised) -> tuple[float, float]:
     return (state.low - state.centre) / state.scale, (state.high - state.centre) / state.scale
 
 
-def _held(name: str, state: _Normalised) -> list[str]:
+def _clamp(name: str, state: _Normalised) -> list[str]:
     low, high = _edges(state)
     return [
         f'<pure_gain name="{name}">',
@@ -220,7 +229,9 @@ def _held(name: str, state: _Normalised) -> list[str]:
     ]
 
 
-def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool) -> list[str]:
+def _extrapolation(
+    states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool
+) -> list[str]:
     """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance;
     uq/extrapolated: whether.
 
@@ -229,8 +240,8 @@ def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: b
     excesses = []
     for state, name in states.items():
         low, high = _edges(state)
-        z = prop(f"{name}-free" if clamped else name)
-        beyond = call(
+        z = property_value(f"{name}-free" if clamped else name)
+        excess = call(
             "difference",
             call("abs", call("difference", z, value(0.5 * (low + high)))),
             value(0.5 * (high - low)),
@@ -238,19 +249,21 @@ def _outside(states: Mapping[_Normalised, str], groups: list[_Group], clamped: b
         # In widths of the box; a state that stood still in the data has none, and its own unit
         # serves.
         width = high - low if high > low else 1.0 / state.scale
-        excesses.append(call("product", beyond, value(1.0 / width)))
+        excesses.append(call("product", excess, value(1.0 / width)))
     for group in groups:
         share = call(
             "quotient",
-            prop(group.free_leverage if clamped else group.leverage),
+            property_value(group.free_leverage if clamped else group.leverage),
             value(group.bounds.hull.leverage),
         )
         excesses.append(call("difference", call("sqrt", share), value(1.0)))
-    far = prop("uq/beyond-edge")
+    largest_excess = property_value("uq/beyond-edge")
     return [
         *_component("uq/beyond-edge", call("max", *excesses, value(0.0))),
-        *_component("uq/extrapolated", call("gt", far, value(_ROUNDING))),
-        *_component("uq/extrapolation", call("product", prop("uq/extrapolated"), far)),
+        *_component("uq/extrapolated", call("gt", largest_excess, value(_ROUNDING))),
+        *_component(
+            "uq/extrapolation", call("product", property_value("uq/extrapolated"), largest_excess)
+        ),
     ]
 
 
@@ -258,22 +271,30 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
     """y, half width, lower and upper of one coefficient."""
     beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
     # t sqrt(constant + s2 f h) with t brought inside the root (2.18).
-    known = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
+    variance_per_leverage = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
     constant = bounds.t * bounds.t * bounds.constant_variance
-    if not math.isfinite(known + constant):
+    if not math.isfinite(variance_per_leverage + constant):
         raise BadInputError(
             f"coefficient {name}: its half width would not be finite (t = {bounds.t:g}, s2 ="
             f" {bounds.s2:g}); make the bounds again with: uqharness bounds"
         )
-    root = call("sum", value(constant), call("product", value(known), prop(group.leverage)))
+    root = call(
+        "sum",
+        value(constant),
+        call("product", value(variance_per_leverage), property_value(group.leverage)),
+    )
     y, half = f"uq/{name}/centre", f"uq/{name}/half-width"
     return [
         *_component(y, horner(beta, group.names)),  # (2.17)
         *_component(half, call("sqrt", root)),
         *_component(
-            f"uq/{name}/lower", call("min", call("difference", prop(y), prop(half)), value(0.0))
+            f"uq/{name}/lower",
+            call("min", call("difference", property_value(y), property_value(half)), value(0.0)),
         ),
-        *_component(f"uq/{name}/upper", call("max", call("sum", prop(y), prop(half)), value(0.0))),
+        *_component(
+            f"uq/{name}/upper",
+            call("max", call("sum", property_value(y), property_value(half)), value(0.0)),
+        ),
     ]
 
 
@@ -302,16 +323,25 @@ def _levels(name: str, transient: float = 0.0) -> list[str]:
 def _deltas() -> list[str]:
     lines = ['<channel name="Deltas">']
     for name in COEFFICIENTS:
-        lower, upper = prop(f"uq/{name}/lower"), prop(f"uq/{name}/upper")
-        persistent = call("product", prop(f"uq/{name}/level"), call("difference", upper, lower))
-        transient = call(
-            "product", prop(f"uq/{name}/transient"), prop(f"uq/{name}/transient-level")
+        lower, upper = property_value(f"uq/{name}/lower"), property_value(f"uq/{name}/upper")
+        persistent = call(
+            "product", property_value(f"uq/{name}/level"), call("difference", upper, lower)
         )
-        whole = call("sum", lower, persistent, transient)
+        transient = call(
+            "product",
+            property_value(f"uq/{name}/transient"),
+            property_value(f"uq/{name}/transient-level"),
+        )
+        total = call("sum", lower, persistent, transient)
         lines += _indent(
             _component(
                 f"uq/{name}/delta",
-                call("product", prop("uq/active"), prop(f"uq/{name}/active"), whole),
+                call(
+                    "product",
+                    property_value("uq/active"),
+                    property_value(f"uq/{name}/active"),
+                    total,
+                ),
             )
         )
     return [*lines, "</channel>"]

@@ -57,25 +57,30 @@ class Actuator:
         """(n,) positions at rows as `follow` has them, and (n-1,) half-way between, in straight
         lines from step to step.
         """
-        runs = max(1, round(dt_s / step_s))
+        steps_per_row = max(1, round(dt_s / step_s))
         # A row's command is there from the run on that arrives at the row.
-        asked = np.repeat(commands, runs)[: (len(commands) - 1) * runs + 1].astype(float)
-        out = asked
+        fine_commands = np.repeat(commands, steps_per_row)[
+            : (len(commands) - 1) * steps_per_row + 1
+        ].astype(float)
+        positions = fine_commands
         if self.lag is not None:
             half = step_s * self.lag
             gain, keep = half / (2.0 + half), (2.0 - half) / (2.0 + half)
-            out = first_order(
-                gain * (asked + np.concatenate([asked[:1], asked[:-1]])), keep, asked[0]
+            positions = first_order(
+                gain * (fine_commands + np.concatenate([fine_commands[:1], fine_commands[:-1]])),
+                keep,
+                fine_commands[0],
             )
-        out = _limited(out, self.rate * step_s)
+        positions = _limit_rate(positions, self.rate * step_s)
         # The lag remembers its own output, the rate limit what it let through.
-        np.clip(out, self.low, self.high, out=out)
+        np.clip(positions, self.low, self.high, out=positions)
         early, late = (
-            runs // 2,
-            -(-runs // 2),
+            steps_per_row // 2,
+            -(-steps_per_row // 2),
         )  # the steps on either side of the middle, one and the same if runs is even
-        return out[::runs], 0.5 * (
-            out[early : len(out) - late : runs] + out[late : len(out) - early : runs]
+        return positions[::steps_per_row], 0.5 * (
+            positions[early : len(positions) - late : steps_per_row]
+            + positions[late : len(positions) - early : steps_per_row]
         )
 
 
@@ -87,25 +92,25 @@ def servo_number(servo: Actuator, term: str, value: float) -> float:
     return FREE_LAG if servo.lag is None and value == 0.0 else servo.lag_with(value)
 
 
-def _limited(asked: FloatArray, reach: float) -> FloatArray:
-    """(n,) positions that follow what is asked, by ``reach`` from one to the next at most; the
+def _limit_rate(requested: FloatArray, max_step: float) -> FloatArray:
+    """(n,) positions that follow what is asked, by ``max_step`` from one to the next at most; the
     first is what is asked.
     """
-    out = asked.copy()
-    begun = np.flatnonzero(np.abs(np.diff(asked)) > reach) + 1
-    wanted, caught = asked.tolist() if len(begun) else [], 0
-    for first in begun.tolist():
-        if first < caught:
+    positions = requested.copy()
+    limit_starts = np.flatnonzero(np.abs(np.diff(requested)) > max_step) + 1
+    targets, caught_up = requested.tolist() if len(limit_starts) else [], 0
+    for first in limit_starts.tolist():
+        if first < caught_up:
             continue
-        position, k = float(out[first - 1]), first
-        while k < len(wanted):
-            position = min(max(wanted[k], position - reach), position + reach)
-            out[k] = position
+        position, k = float(positions[first - 1]), first
+        while k < len(targets):
+            position = min(max(targets[k], position - max_step), position + max_step)
+            positions[k] = position
             k += 1
-            if position == wanted[k - 1]:
+            if position == targets[k - 1]:
                 break
-        caught = k
-    return out
+        caught_up = k
+    return positions
 
 
 def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator]:
@@ -113,12 +118,14 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
 
     Raises BadInputError for a control without one.
     """
-    wanted = {aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs}
+    control_by_property = {
+        aircraft.card.inputs[c].position: c for c in controls if c in aircraft.card.inputs
+    }
     fdm = open_aircraft(aircraft)
-    found: dict[str, Actuator] = {}
+    result: dict[str, Actuator] = {}
     for path in sorted(aircraft.folder.rglob("*.xml")):
         for element in parse_xml(path).getroot().iter("actuator"):
-            control = wanted.get(element.get("name"))
+            control = control_by_property.get(element.get("name"))
             if control is None:
                 continue
 
@@ -132,16 +139,16 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
                     return float(fdm[text])
 
             lag = number("lag", math.nan)
-            found[control] = Actuator(
+            result[control] = Actuator(
                 None if math.isnan(lag) else lag,
                 number("rate_limit", math.inf),
                 number("clipto/min", -math.inf),
                 number("clipto/max", math.inf),
             )
-    missing = [c for c in controls if c not in found]
+    missing = [c for c in controls if c not in result]
     if missing:
         raise BadInputError(
             f"aircraft '{aircraft.name}': no <actuator> has the name of [inputs.{missing[0]}]"
             " position"
         )
-    return found
+    return result

@@ -102,15 +102,15 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
 
 def find_folder(name_or_folder: str | Path) -> Path:
     """Folder of that aircraft, its files unread. Raises BadInputError as find_aircraft does."""
-    given = Path(name_or_folder)
+    requested = Path(name_or_folder)
     roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
-    candidates = [given] if given.is_dir() else []
-    if len(given.parts) == 1:
-        candidates += [root / given for root in roots]
+    candidates = [requested] if requested.is_dir() else []
+    if len(requested.parts) == 1:
+        candidates += [root / requested for root in roots]
     for folder in candidates:
         if folder.is_dir():
             return folder.resolve()
-    known = sorted(
+    project_names = sorted(
         {
             path.name
             for root in roots[:2]
@@ -121,7 +121,7 @@ def find_folder(name_or_folder: str | Path) -> Path:
     )
     raise BadInputError(
         f"aircraft '{name_or_folder}' not found: it is neither a folder nor a name under aircraft/ "
-        f"(there: {', '.join(known) or 'none'}) or in JSBSim's own collection"
+        f"(there: {', '.join(project_names) or 'none'}) or in JSBSim's own collection"
     )
 
 
@@ -234,8 +234,8 @@ def refuse_unknown_operations(path: Path) -> None:
     def walk(element: etree._Element) -> None:
         for child in element.iterchildren("*"):
             if child.tag not in _OPERATIONS:
-                near = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
-                hint = f"; did you mean <{near[0]}>?" if near else ""
+                matches = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
+                hint = f"; did you mean <{matches[0]}>?" if matches else ""
                 raise BadInputError(
                     f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim"
                     f" function; JSBSim would ignore it{hint}"
@@ -266,11 +266,11 @@ def folder_fingerprint(folder: Path) -> str:
     """A text that changes when a file of the aircraft in ``folder`` does; reads none where nothing
     has. Raises BadInputError.
     """
-    return fingerprint(_unchanged(folder, signature(folder)))
+    return fingerprint(_read_cached(folder, signature(folder)))
 
 
 @lru_cache(maxsize=8)
-def _unchanged(folder: Path, _: object) -> Aircraft:
+def _read_cached(folder: Path, _: object) -> Aircraft:
     return _read_aircraft(folder)
 
 

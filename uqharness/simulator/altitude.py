@@ -27,8 +27,8 @@ def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecor
     start = record.metadata.start
     if "rho_kgpm3" in record or "alt_m" in start:
         return record, ""
-    found = _initial_altitudes(folder)
-    if len(found) != 1:
+    altitudes = _initial_altitudes(folder)
+    if len(altitudes) != 1:
         return (
             record,
             (
@@ -37,7 +37,7 @@ def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecor
                 f" coefficient; {_SETTLES}"
             ),
         )
-    name, altitude = found[0]
+    name, altitude = altitudes[0]
     metadata = replace(record.metadata, start={**start, "alt_m": altitude})
     return (
         record.with_columns({}, metadata),
@@ -53,7 +53,7 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
     """(file, altitude above sea level [m]) of the initial conditions in an aircraft's folder that
     name one.
     """
-    out = []
+    altitudes = []
     for path in sorted(folder.glob("*.xml")):
         try:
             root = parse_xml(path).getroot()
@@ -68,8 +68,8 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
         if sea is None and agl is not None:
             sea = agl + (ground or 0.0)
         if sea is not None:
-            out.append((path.name, sea))
-    return out
+            altitudes.append((path.name, sea))
+    return altitudes
 
 
 def _length(root: etree._Element, tag: str) -> float | None:

@@ -21,8 +21,8 @@ from uqharness.toml import dotted
 
 # Sections and keys of inputs that are for reading logs alone, or are passed on as the one reader
 # has them.
-_READ = {"reference", "sensors", "mixing"}
-_OF_SERVOS = {"servo_pwm", "channel"}
+_LOG_READER_SECTIONS = {"reference", "sensors", "mixing"}
+_SERVO_KEYS = {"servo_pwm", "channel"}
 
 
 class _Strict(BaseModel):
@@ -139,7 +139,7 @@ def standard_card(name: str, xml: str) -> Card:
 def read_card(path: Path) -> Card:
     """Read and validate airframe.toml. Raises BadInputError with file, key and what is allowed."""
     try:
-        return _card(airframe_card.read_card(path))
+        return _validate(airframe_card.read_card(path))
     except LogError as error:
         raise BadInputError(str(error)) from None
 
@@ -147,29 +147,33 @@ def read_card(path: Path) -> Card:
 def parse_card(text: str, path: Path) -> Card:
     """The same of the text of that file. Raises BadInputError."""
     try:
-        return _card(airframe_card.parse_card(text, path))
+        return _validate(airframe_card.parse_card(text, path))
     except LogError as error:
         raise BadInputError(str(error)) from None
 
 
-def _card(read: AirframeCard) -> Card:
-    own: dict[str, Any] = {key: value for key, value in read.document.items() if key not in _READ}
-    if "inputs" in own:
-        own["inputs"] = {
-            control: {key: value for key, value in row.items() if key not in _OF_SERVOS}
-            for control, row in own["inputs"].items()
+def _validate(airframe: AirframeCard) -> Card:
+    sections: dict[str, Any] = {
+        key: value for key, value in airframe.document.items() if key not in _LOG_READER_SECTIONS
+    }
+    if "inputs" in sections:
+        sections["inputs"] = {
+            control: {key: value for key, value in row.items() if key not in _SERVO_KEYS}
+            for control, row in sections["inputs"].items()
         }
     try:
-        return Card.model_validate({**own, "reference": read.reference, "sensors": read.sensors})
+        return Card.model_validate(
+            {**sections, "reference": airframe.reference, "sensors": airframe.sensors}
+        )
     except ValidationError as error:
         first = error.errors()[0]
-        what = (
+        problem = (
             "no such key in airframe.toml; see docs/aircraft.md"
             if first["type"] == "extra_forbidden"
             else first["msg"]
         )
         raise BadInputError(
-            f"{read.path}: {dotted(first['loc'])}: {what}; received {first.get('input')!r}"
+            f"{airframe.path}: {dotted(first['loc'])}: {problem}; received {first.get('input')!r}"
         ) from None
 
 
@@ -191,12 +195,12 @@ def sensors_from_cg(path: Path, forward_m: float, remark: str) -> None:
     try:
         card = tomlkit.parse(path.read_bytes().decode("utf-8"))
         sensors = card.setdefault("sensors", tomlkit.table())
-        places = sensors.setdefault("position_m", tomlkit.inline_table())
-        for name in dict.fromkeys(("accelerometer", *places)):
-            x, *rest = (float(v) for v in places.get(name, (0.0, 0.0, 0.0)))
-            places[name] = [round(x - forward_m, DECIMALS), *rest]
-        if isinstance(places, tomlkit.items.InlineTable):
-            places.comment(remark.replace("\n", " "))
+        positions = sensors.setdefault("position_m", tomlkit.inline_table())
+        for name in dict.fromkeys(("accelerometer", *positions)):
+            x, *yz = (float(v) for v in positions.get(name, (0.0, 0.0, 0.0)))
+            positions[name] = [round(x - forward_m, DECIMALS), *yz]
+        if isinstance(positions, tomlkit.items.InlineTable):
+            positions.comment(remark.replace("\n", " "))
     except (TOMLKitError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}") from None
     path.write_bytes(tomlkit.dumps(card).encode("utf-8"))

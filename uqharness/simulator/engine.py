@@ -31,7 +31,7 @@ name.
 _MISSING = re.compile(
     r"[Pp]roperty\s+\"?([^\s\"]+?)\"?\s+(?:does not exist|is not defined|not found|is undefined)"
 )
-_MOST_MESSAGES, _MOST_SHOWN = 200, 64
+_MAX_MESSAGES, _MAX_PATHS = 200, 64
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
 
@@ -55,11 +55,11 @@ class _Collector(jsbsim.FGLogger):
     def message(self, message: str) -> None:
         if self._level >= int(jsbsim.LogLevel.ERROR) and self._level != int(jsbsim.LogLevel.STDOUT):
             # A model may complain in every frame of an hour.
-            if len(self.entries) >= _MOST_MESSAGES:
+            if len(self.entries) >= _MAX_MESSAGES:
                 return
             self.entries.append((self._level, self._place, message))
             if self.mirror is not None:
-                os.write(self.mirror, f"{_as_shown(self._place + message)}\n".encode())
+                os.write(self.mirror, f"{_with_user_paths(self._place + message)}\n".encode())
 
     def format(self, format: jsbsim.LogFormat) -> None:
         pass
@@ -71,23 +71,23 @@ class _Collector(jsbsim.FGLogger):
         """Text of what was collected, and forget it."""
         text = " ".join((place + message).strip() for _, place, message in self.entries)
         self.entries.clear()
-        return re.sub(r"\s+", " ", _as_shown(text)).strip()
+        return re.sub(r"\s+", " ", _with_user_paths(text)).strip()
 
 
 _collector: _Collector | None = None
-_shown_as: dict[str, str] = {}
+_user_paths: dict[str, str] = {}
 
 
-def _show_as(staging: Staging) -> None:
+def _register_user_paths(staging: Staging) -> None:
     # The reader knows their own folder, not a copy's; of many stagings only the newest are still
     # spoken of.
-    _shown_as.update((str(staged), str(real)) for staged, real in staging.shown)
-    while len(_shown_as) > _MOST_SHOWN:
-        del _shown_as[next(iter(_shown_as))]
+    _user_paths.update((str(staged), str(real)) for staged, real in staging.user_folders)
+    while len(_user_paths) > _MAX_PATHS:
+        del _user_paths[next(iter(_user_paths))]
 
 
-def _as_shown(text: str) -> str:
-    for staged, real in _shown_as.items():
+def _with_user_paths(text: str) -> str:
+    for staged, real in _user_paths.items():
         text = text.replace(staged, real)
     return text
 
@@ -116,7 +116,7 @@ def default_root() -> Path:
 
 def _new(staging: Staging, dt_s: float) -> Any:
     _collect().take()
-    _show_as(staging)
+    _register_user_paths(staging)
     fdm = jsbsim.FGFDMExec(str(staging.root))
     fdm.set_debug_level(0)
     fdm.set_aircraft_path(str(staging.root / "aircraft"))
@@ -234,14 +234,14 @@ def settle_engines(fdm: Any) -> str:
     changing = ""
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
-    if not settling.settled(fdm):
+    if not settling.is_balanced(fdm):
         try:
             changing = settling.settle(fdm)
         except RuntimeFailure as error:
             raise BadInputError(explain(fdm, error)) from None
         if not settling.has_turboprop(fdm):
             renew_forces(fdm)
-    return settling.stopped(fdm) or changing
+    return settling.stopped_engines(fdm) or changing
 
 
 def renew_forces(fdm: Any) -> None:
@@ -285,11 +285,11 @@ def disarm(fdm: Any, text: str) -> list[str]:
     """
     missing: list[str] = []
     for _ in range(1000):
-        found = _MISSING.search(text)
-        if found is None or found.group(1) in missing:
+        match = _MISSING.search(text)
+        if match is None or match.group(1) in missing:
             break
-        missing.append(found.group(1))
-        fdm[found.group(1)] = 0.0
+        missing.append(match.group(1))
+        fdm[match.group(1)] = 0.0
         try:
             fdm.run_ic()
             break
@@ -325,10 +325,10 @@ def require(fdm: Any, names: Iterable[str]) -> None:
                 " [index])"
             )
         if not manager.hasNode(name):
-            near = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
+            similar = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
             hint = (
-                f"; did you mean {', '.join(near)}?"
-                if near
+                f"; did you mean {', '.join(similar)}?"
+                if similar
                 else "; see the aircraft's XML for its properties"
             )
             raise BadInputError(f"property '{name}' does not exist in this model{hint}")
@@ -343,8 +343,8 @@ def is_legal_name(name: str) -> bool:
 
 def catalog(fdm: Any) -> list[str]:
     """Names of all properties of the loaded model, without JSBSim's access remarks."""
-    found = fdm.query_property_catalog("")
-    rows = found.splitlines() if isinstance(found, str) else list(found)
+    listing = fdm.query_property_catalog("")
+    rows = listing.splitlines() if isinstance(listing, str) else list(listing)
     return [row.split(" (")[0].strip() for row in rows if row.strip()]
 
 

@@ -21,8 +21,8 @@ from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
     body_velocity,
-    forced,
-    rest_of,
+    control_equilibrium,
+    open_forced,
     set_control,
     still_moving,
     written_by_components,
@@ -68,8 +68,8 @@ def open_mid_envelope(
     ]
 
     def step(k: int) -> None:
-        for put, phase in surfaces:
-            put(0.05 * math.sin(phase * k))
+        for set_command, phase in surfaces:
+            set_command(0.05 * math.sin(phase * k))
         fdm.run()
 
     return fdm, step
@@ -113,10 +113,12 @@ def _initial(fdm: Any, speed_fps: float) -> None:
 # its interpreter.
 
 _COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0, -1.0)  # the first once more: what then differs is drift
-_LINEAR = 0.01  # of the throw: how far the middle may lie from halfway between the ends
-_MOVES = 1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
-_DIFFERS = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
-_RESTS = 1e-6  # deg or rad
+_LINEAR_SHARE = 0.01  # of the throw: how far the middle may lie from halfway between the ends
+_MIN_ANSWER = (
+    1e-6  # rad/s2, lbf; smaller answers may be engines that still settle, and a flight decides
+)
+_MIN_RATE_CHANGE = 1e-9  # rad/s, ft/s: a control that moves nothing leaves a flight bit-identical
+_MIN_TRAVEL = 1e-6  # deg or rad
 _TURNING_RADPS = 0.1
 _METRICS = ("metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _POSITIONS = {
@@ -145,7 +147,7 @@ _FLIGHTGEAR = (
 )
 # Acceleration that answers to a control, and whether the positive command of the record's
 # convention makes it positive.
-_ANSWER = {
+_RESPONSE = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
     "aileron": ("accelerations/pdot-rad_sec2", 1),
     "rudder": ("accelerations/rdot-rad_sec2", -1),
@@ -198,30 +200,32 @@ class AircraftFacts:
     V_mps: float = math.nan
 
 
-def assumed(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
+def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
     """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in
     the usual sense, no throws.
     """
     return AircraftFacts(
-        S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_ANSWER, "throttle")}
+        S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_RESPONSE, "throttle")}
     )
 
 
-def ask(folder: Path) -> AircraftFacts:
+def measure_facts(folder: Path) -> AircraftFacts:
     """The facts, asked for in this process. Raises BadInputError."""
     aircraft = find_aircraft(folder)
     controls = {
-        name: _facts(
+        name: _control_facts(
             name,
-            _held(aircraft, name, _COMMANDS),
-            functools.partial(_held, aircraft, name, _COMMANDS, _TURNING_RADPS),
+            _hold_commands(aircraft, name, _COMMANDS),
+            functools.partial(_hold_commands, aircraft, name, _COMMANDS, _TURNING_RADPS),
         )
-        for name in _ANSWER
+        for name in _RESPONSE
     }
-    closed, opened = (_held(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
-    host = _of_host(aircraft)
+    closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
+    host = _host_properties(aircraft)
     throttle = _throttle_facts(closed, opened)
-    if not throttle.sense and any(own == "fcs/throttle-cmd-norm" for _, own in host):
+    if not throttle.sense and any(
+        jsbsim_name == "fcs/throttle-cmd-norm" for _, jsbsim_name in host
+    ):
         throttle = ControlFacts(1)
     controls["throttle"] = throttle
     # A control law may be at its limit at rest, whatever the command: a flight has the last word on
@@ -241,21 +245,21 @@ def ask(folder: Path) -> AircraftFacts:
     )
 
 
-def _of_host(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
+def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
     fdm = open_aircraft(aircraft)
-    exists, written = fdm.get_property_manager().hasNode, written_by_components(aircraft)
-    found = []
+    exists, written_properties = fdm.get_property_manager().hasNode, written_by_components(aircraft)
+    pairs = []
     for k in range(fdm.get_propulsion().get_num_engines()):
         index = f"[{k}]" if k else ""
-        for theirs, own in _FLIGHTGEAR:
-            pair = theirs.format(index), own.format(index)
-            if all(map(exists, pair)) and pair[0] not in written:
-                found.append(pair)
-    return tuple(found)
+        for host_name, jsbsim_name in _FLIGHTGEAR:
+            pair = host_name.format(index), jsbsim_name.format(index)
+            if all(map(exists, pair)) and pair[0] not in written_properties:
+                pairs.append(pair)
+    return tuple(pairs)
 
 
 @dataclass(frozen=True)
-class _Held:
+class _HeldState:
     """The aircraft with one command held.
 
     values     of properties; positions: of the surfaces at rest
@@ -268,9 +272,9 @@ class _Held:
     unsettled: str = ""
 
 
-def _held(
+def _hold_commands(
     aircraft: Aircraft, control: str, commands: Sequence[float], rate_radps: float = 0.0
-) -> list[_Held]:
+) -> list[_HeldState]:
     """The aircraft with one command after the other held until all has come to rest.
 
     Raises BadInputError.
@@ -285,22 +289,22 @@ def _held(
         for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
         if exists(aircraft.card.inputs[name].property)
     }
-    fdm, unsettled = forced(aircraft, state, controls, ALTITUDE_M, None)
-    rest = rest_of(aircraft, fdm)
+    fdm, unsettled = open_forced(aircraft, state, controls, ALTITUDE_M, None)
+    equilibrium = control_equilibrium(aircraft, fdm)
     engines = fdm.get_propulsion().get_num_engines()
     names = [name for group in _POSITIONS.values() for name in group if exists(name)]
-    values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _ANSWER.values())]
+    values = [*_METRICS, "velocities/vt-fps", _FORWARD, *(name for name, _ in _RESPONSE.values())]
     rows = []
     for command in commands:
         if control in controls:
             set_control(fdm, aircraft, control, command)
-        moving = still_moving(fdm, rest, names)
+        moving = still_moving(fdm, equilibrium, names)
         # A surface that still moves is led by more than its command: a control law, or an
         # autopilot.
         positions = {name: float(fdm[name]) for name in names if name not in moving}
         thrust = sum(fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in range(engines))
         read = {name: float(fdm[name]) for name in values} | {_THRUST: float(thrust)}
-        rows.append(_Held(read, positions, engines, unsettled))
+        rows.append(_HeldState(read, positions, engines, unsettled))
     return rows
 
 
@@ -323,23 +327,25 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"the flight does not stay finite with {control} held")
     change = answers[1] - answers[0]
-    return ControlFacts(0 if not abs(change) > _DIFFERS else sign if change > 0.0 else -sign)
+    return ControlFacts(
+        0 if not abs(change) > _MIN_RATE_CHANGE else sign if change > 0.0 else -sign
+    )
 
 
-def _facts(
-    control: str, rows: Sequence[_Held], turning: Callable[[], Sequence[_Held]]
+def _control_facts(
+    control: str, rows: Sequence[_HeldState], turning: Callable[[], Sequence[_HeldState]]
 ) -> ControlFacts:
     """Sense and throw by what was held.
 
     ``turning`` gives the same rows with the aircraft turning.
     """
-    name, sign = _ANSWER[control]
+    name, sign = _RESPONSE[control]
     answers = [row.values[name] for row in rows]
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"{name} is not finite with {control} held")
-    low, high, again = answers[0], answers[-2], answers[-1]
+    low, high, repeated = answers[0], answers[-2], answers[-1]
     # What goes on changing by itself, such as the gas of a balloon, is no answer to the command.
-    if not abs(high - low) > max(_MOVES, 10.0 * abs(again - low)):
+    if not abs(high - low) > max(_MIN_ANSWER, 10.0 * abs(repeated - low)):
         return ControlFacts(0)
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
@@ -350,26 +356,32 @@ def _facts(
         ]
         if len(ends) < len(rows) or not all(map(math.isfinite, ends)):
             continue
-        least, half_down, middle, half_up, most, _ = ends
-        throw = 0.5 * abs(most - least)
-        limited = min(abs(most - half_up), abs(least - half_down)) <= _LINEAR * throw
-        if throw > _RESTS and not (limited and _is_led(name, rows, turning())):
-            straight = not limited and abs(middle - 0.5 * (least + most)) <= _LINEAR * throw
-            return ControlFacts(sense, round(throw, 6), name if straight and most > least else None)
+        lowest, half_down, middle, half_up, highest, _ = ends
+        throw = 0.5 * abs(highest - lowest)
+        limited = min(abs(highest - half_up), abs(lowest - half_down)) <= _LINEAR_SHARE * throw
+        if throw > _MIN_TRAVEL and not (limited and _depends_on_motion(name, rows, turning())):
+            is_linear = (
+                not limited and abs(middle - 0.5 * (lowest + highest)) <= _LINEAR_SHARE * throw
+            )
+            return ControlFacts(
+                sense, round(throw, 6), name if is_linear and highest > lowest else None
+            )
     return ControlFacts(sense)
 
 
-def _is_led(position: str, rows: Sequence[_Held], turning: Sequence[_Held]) -> bool:
+def _depends_on_motion(
+    position: str, rows: Sequence[_HeldState], turning: Sequence[_HeldState]
+) -> bool:
     """Whether the motion moves the surface too: the end of its travel is then a control law's
     limit, not the command's throw.
     """
     return any(
-        abs(row.positions[position] - other.positions.get(position, math.inf)) > _RESTS
+        abs(row.positions[position] - other.positions.get(position, math.inf)) > _MIN_TRAVEL
         for row, other in zip(rows, turning, strict=True)
     )
 
 
-def _throttle_facts(closed: _Held, opened: _Held) -> ControlFacts:
+def _throttle_facts(closed: _HeldState, opened: _HeldState) -> ControlFacts:
     """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where
     it has none.
     """
@@ -379,37 +391,37 @@ def _throttle_facts(closed: _Held, opened: _Held) -> ControlFacts:
         return ControlFacts(1, unmeasured="the thrust is not finite with the throttle held")
     if opened.unsettled:
         return ControlFacts(1, unmeasured=f"with the throttle open, {opened.unsettled}")
-    sense = int(thrust[1] - thrust[0] > _MOVES)
+    sense = int(thrust[1] - thrust[0] > _MIN_ANSWER)
     if not sense or not opened.engines or closed.unsettled:
         return ControlFacts(sense)
     return ControlFacts(sense, thrust_N=(thrust[0] * LBF_N, thrust[1] * LBF_N))
 
 
-def ask_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
+def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
     """The same in a process of its own. Raises BadInputError with its last words."""
-    ended = run_module(__name__, folder, timeout_s=timeout_s)
-    if ended.code is None:
+    child = run_module(__name__, folder, timeout_s=timeout_s)
+    if child.code is None:
         raise BadInputError(f"aircraft {folder}: was not measured within {timeout_s:g} s")
-    if ended.code or not ended.answer:
-        words = ended.errors or "no message"
+    if child.code or not child.answer:
+        words = child.errors or "no message"
         raise BadInputError(
             f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first"
         )
-    if "error" in ended.answer:
+    if "error" in child.answer:
         raise BadInputError(
-            f"aircraft {folder}: does not fly in JSBSim as it is: {ended.answer['error']}"
+            f"aircraft {folder}: does not fly in JSBSim as it is: {child.answer['error']}"
         )
     controls = {
         name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
-        for name, facts in ended.answer["controls"].items()
+        for name, facts in child.answer["controls"].items()
     }
-    host = tuple((theirs, own) for theirs, own in ended.answer["host"])
-    return AircraftFacts(**{**ended.answer, "controls": controls, "host": host})
+    host = tuple((host_name, jsbsim_name) for host_name, jsbsim_name in child.answer["host"])
+    return AircraftFacts(**{**child.answer, "controls": controls, "host": host})
 
 
 def _main(folder: str) -> None:
     try:
-        give_answer(asdict(ask(Path(folder))))
+        give_answer(asdict(measure_facts(Path(folder))))
     except (BadInputError, engine.RuntimeFailure) as error:
         give_answer({"error": " ".join(str(error).split())})
 

@@ -19,7 +19,7 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.staging import HasFiles, opened
+from uqharness.simulator.staging import HasFiles, model_files
 
 # The control system at rest: what aerodynamics and engines read of it no longer changes while
 # the aircraft's motion stands still.
@@ -37,7 +37,7 @@ meanwhile.
 
 AT_REST = 1e-9
 """Change in a frame, as a share of the value or of 1, below which nothing moves."""
-BLOCK_FRAMES, MOST_BLOCKS, PATIENCE = 50, 400, 20
+BLOCK_FRAMES, MAX_BLOCKS, PATIENCE = 50, 400, 20
 _CONVERGED = 1e-11  # change over a block
 _MOVED_POSITION = 1e-6  # deg or rad
 _ROTATION = "simulation/integrator/rate/rotational"
@@ -51,7 +51,7 @@ _BY_POWER = ("thrust-lbs", "propeller-rpm")
 
 
 @dataclass(frozen=True)
-class Rest:
+class ControlEquilibrium:
     """How the control system comes to rest.
 
     ``watched``: properties that must; ``free``: the body rates are left free meanwhile.
@@ -66,17 +66,17 @@ class Rest:
         return RATES_FREE if self.free else RATES_HELD
 
 
-def felt(aircraft: HasFiles) -> tuple[str, ...]:
+def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
     """Properties that components of the control system write and aerodynamics, engines or external
     forces read. Raises BadInputError."""
-    written, read = _written_and_read(aircraft)
+    outputs, read = _written_and_read(aircraft)
     levers = {
         name
-        for name in written
+        for name in outputs
         if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)
     }
     return tuple(
-        sorted((written & read) | levers | {name for name in written if name.startswith(_DIRECT)})
+        sorted((outputs & read) | levers | {name for name in outputs if name.startswith(_DIRECT)})
     )
 
 
@@ -86,113 +86,125 @@ def written_by_components(aircraft: HasFiles) -> set[str]:
 
 
 def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
-    written: set[str] = set()
+    outputs: set[str] = set()
     read: set[str] = set()
-    found = opened(aircraft)
-    for file in (*found.own.values(), *found.beside.values()):
+    files = model_files(aircraft)
+    for file in (*files.local.values(), *files.shared.values()):
         root = etree.parse(
             BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)
         ).getroot()
         for section in [root] if root.tag != "fdm_config" else root.iterchildren("*"):
             if section.tag in _CONTROLS:
-                written.update(_outputs(section))
+                outputs.update(_outputs(section))
             else:
                 read.update(_tokens(section))
-    return written, read
+    return outputs, read
 
 
 def _outputs(section: Any) -> Iterator[str]:
     for channel in section.iter("channel"):
         for component in channel.iterchildren("*"):
             if name := (component.get("name") or "").strip():
-                yield _bare(
+                yield _without_index(
                     name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}"
                 )
             for output in component.iterchildren("output"):
-                yield _bare((output.text or "").strip())
+                yield _without_index((output.text or "").strip())
 
 
 def _tokens(section: Any) -> Iterator[str]:
     for element in section.iter("*"):
         text = (element.text or "").strip().lstrip("-+")
         if _NAME.fullmatch(text):
-            yield _bare(text)
+            yield _without_index(text)
 
 
-def _bare(name: str) -> str:
+def _without_index(name: str) -> str:
     return name.removesuffix("[0]")
 
 
-def rest_of(aircraft: HasFiles, fdm: Any, free: bool = False) -> Rest:
+def control_equilibrium(aircraft: HasFiles, fdm: Any, free: bool = False) -> ControlEquilibrium:
     """What must come to rest in an instance of the aircraft. Raises BadInputError."""
     exists = fdm.get_property_manager().hasNode
-    return Rest(tuple(name for name in felt(aircraft) if exists(name)), free)
+    return ControlEquilibrium(
+        tuple(name for name in control_outputs(aircraft) if exists(name)), free
+    )
 
 
-def moving(fdm: Any, rest: Rest) -> str:
+def moving_property(fdm: Any, equilibrium: ControlEquilibrium) -> str:
     """What of the control system moves in the next frame, in which time and motion stand still;
     empty where nothing does.
     """
-    before = [fdm[name] for name in rest.watched]
+    old_values = [fdm[name] for name in equilibrium.watched]
     engine.renew_forces(fdm)
-    for name, old in zip(rest.watched, before, strict=True):
+    for name, old in zip(equilibrium.watched, old_values, strict=True):
         if abs(fdm[name] - old) > AT_REST * max(abs(old), 1.0):
             return name
     return ""
 
 
-def bring_to_rest(fdm: Any, rest: Rest) -> str:
+def bring_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
     """Run frames, the motion frozen, until control system and engines rest: empty, or what still
     changes. Clock and fuel stay.
 
     With ``rest.free`` the body rates end where the control system brings them. Raises
     BadInputError."""
     try:
-        return _run_to_rest(fdm, rest)
+        return _run_to_rest(fdm, equilibrium)
     except engine.RuntimeFailure as error:
         raise BadInputError(engine.explain(fdm, error)) from None
 
 
-def still_moving(fdm: Any, rest: Rest, names: Sequence[str]) -> set[str]:
+def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]) -> set[str]:
     """Bring the control system to rest as far as it goes, and return those of ``names`` that change
     in further frames.
     """
-    if not bring_to_rest(fdm, rest):
+    if not bring_to_rest(fdm, equilibrium):
         return set()
-    before = {name: fdm[name] for name in names}
+    old_values = {name: fdm[name] for name in names}
     run_frozen(fdm, BLOCK_FRAMES)
-    return {name for name in names if not abs(fdm[name] - before[name]) <= _MOVED_POSITION}
+    return {name for name in names if not abs(fdm[name] - old_values[name]) <= _MOVED_POSITION}
 
 
-def _run_to_rest(fdm: Any, rest: Rest) -> str:
+def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
     exists = fdm.get_property_manager().hasNode
     engines = range(fdm.get_propulsion().get_num_engines())
     powers = [
-        f"propulsion/engine[{k}]/{what}"
+        f"propulsion/engine[{k}]/{reading}"
         for k in engines
-        for what in _BY_POWER
-        if exists(f"propulsion/engine[{k}]/{what}")
+        for reading in _BY_POWER
+        if exists(f"propulsion/engine[{k}]/{reading}")
     ]
-    rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if rest.free else []
-    names = [*rest.watched, *powers, *rates]
+    rates = [f"velocities/{axis}-rad_sec" for axis in _RATES] if equilibrium.free else []
+    names = [*equilibrium.watched, *powers, *rates]
     read = [engine.handle(fdm, name).get_double_value for name in names]
-    last, nearest, since, most, worst = [get() for get in read], float("inf"), 0, float("inf"), ""
-    for _ in range(MOST_BLOCKS):
-        run_frozen(fdm, BLOCK_FRAMES, rest.free)
-        now = [get() for get in read]
-        changes = [abs(new - old) / max(abs(new), 1.0) for new, old in zip(now, last, strict=True)]
-        most = max(changes, default=0.0)
-        worst = names[changes.index(most)] if changes else ""
-        last = now
-        if not most > _CONVERGED:
+    previous, smallest, blocks_without_gain, largest, worst = (
+        [get() for get in read],
+        float("inf"),
+        0,
+        float("inf"),
+        "",
+    )
+    for _ in range(MAX_BLOCKS):
+        run_frozen(fdm, BLOCK_FRAMES, equilibrium.free)
+        current = [get() for get in read]
+        changes = [
+            abs(new - old) / max(abs(new), 1.0) for new, old in zip(current, previous, strict=True)
+        ]
+        largest = max(changes, default=0.0)
+        worst = names[changes.index(largest)] if changes else ""
+        previous = current
+        if not largest > _CONVERGED:
             return ""
-        nearest, since = (most, 0) if most < 0.5 * nearest else (nearest, since + 1)
-        if since == PATIENCE:
+        smallest, blocks_without_gain = (
+            (largest, 0) if largest < 0.5 * smallest else (smallest, blocks_without_gain + 1)
+        )
+        if blocks_without_gain == PATIENCE:
             break
-    if most <= AT_REST * BLOCK_FRAMES:
+    if largest <= AT_REST * BLOCK_FRAMES:
         return ""
     return (
-        f"the control system does not come to rest: {worst} still changes by {most:.2g} in"
+        f"the control system does not come to rest: {worst} still changes by {largest:.2g} in"
         f" {BLOCK_FRAMES} frames"
     )
 
@@ -204,7 +216,7 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
     ``free``: body rates are left to the control system.
     """
     frozen = [name for name in settling.INTEGRATORS if not (free and name == _ROTATION)]
-    before = {name: fdm[name] for name in frozen}
+    saved = {name: fdm[name] for name in frozen}
     time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
     for name in frozen:
         fdm[name] = 0.0
@@ -219,7 +231,7 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
     finally:
         fdm.set_trim_status(trimming)
         fdm.set_sim_time(time_s)
-        for name, value in before.items():
+        for name, value in saved.items():
             fdm[name] = value
     if free:
         for axis in _RATES:
@@ -232,7 +244,9 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
             fdm[name] = value
 
 
-def marked(run_properties: Sequence[str], aircraft: HasFiles, fdm: Any) -> Rest | None:
+def marked_equilibrium(
+    run_properties: Sequence[str], aircraft: HasFiles, fdm: Any
+) -> ControlEquilibrium | None:
     """How a mission's flights bring the control system to rest before they begin; None where they
     need not.
 
@@ -240,14 +254,14 @@ def marked(run_properties: Sequence[str], aircraft: HasFiles, fdm: Any) -> Rest 
     """
     for free, mark in ((False, RATES_HELD), (True, RATES_FREE)):
         if mark in run_properties:
-            return rest_of(aircraft, fdm, free)
+            return control_equilibrium(aircraft, fdm, free)
     return None
 
 
 TRIM_LATITUDE_DEG = 45.0
 """Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
 
-SETTLED_RADPS, MOST_FRAMES = 1e-6, 25
+SETTLED_RADPS, MAX_FRAMES = 1e-6, 25
 """Change of alphadot and betadot from frame to frame at which a forced state has settled, and the
 frames that it may take.
 """
@@ -295,18 +309,20 @@ def force_state(
     altitude_m: float,
     properties: Mapping[str, float] | None = None,
     outputs: tuple[str, ...] = (),
-    rest: Rest | None = None,
+    equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
     """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values
     of those ``outputs`` that the model has.
 
-    Actuators stand at their commands (first frame of a fresh instance, or with ``rest`` the control
+    Actuators stand at their commands (first frame of a fresh instance, or with ``equilibrium`` the control
     system brought to rest); the ground is put 300 m below. Raises BadInputError."""
-    fdm, _ = forced(aircraft, state, controls, altitude_m, properties, rest)
-    return answers(fdm, outputs)
+    fdm, _ = open_forced(aircraft, state, controls, altitude_m, properties, equilibrium)
+    return read_accelerations(fdm, outputs)
 
 
-def answers(fdm: Any, outputs: tuple[str, ...]) -> tuple[NDArray[np.float64], dict[str, float]]:
+def read_accelerations(
+    fdm: Any, outputs: tuple[str, ...]
+) -> tuple[NDArray[np.float64], dict[str, float]]:
     """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those
     ``outputs`` that it has.
     """
@@ -316,15 +332,15 @@ def answers(fdm: Any, outputs: tuple[str, ...]) -> tuple[NDArray[np.float64], di
     return acceleration, {name: fdm[name] for name in outputs if manager.hasNode(name)}
 
 
-def forced(
+def open_forced(
     aircraft: Aircraft,
     state: BodyState,
     controls: Mapping[str, float],
     altitude_m: float,
     properties: Mapping[str, float] | None,
-    rest: Rest | None = None,
+    equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[Any, str]:
-    """A fresh instance at that state, engines settled, and with ``rest`` the control system, and
+    """A fresh instance at that state, engines settled, and with ``equilibrium`` the control system, and
     what does not settle (empty: all does)."""
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
@@ -333,13 +349,13 @@ def forced(
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
     fdm["ic/h-sl-ft"] = altitude_m / FT_M
-    place(fdm, state)
+    set_initial_state(fdm, state)
     engine.run_ic(fdm)
     unsettled = engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
-    return fdm, unsettled or (bring_to_rest(fdm, rest) if rest is not None else "")
+    return fdm, unsettled or (bring_to_rest(fdm, equilibrium) if equilibrium is not None else "")
 
 
-def place(fdm: Any, state: BodyState) -> None:
+def set_initial_state(fdm: Any, state: BodyState) -> None:
     """Give an instance its start: attitude, velocity and body rates."""
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
         state.phi,

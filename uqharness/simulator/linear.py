@@ -13,7 +13,7 @@ from uqharness.arguments import instance
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
-from uqharness.simulator.trim import Trim, force_beside
+from uqharness.simulator.trim import Trim, force_near_trim
 
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
@@ -34,7 +34,7 @@ _STEP = {
 }
 # Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves
 # less than 1e-6.
-_STILL = 1e-4
+_TRIM_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,15 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     centre, base = trim.state, dict(trim.controls)
 
     def accelerations(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
-        if trim.rest is not None and controls == base:
-            return force_beside(aircraft, trim, state, controls)
+        if trim.equilibrium is not None and controls == base:
+            return force_near_trim(aircraft, trim, state, controls)
         return force_state(
-            aircraft, state, controls, condition.altitude_m, condition.properties, rest=trim.rest
+            aircraft,
+            state,
+            controls,
+            condition.altitude_m,
+            condition.properties,
+            equilibrium=trim.equilibrium,
         )[0]
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
@@ -96,8 +101,8 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         theta_dot = state.q * np.cos(state.phi) - state.r * np.sin(state.phi)
         return np.array([*acceleration, phi_dot, theta_dot])
 
-    known = aircraft.card.inputs.keys() >= base.keys()
-    if not (known and np.max(np.abs(derivative(centre, base)[:6])) <= _STILL):
+    has_controls = aircraft.card.inputs.keys() >= base.keys()
+    if not (has_controls and np.max(np.abs(derivative(centre, base)[:6])) <= _TRIM_TOLERANCE):
         raise BadInputError(
             f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there;"
             " find its own"
@@ -112,7 +117,9 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         )
     names = tuple(base)
     B = np.full((8, len(names)), np.nan)
-    for column, name in enumerate(names if trim.rest is None or not trim.rest.free else ()):
+    for column, name in enumerate(
+        names if trim.equilibrium is None or not trim.equilibrium.free else ()
+    ):
         low, high = aircraft.card.inputs[name].limits
         B[:, column] = _central(
             lambda h, name=name: derivative(centre, base | {name: base[name] + h}),  # type: ignore[misc]
@@ -169,10 +176,10 @@ def modes(model: LinearModel) -> list[Mode]:
     lateral = [block for block in blocks if block not in longitudinal]
     incidence = np.arctan2(size[2], size[0])  # 0 where airspeed alone moves, pi/2 where alpha does
     sideslip = np.arctan2(size[1], V * size[6])
-    named = _longitudinal_names(list(longitudinal), values, incidence)
-    named += _lateral_names(lateral, values, sideslip)
-    named.sort(key=lambda item: MODE_NAMES.index(item[0]))
-    return [_mode(name, values[block[0]]) for name, block in named]
+    named_blocks = _longitudinal_names(list(longitudinal), values, incidence)
+    named_blocks += _lateral_names(lateral, values, sideslip)
+    named_blocks.sort(key=lambda item: MODE_NAMES.index(item[0]))
+    return [_mode(name, values[block[0]]) for name, block in named_blocks]
 
 
 def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
@@ -188,12 +195,12 @@ def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
     return blocks
 
 
-_Named = list[tuple[str, tuple[int, ...]]]
+_NamedBlocks = list[tuple[str, tuple[int, ...]]]
 
 
 def _longitudinal_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], incidence: NDArray[np.float64]
-) -> _Named:
+) -> _NamedBlocks:
     """Name four roots in blocks by their share of angle of attack; fastest first within a name."""
     ranked = sorted(blocks, key=lambda block: (-incidence[block[0]], -abs(values[block[0]])))
     if [len(block) for block in ranked] == [1, 2, 1]:
@@ -206,7 +213,7 @@ def _longitudinal_names(
 
 def _lateral_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], sideslip: NDArray[np.float64]
-) -> _Named:
+) -> _NamedBlocks:
     """Name four roots in blocks by their share of sideslip."""
     ranked = sorted(blocks, key=lambda block: -sideslip[block[0]])
     pairs, reals = ([b for b in ranked if len(b) == n] for n in (2, 1))

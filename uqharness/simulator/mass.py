@@ -20,13 +20,13 @@ from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml
-from uqharness.simulator.staging import Staging, copied, stage
+from uqharness.simulator.staging import Staging, copy_staging, stage
 
 _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
 _LENGTH_FT = {"FT": 1.0, "M": FT_M, "IN": 12.0}
 _LENGTH_IN = {"IN": 1.0, "FT": 1.0 / 12.0, "M": IN_M}
-_TRIES, _TOLERANCE = (
+_MAX_ITERATIONS, _TOLERANCE = (
     60,
     1e-9,
 )  # the centre of gravity nears what is asked by the share of fuel and loads at each try
@@ -81,45 +81,46 @@ class MassChange:
         self._open_copy = open_copy
         self._nominal: dict[str, float] | None = None
 
-    def realise(self, wanted: Mapping[str, float]) -> Staging:
-        """The staged copy in which every property of ``wanted`` stands at its value.
+    def realise(self, target: Mapping[str, float]) -> Staging:
+        """The staged copy in which every property of ``target`` stands at its value.
 
         Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not
         in the aircraft's own XML."""
-        elements, tree = self._elements(wanted)
+        elements, tree = self._elements(target)
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
-        for name, value in wanted.items():
+        for name, value in target.items():
             if not math.isfinite(value) or (
                 value <= 0.0 and not name.startswith(("inertia/cg", "inertia/ix", "inertia/iyz"))
             ):
                 raise BadInputError(f"property {name} = {value:g}: must be a positive number")
-        found = {name: self._nominal[name] for name in wanted}
-        for _ in range(_TRIES):
-            self._move(elements, wanted, found)
-            found = self._measure(tree, wanted)
+        actual = {name: self._nominal[name] for name in target}
+        for _ in range(_MAX_ITERATIONS):
+            self._move(elements, target, actual)
+            actual = self._measure(tree, target)
             if all(
-                _near(found[name], value, self._nominal[name]) for name, value in wanted.items()
+                _is_close(actual[name], value, self._nominal[name])
+                for name, value in target.items()
             ):
                 assert self._changed is not None
                 return self._changed
-        left = ", ".join(
-            f"{name} stands at {found[name]:g}, {value:g} was wanted"
-            for name, value in wanted.items()
+        mismatch = ", ".join(
+            f"{name} stands at {actual[name]:g}, {value:g} was wanted"
+            for name, value in target.items()
         )
         raise BadInputError(
-            f"{self._aircraft.xml}: mass properties cannot be set together as asked: {left}; "
+            f"{self._aircraft.xml}: mass properties cannot be set together as asked: {mismatch}; "
             "set only independent ones (a mass or a weight, not both)"
         )
 
     def _elements(
-        self, wanted: Mapping[str, float]
+        self, target: Mapping[str, float]
     ) -> tuple[dict[str, etree._Element], etree._ElementTree]:
         path = self._aircraft.xml
         tree = parse_xml(self._staging.xml)
         root = tree.getroot()
-        found: dict[str, etree._Element] = {}
-        for name in wanted:
+        elements: dict[str, etree._Element] = {}
+        for name in target:
             place = _PLACES[name]
             element = root.find(place.path)
             if (
@@ -137,25 +138,25 @@ class MassChange:
                     f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>,"
                     " which is not in this file, so it cannot be changed"
                 )
-            if element in found.values():
+            if element in elements.values():
                 raise BadInputError(
                     f"{path}:{element.sourceline}: two of the properties to set come from the same"
                     f" <{element.tag}>"
                 )
             _unit(path, element, place)
-            found[name] = element
-        return found, tree
+            elements[name] = element
+        return elements, tree
 
     def _move(
         self,
         elements: Mapping[str, etree._Element],
-        wanted: Mapping[str, float],
-        found: Mapping[str, float],
+        target: Mapping[str, float],
+        actual: Mapping[str, float],
     ) -> None:
         for name, element in elements.items():
             place = _PLACES[name]
             change = (
-                (wanted[name] - found[name])
+                (target[name] - actual[name])
                 * place.per_property_unit
                 * _unit(self._aircraft.xml, element, place)
             )
@@ -171,15 +172,15 @@ class MassChange:
 
     def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
         if self._changed is None:
-            self._changed = copied(self._staging, self._staging.root / "changed")
+            self._changed = copy_staging(self._staging, self._staging.root / "changed")
         tree.write(str(self._changed.xml), encoding="UTF-8", xml_declaration=True)
         fdm = self._open_copy(self._changed)
         engine.run_ic(fdm)
         return {name: float(fdm[name]) for name in names}
 
 
-def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, str]:
-    """The numbers with which the properties ``wanted`` (of CHANGEABLE) stand at their values.
+def xml_numbers_for(aircraft: Aircraft, target: Mapping[str, float]) -> dict[str, str]:
+    """The numbers with which the properties ``target`` (of CHANGEABLE) stand at their values.
 
     Keys are elements of the aircraft's XML, as paths below its root such as
     ``mass_balance/location[@name='CG']/x``.
@@ -192,13 +193,13 @@ def numbers_for(aircraft: Aircraft, wanted: Mapping[str, float]) -> dict[str, st
             stage(aircraft, scratch.path / "root"),
             lambda staging: engine.open_fdm(staging, aircraft.dt_s),
         )
-        root = parse_xml(change.realise(wanted).xml).getroot()
-        paths = [_PLACES[name].path for name in wanted]
+        root = parse_xml(change.realise(target).xml).getroot()
+        paths = [_PLACES[name].path for name in target]
         return {path: (root.findtext(path) or "").strip() for path in paths}
 
 
-def _near(found: float, wanted: float, nominal: float) -> bool:
-    return abs(found - wanted) <= _TOLERANCE * max(abs(wanted), abs(nominal), 1e-3)
+def _is_close(actual: float, target: float, nominal: float) -> bool:
+    return abs(actual - target) <= _TOLERANCE * max(abs(target), abs(nominal), 1e-3)
 
 
 def _unit(path: Path, element: etree._Element, place: _Place) -> float:

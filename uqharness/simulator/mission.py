@@ -16,7 +16,7 @@ from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
 from uqharness.simulator.mass import MassChange
-from uqharness.simulator.staging import Staging, leads_out, passed, read_xml, stage
+from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file, stage
 
 ENDLESS_S = 1e9
 """End written into a staged script: the host counts steps itself."""
@@ -40,24 +40,28 @@ class Script:
     manoeuvres: Mapping[int, str] = field(default_factory=dict)
 
 
-def find_script(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """The script file of that path, from the folder ``beside`` or from here, or of that name under
+def find_script(name_or_path: str | Path, folder: Path | None = None) -> Path:
+    """The script file of that path, from the folder ``folder`` or from here, or of that name under
     ./scripts or the project's scripts/. Raises BadInputError."""
-    given = Path(name_or_path)
-    candidates = [*([] if beside is None else [beside / given]), given, given.with_suffix(".xml")]
+    requested = Path(name_or_path)
+    candidates = [
+        *([] if folder is None else [folder / requested]),
+        requested,
+        requested.with_suffix(".xml"),
+    ]
     for root in (Path.cwd(), PROJECT_ROOT):
         candidates += [
-            root / given,
-            root / "scripts" / given,
-            (root / "scripts" / given).with_suffix(".xml"),
+            root / requested,
+            root / "scripts" / requested,
+            (root / "scripts" / requested).with_suffix(".xml"),
         ]
     for path in candidates:
         if path.is_file():
             return path.resolve()
-    known = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
+    available = sorted(path.stem for path in (PROJECT_ROOT / "scripts").glob("*.xml"))
     raise BadInputError(
         f"script '{name_or_path}' not found: no such file, and scripts/ has"
-        f" {', '.join(known) or 'none'}"
+        f" {', '.join(available) or 'none'}"
     )
 
 
@@ -91,7 +95,7 @@ def read_script(path: Path) -> Script:
 
 
 def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
-    named: dict[int, str] = {}
+    names: dict[int, str] = {}
     for event in run.iterfind("event"):
         for item in event.iterfind("set"):
             if item.get("name") != MANOEUVRE_PROPERTY:
@@ -103,8 +107,8 @@ def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
                     " number of at least 0 is needed"
                 )
             if int(text):
-                named[int(text)] = event.get("name", text)
-    return named
+                names[int(text)] = event.get("name", text)
+    return names
 
 
 def _line(element: etree._Element) -> int:
@@ -133,9 +137,9 @@ def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
     """BadInputError if an event sets a property that the host varies: the event would
     silently win.
     """
-    wanted = set(varied)
+    varied_names = set(varied)
     for name, line in script.event_properties:
-        if name in wanted:
+        if name in varied_names:
             raise BadInputError(
                 f"{script.path}:{line}: an event sets {name}, which this run varies; "
                 'set it as <property value="...">' + name + "</property> within <run> instead"
@@ -167,7 +171,7 @@ class StagedMission:
             )
         self._scratch = scratch_folder("mission")
         self._staging = stage(aircraft, self._scratch.path)
-        script = passed(read_xml(script_path), str(script_path))
+        script = screen_file(read_xml(script_path), str(script_path))
         document = etree.fromstring(script.content, etree.XMLParser(resolve_entities=False))
         use, run = document.find("use"), document.find("run")
         assert use is not None

@@ -124,7 +124,7 @@ def _path(condition: SteadyCondition) -> str:
 def _script(aircraft: Aircraft, trim: Trim) -> str:
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
-    marks = [(MARK, 1.0), *([(trim.rest.mark, 1.0)] if trim.rest is not None else [])]
+    marks = [(MARK, 1.0), *([(trim.equilibrium.mark, 1.0)] if trim.equilibrium is not None else [])]
     properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
         # Before the throttle, which starting an engine opens.
@@ -304,18 +304,18 @@ def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
 def _events(plan: Plan, step_s: float) -> Iterator[str]:
     time = plan.settle_s
     for number, m in enumerate(plan.manoeuvres, start=1):
-        take = [
+        hold = [
             f'<set name="{command}"><function> <sum> <property>{position}</property>'
             " <value>0</value> </sum> </function></set>"
             for command, position in _COMMAND.values()
         ]
         yield _event(
-            time, m.name, [*take, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
+            time, m.name, [*hold, '<set name="ap/engaged" value="0"/>', _count(number)], step_s
         )
         time += QUIET_S
-        before = 0.0
+        previous_sign = 0.0
         for units, sign in (*m.pattern, (0, 0.0)):
-            step = m.size * (sign - before)
+            step = m.size * (sign - previous_sign)
             where = "back" if units == 0 else f"{m.control} {m.size * sign:+g}"
             yield _event(
                 time,
@@ -323,12 +323,12 @@ def _events(plan: Plan, step_s: float) -> Iterator[str]:
                 [f'<set name="{_COMMAND[m.control][0]}" type="FG_DELTA" value="{step:g}"/>'],
                 step_s,
             )
-            before, time = sign, time + units * m.unit_s
+            previous_sign, time = sign, time + units * m.unit_s
         time += m.rest_s
-        after = ['<set name="ap/engaged" value="1"/>', _count(0)]
+        recovery = ['<set name="ap/engaged" value="1"/>', _count(0)]
         if m.speed_mps is not None:
-            after.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
-        yield _event(time, f"{time:.2f} s, autopilot", after, step_s)
+            recovery.append(f'<set name="ap/airspeed-cmd-mps" value="{m.speed_mps:g}"/>')
+        yield _event(time, f"{time:.2f} s, autopilot", recovery, step_s)
         time += m.recovery_s
 
 
@@ -383,7 +383,7 @@ EXCURSION_DEG = 4.0
 """Greatest angle of incidence, sideslip, pitch or bank [deg] that a manoeuvre is to reach by the
 linear model; bank three times.
 """
-FLOWN_S = 0.0025
+MAX_STEP_S = 0.0025
 """Longest step [s] that these missions are flown with, which is that of the replays that they will
 be compared with.
 """
@@ -397,8 +397,8 @@ _UNITS_S = (
 )  # a step that a servo can follow, and one that the aircraft does not leave its trim by
 # steps fall on rows of a record at 25, 50 or 100 Hz: between two rows they would be dated too late
 _GRID_S = 0.04
-_BANK = 3.0
-_MOST_TRAVEL = 0.5  # of what is left of a control's travel
+_BANK_WEIGHT = 3.0
+_MAX_TRAVEL_SHARE = 0.5  # of what is left of a control's travel
 _DT_S = 0.01
 _RATES = ("simulation/integrator/rate/rotational", "simulation/integrator/rate/translational")
 _EULER = 1.0
@@ -435,7 +435,7 @@ def write_own_mission(
         raise BadInputError(f"mission '{kind}': allowed are {', '.join(MISSIONS)}")
     path = aircraft.folder / SCRIPT
     trim = write_steady_start(aircraft, start, path, f"mission {kind}")
-    if kind != "steady" and trim.rest is not None and trim.rest.free:
+    if kind != "steady" and trim.equilibrium is not None and trim.equilibrium.free:
         raise BadInputError(
             f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so"
             " steps cannot be sized by a surface's moment; fly mission steady, or --script with"
@@ -456,18 +456,18 @@ def write_own_mission(
     write_bytes(
         path,
         text.replace(
-            "  </run>", f"{properties}{_own_mission_events(aircraft, steps, restarting)}  </run>"
+            "  </run>", f"{properties}{_step_events(aircraft, steps, restarting)}  </run>"
         ).encode(),
     )
     return path, steps
 
 
-def finely(aircraft: Aircraft) -> Aircraft:
+def with_fine_step(aircraft: Aircraft) -> Aircraft:
     """The aircraft with a step of at most FLOWN_S: at 10 ms JSBSim answers a command half a step
     late.
     """
     section = aircraft.card.aircraft
-    fine = section.model_copy(update={"dt_s": min(section.dt_s, FLOWN_S)})
+    fine = section.model_copy(update={"dt_s": min(section.dt_s, MAX_STEP_S)})
     return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": fine}))
 
 
@@ -493,7 +493,9 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             continue
         low, high = aircraft.card.inputs[control].limits
         at = model.trim.controls[control]
-        size = min(math.radians(EXCURSION_DEG) / greatest, _MOST_TRAVEL * min(high - at, at - low))
+        size = min(
+            math.radians(EXCURSION_DEG) / greatest, _MAX_TRAVEL_SHARE * min(high - at, at - low)
+        )
         if size > 0.0:
             name = "3-2-1-1" if pattern is THREE_TWO_ONE_ONE else f"{_AXIS[control]} doublet"
             steps.append(Step(name, control, size, unit_s, pattern))
@@ -507,13 +509,13 @@ def _excursion_rad(
     third.
     """
     n = len(STATES)
-    column = model.B[:, [model.controls.index(control)]]
-    both = np.zeros((n + 1, n + 1))
-    both[:n, :n], both[:n, n:] = model.A, column
-    step: NDArray[np.float64] = expm(both * _DT_S)
+    control_column = model.B[:, [model.controls.index(control)]]
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n], augmented[:n, n:] = model.A, control_column
+    step: NDArray[np.float64] = expm(augmented * _DT_S)
     x, greatest = np.zeros(n), 0.0
     V = model.trim.condition.V_mps
-    weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK, "theta": 1.0}
+    weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK_WEIGHT, "theta": 1.0}
     weights = np.array([weight.get(name, 0.0) for name in STATES])
     for units, sign in pattern:
         for _ in range(round(units * unit_s / _DT_S)):
@@ -522,26 +524,24 @@ def _excursion_rad(
     return greatest
 
 
-def _own_mission_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
-    out, time = [], SETTLE_S
+def _step_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
+    events, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
-        out.append(
-            _own_mission_event(
+        events.append(
+            _timed_event(
                 time - half, step.name, f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
             )
         )
-        before, name = 0.0, aircraft.card.inputs[step.control].property
+        previous_sign, name = 0.0, aircraft.card.inputs[step.control].property
         for units, sign in (*step.pattern, (0, 0.0)):
-            change = (
-                f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - before):.9g}"/>'
-            )
-            out.append(_own_mission_event(time - half, f"{time:.2f} s, {step.control}", change))
+            change = f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - previous_sign):.9g}"/>'
+            events.append(_timed_event(time - half, f"{time:.2f} s, {step.control}", change))
             if restarting:
-                out.append(_restart(time, aircraft.dt_s))
-            before, time = sign, time + units * step.unit_s
+                events.append(_restart(time, aircraft.dt_s))
+            previous_sign, time = sign, time + units * step.unit_s
         time += REST_S
-    return "".join(out)
+    return "".join(events)
 
 
 def _restart(time_s: float, dt_s: float) -> str:
@@ -550,17 +550,17 @@ def _restart(time_s: float, dt_s: float) -> str:
     The rule extrapolates accelerations from the frame before. Across a jump of a surface that is
     half a frame of a motion that no aircraft makes: the rates of all later rows answer half a frame
     early, the row of the step itself does not."""
-    out = []
+    events = []
     for frames, rule, name in ((0.5, _EULER, "begin anew"), (1.5, None, "go on")):
         changes = "\n      ".join(
             f'<set name="{rate}" value="{SECOND_ORDER[rate] if rule is None else rule:g}"/>'
             for rate in _RATES
         )
-        out.append(_own_mission_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
-    return "".join(out)
+        events.append(_timed_event(time_s + frames * dt_s, f"{time_s:.2f} s, {name}", changes))
+    return "".join(events)
 
 
-def _own_mission_event(time_s: float, name: str, change: str) -> str:
+def _timed_event(time_s: float, name: str, change: str) -> str:
     return (
         f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
         f" {time_s:.5f}</condition>\n      {change}\n    </event>\n"

@@ -29,7 +29,14 @@ from uqharness.child_process import ending, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator import engine
-from uqharness.simulator.staging import HasFiles, Named, Opened, Staging, opened, staged
+from uqharness.simulator.staging import (
+    HasFiles,
+    ModelFiles,
+    NamedFiles,
+    Staging,
+    model_files,
+    staged,
+)
 
 _LOG = logging.getLogger("uqharness")
 _SIZES = {"wingarea": "area", "wingspan": "span", "chord": "mean chord"}
@@ -62,7 +69,7 @@ def check_physical(aircraft: HasFiles) -> None:
         For a wing area, span or chord that is not positive, and for moments of inertia that are
         not positive or whose products make the tensor indefinite, with file and line.
     """
-    files = opened(aircraft)
+    files = model_files(aircraft)
     root = _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
     _check_sizes(_section(aircraft, files, root, "metrics"))
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
@@ -75,13 +82,13 @@ def check_physical(aircraft: HasFiles) -> None:
 
 def rotor_place(aircraft: HasFiles) -> str:
     """Where the XML has a rotor, as a sentence "file:line: ..."; empty for other aircraft."""
-    files = opened(aircraft)
+    files = model_files(aircraft)
     rotors = {
         PurePosixPath(name).name
-        for name, file in (files.own | files.beside).items()
+        for name, file in (files.local | files.shared).items()
         if file.root == "rotor"
     }
-    for name, file in files.own.items():
+    for name, file in files.local.items():
         for reference in file.references:
             if reference.tag == "thruster" and PurePosixPath(reference.name).name in rotors:
                 place = f"{aircraft.folder / name}:{reference.line}"
@@ -112,19 +119,21 @@ class _Section:
         return _Number(value * factor, f"{self.where}:{child.sourceline}")
 
 
-def _root(aircraft: HasFiles, files: Opened, name: str) -> _Section | None:
-    if name not in files.own:
+def _root(aircraft: HasFiles, files: ModelFiles, name: str) -> _Section | None:
+    if name not in files.local:
         return None
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
     where = str(aircraft.folder / name)
     try:
-        root = etree.parse(BytesIO(files.own[name].output), parser).getroot()
+        root = etree.parse(BytesIO(files.local[name].content), parser).getroot()
     except etree.XMLSyntaxError as error:
         raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {error.msg}") from None
     return _Section(root, where)
 
 
-def _section(aircraft: HasFiles, files: Opened, root: _Section | None, tag: str) -> _Section | None:
+def _section(
+    aircraft: HasFiles, files: ModelFiles, root: _Section | None, tag: str
+) -> _Section | None:
     """A section of the aircraft, from a file of its own where it names one."""
     element = None if root is None else root.element.find(tag)
     if root is None or element is None:
@@ -207,7 +216,7 @@ def _note(place: str, text: str) -> None:
 # afterwards.
 
 TIMEOUT_S = 20.0
-MOST_BYTES = 1_500_000_000
+MAX_BYTES = 1_500_000_000
 """Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
 _VERDICT_FORMAT = 2
 _checked: dict[str, tuple[Undefined, ...]] = {}
@@ -224,7 +233,7 @@ class Undefined:
     similar: str = ""
 
 
-def ensure_loadable(aircraft: Named, content: str) -> tuple[Undefined, ...]:
+def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]:
     """Load the model in a child process; return the properties that it reads and nothing defines. A
     known model costs nothing.
 
@@ -258,24 +267,24 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
     )
 
 
-def _try_in_child(aircraft: Named) -> tuple[Undefined, ...]:
+def _try_in_child(aircraft: NamedFiles) -> tuple[Undefined, ...]:
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
-    ended = run_module(__name__, *places, timeout_s=TIMEOUT_S)
-    if ended.code is None:
+    child = run_module(__name__, *places, timeout_s=TIMEOUT_S)
+    if child.code is None:
         raise BadInputError(
             f"aircraft {folder}: JSBSim did not finish loading it within {TIMEOUT_S:g} s"
         )
-    if "refused" in ended.answer:
-        words = str(ended.answer["refused"])
-        raise BadInputError(words if str(folder) in words else f"{folder}: {words}")
-    if ended.code < 0:
+    if "refused" in child.answer:
+        message = str(child.answer["refused"])
+        raise BadInputError(message if str(folder) in message else f"{folder}: {message}")
+    if child.code < 0:
         raise BadInputError(
-            f"aircraft {folder}: loading it ends JSBSim's process ({ending(ended.code)}); its last"
-            f" words: {ended.output or 'no message'}; look there for an unknown element or function"
+            f"aircraft {folder}: loading it ends JSBSim's process ({ending(child.code)}); its last"
+            f" words: {child.output or 'no message'}; look there for an unknown element or function"
             " operation, or a property name with illegal characters"
         )
-    return tuple(Undefined(*row) for row in ended.answer.get("undefined", ()))
+    return tuple(Undefined(*row) for row in child.answer.get("undefined", ()))
 
 
 def _cache_folder() -> Path:
@@ -317,7 +326,7 @@ class _Unread:
 def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
     engine.mirror_messages(sys.stdout.fileno())
     aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
-    with MemoryLimit(MOST_BYTES):
+    with MemoryLimit(MAX_BYTES):
         try:
             staging = staged(aircraft)
             fdm = engine.open_fdm(staging, 0.01)
@@ -325,16 +334,16 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
             give_answer({"refused": str(error)})
             return
         except MemoryError:
-            give_answer({"refused": f"loading it takes more than {in_words(MOST_BYTES)} of memory"})
+            give_answer({"refused": f"loading it takes more than {in_words(MAX_BYTES)} of memory"})
             return
         read = list(function_properties(staging))
         missing = engine.undefined_properties(fdm, (name for name, _, _ in read))
         if missing:
             existing = set(engine.catalog(fdm)) - set(missing)
-            give_answer({"undefined": [_located(name, staging, existing) for name in missing]})
+            give_answer({"undefined": [_locate(name, staging, existing) for name in missing]})
 
 
-def _located(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
+def _locate(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
     places = (
         f"{file.relative_to(home).as_posix()}:{line}"
         for file, home in _model_files(staging)
@@ -382,10 +391,10 @@ def _model_files(staging: Staging) -> Iterator[tuple[Path, Path]]:
     """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft
     hides a shared one.
     """
-    within = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
+    local = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
     yield staging.xml, staging.folder
-    yield from ((file, staging.folder) for file in within)
-    hidden = {file.name for file in within}
+    yield from ((file, staging.folder) for file in local)
+    hidden = {file.name for file in local}
     for part in ("engine", "systems"):
         for file in sorted((staging.root / part).rglob("*.xml")):
             if file.name not in hidden:

@@ -12,32 +12,32 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-_OF_MOTION = (
+_MOTION_INTEGRATORS = (
     "rate/rotational",
     "rate/translational",
     "position/rotational",
     "position/translational",
 )
-INTEGRATORS = tuple(f"simulation/integrator/{what}" for what in _OF_MOTION)
+INTEGRATORS = tuple(f"simulation/integrator/{name}" for name in _MOTION_INTEGRATORS)
 STEPS_S = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 """Lengths of step that are tried one after the other, down to the step that the aircraft flies
 with.
 """
-BLOCK_FRAMES, MOST_BLOCKS = 25, 40
+BLOCK_FRAMES, MAX_BLOCKS = 25, 40
 CRANK_S = 3.0
-SETTLED = 1e-9
+STEADY_TOLERANCE = 1e-9
 """Change over a block, as a share of the largest thrust or speed, at which an engine has
 settled.
 """
 # of the power that a propeller takes, at which JSBSim's own way has found its steady state
-_BALANCED = 1e-3
+_POWER_TOLERANCE = 1e-3
 _ALTERNATES = 0.01  # of the speed: a change from frame to frame that is no rounding
 _FTLBF_PER_S_HP = 550.0
 _WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
 
 
-def settled(fdm: Any) -> bool:
+def is_balanced(fdm: Any) -> bool:
     """Whether each engine gives its propeller the power that it takes, after JSBSim's own way to
     the steady state.
 
@@ -50,11 +50,13 @@ def settled(fdm: Any) -> bool:
         if exists(f"{name}/propeller-power-ftlbps"):
             if not exists(f"{name}/power-hp"):
                 return False
-            taken, given = (
+            absorbed_power, engine_power = (
                 fdm[f"{name}/propeller-power-ftlbps"],
                 fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP,
             )
-            if not abs(given - taken) <= _BALANCED * max(abs(taken), _FTLBF_PER_S_HP):
+            if not abs(engine_power - absorbed_power) <= _POWER_TOLERANCE * max(
+                abs(absorbed_power), _FTLBF_PER_S_HP
+            ):
                 return False
             if not fdm[f"{name}/set-running"]:
                 return False
@@ -67,15 +69,15 @@ def settle(fdm: Any) -> str:
     Clock and fuel stay as they are.
     """
     manager = fdm.get_property_manager()
-    before = {name: fdm[name] for name in INTEGRATORS}
+    saved = {name: fdm[name] for name in INTEGRATORS}
     time_s, dt_s, trimming = fdm.get_sim_time(), fdm.get_delta_t(), fdm.get_trim_status()
     watched = {
-        (number, what): manager.get_node(f"{name}/{what}").get_double_value
+        (number, reading): manager.get_node(f"{name}/{reading}").get_double_value
         for number, name in enumerate(_engines(fdm), start=1)
-        for what in _WATCHED
-        if manager.hasNode(f"{name}/{what}")
+        for reading in _WATCHED
+        if manager.hasNode(f"{name}/{reading}")
     }
-    moved, number, what = 0.0, 1, ""
+    moved, number, quantity = 0.0, 1, ""
     pistons = manager.hasNode("propulsion/magneto_cmd")
     for name in INTEGRATORS:
         fdm[name] = 0.0
@@ -87,15 +89,15 @@ def settle(fdm: Any) -> str:
             fdm.set_dt(step_s)
             if pistons:
                 _crank(fdm, time_s)
-            moved, number, what = _runs_out(fdm, watched, time_s)
-            if moved < SETTLED:
+            moved, number, quantity = _run_blocks(fdm, watched, time_s)
+            if moved < STEADY_TOLERANCE:
                 break
-        in_turn = "" if moved < _BALANCED else _in_turn(fdm, number, time_s)
+        in_turn = "" if moved < _POWER_TOLERANCE else _alternation(fdm, number, time_s)
     finally:
         fdm.set_dt(dt_s)
         fdm.set_trim_status(trimming)
         fdm.set_sim_time(time_s)
-        for name, value in before.items():
+        for name, value in saved.items():
             fdm[name] = value
         # The Earth has turned beneath a place that stood still, and distances count from the
         # initial one. A turboprop would fall back to idle.
@@ -104,13 +106,13 @@ def settle(fdm: Any) -> str:
             fdm.run_ic()
             for name, value in wind.items():
                 fdm[name] = value
-    if moved < _BALANCED:
+    if moved < _POWER_TOLERANCE:
         return ""
-    changing = f"{what} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
+    changing = f"{quantity} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
     return f"engine {number} does not settle at a step of {dt_s:g} s: {in_turn or changing}"
 
 
-def _in_turn(fdm: Any, number: int, time_s: float) -> str:
+def _alternation(fdm: Any, number: int, time_s: float) -> str:
     """Say between which speeds a propeller alternates from frame to frame; empty if it does not."""
     name = f"propulsion/engine[{number - 1}]/propeller-rpm"
     if not fdm.get_property_manager().hasNode(name):
@@ -121,8 +123,8 @@ def _in_turn(fdm: Any, number: int, time_s: float) -> str:
         fdm.run()
         rpm.append(fdm[name])
     changes = [after - before for before, after in itertools.pairwise(rpm)]
-    least = _ALTERNATES * max(map(abs, rpm))
-    if all(abs(c) > least for c in changes) and all(
+    min_change = _ALTERNATES * max(map(abs, rpm))
+    if all(abs(c) > min_change for c in changes) and all(
         a * b < 0.0 for a, b in itertools.pairwise(changes)
     ):
         low, high = sorted(rpm[-2:])
@@ -149,34 +151,39 @@ def _crank(fdm: Any, time_s: float) -> None:
     fdm["propulsion/starter_cmd"] = 0.0
 
 
-def _runs_out(
+def _run_blocks(
     fdm: Any, watched: dict[tuple[int, str], Any], time_s: float
 ) -> tuple[float, int, str]:
     """The greatest change of what is watched over the last block, its engine and name: runs until
     that is below SETTLED, at most MOST_BLOCKS, and gives up where ten blocks have brought it no
     nearer."""
-    last = {key: get() for key, get in watched.items()}
-    nearest, since, most = float("inf"), 0, (0.0, 1, "")
-    for _ in range(MOST_BLOCKS):
+    previous = {key: get() for key, get in watched.items()}
+    smallest, blocks_without_gain, largest = float("inf"), 0, (0.0, 1, "")
+    for _ in range(MAX_BLOCKS):
         for _ in range(BLOCK_FRAMES):
             # A script's events must not take these frames for flight.
             fdm.set_sim_time(time_s)
             fdm.run()
-        now = {key: get() for key, get in watched.items()}
-        most = max(
-            ((abs(now[key] - last[key]) / max(abs(now[key]), 1.0), *key) for key in watched),
-            default=most,
+        current = {key: get() for key, get in watched.items()}
+        largest = max(
+            (
+                (abs(current[key] - previous[key]) / max(abs(current[key]), 1.0), *key)
+                for key in watched
+            ),
+            default=largest,
         )
-        if most[0] < SETTLED:
+        if largest[0] < STEADY_TOLERANCE:
             break
-        last = now
-        nearest, since = (most[0], 0) if most[0] < 0.5 * nearest else (nearest, since + 1)
-        if since == 10:
+        previous = current
+        smallest, blocks_without_gain = (
+            (largest[0], 0) if largest[0] < 0.5 * smallest else (smallest, blocks_without_gain + 1)
+        )
+        if blocks_without_gain == 10:
             break
-    return most
+    return largest
 
 
-def stopped(fdm: Any) -> str:
+def stopped_engines(fdm: Any) -> str:
     """Which of the piston and turbine engines, all of them started, do not run; empty where
     all do.
     """

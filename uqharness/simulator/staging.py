@@ -31,12 +31,12 @@ from uqharness.files import Scratch, scratch_folder
 # of the first two kinds are blanked (line numbers stay), the rest is refused with file and
 # line. Reads and writes nothing.
 
-TAKEN_OUT = frozenset({"output", "input"})
+REMOVED_ELEMENTS = frozenset({"output", "input"})
 """Children of a file's root that are blanked: a host records and commands for itself."""
 
-_LONGEST_NAME = 250
+_MAX_NAME_BYTES = 250
 _TAG = re.compile(rb"""(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
-DEEPEST = 200
+MAX_DEPTH = 200
 """Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call
 of its own.
 """
@@ -54,7 +54,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Passed:
+class ScreenedFile:
     """A file that may be loaded.
 
     ``taken_out``: tag and line of each element that ``content`` no longer has.
@@ -63,7 +63,7 @@ class Passed:
     content: bytes
     root: str
     references: tuple[Reference, ...]
-    taken_out: tuple[tuple[str, int], ...]
+    removed: tuple[tuple[str, int], ...]
 
 
 @dataclass
@@ -97,14 +97,14 @@ class _Scan:
     def _opened(self, tag: str, attributes: dict[str, str]) -> None:
         line = self.parser.CurrentLineNumber
         self.depth += 1
-        if self.depth > DEEPEST:
+        if self.depth > MAX_DEPTH:
             raise BadInputError(
-                f"{self.where}:{line}: elements are nested more than {DEEPEST} deep"
+                f"{self.where}:{line}: elements are nested more than {MAX_DEPTH} deep"
             )
         if self.depth == 1:
             self.root = tag
         if self.depth == 2:
-            if tag in TAKEN_OUT:
+            if tag in REMOVED_ELEMENTS:
                 start = self.parser.CurrentByteIndex
                 if self.raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
                     raise BadInputError(
@@ -143,7 +143,7 @@ class _Scan:
                 " be named within the aircraft's folder or within the folders engine and systems"
                 " beside it: put it there"
             )
-        if max(map(len, name.encode(errors="replace").split(b"/"))) > _LONGEST_NAME:
+        if max(map(len, name.encode(errors="replace").split(b"/"))) > _MAX_NAME_BYTES:
             raise BadInputError(
                 f'{self.where}:{line}: <{tag} file="{name[:60]}..."> is longer than a file\'s name'
                 " may be"
@@ -167,26 +167,26 @@ def leads_out(name: str) -> bool:
 
 
 @lru_cache(maxsize=128)
-def passed(raw: bytes, where: str) -> Passed:
+def screen_file(raw: bytes, where: str) -> ScreenedFile:
     """A file's bytes as JSBSim may load them. ``where`` is the file's name in messages.
 
     Raises BadInputError with file and line for what is not well formed, for a second aircraft, for
     a file named outside the aircraft, and for an encoding in which elements cannot be taken out."""
     scan = _Scan(raw, where).run()
     if not scan.spans:
-        return Passed(raw, scan.root, tuple(scan.references), ())
+        return ScreenedFile(raw, scan.root, tuple(scan.references), ())
     pieces, position = [], 0
     for _, _, start, end in scan.spans:
         pieces += [raw[position:start], bytes(_blank(raw[start:end]))]
         position = end
     content = b"".join([*pieces, raw[position:]])
-    left = _Scan(content, where).run()
-    if left.spans or left.references != scan.references:
+    rescanned = _Scan(content, where).run()
+    if rescanned.spans or rescanned.references != scan.references:
         raise BadInputError(
             f"{where}:{scan.spans[0][1]}: <{scan.spans[0][0]}> cannot be taken out of this file;"
             " remove it"
         )
-    return Passed(
+    return ScreenedFile(
         content,
         scan.root,
         tuple(scan.references),
@@ -201,8 +201,8 @@ def _blank(text: bytes) -> Iterator[int]:
 
 def tag_end(raw: bytes, start: int) -> int:
     """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
-    found = _TAG.match(raw, start)
-    return len(raw) if found is None else found.end()
+    match = _TAG.match(raw, start)
+    return len(raw) if match is None else match.end()
 
 
 # Which files an aircraft is made of: its own folder's, and what JSBSim opens beside it. Their
@@ -212,9 +212,9 @@ def tag_end(raw: bytes, start: int) -> int:
 # as the file that it leads to if that lies in the folder, or with the other aircraft of a
 # JSBSim root (root/aircraft/NAME); other links and linked folders are refused.
 
-MOST_FILE_BYTES = 16_000_000
+MAX_FILE_BYTES = 16_000_000
 """Of one XML file: the largest that comes with JSBSim has 2 MB."""
-MOST_FILES = 20_000
+MAX_FILES = 20_000
 """In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some
 thousands.
 """
@@ -257,16 +257,16 @@ class HasFiles(Protocol):
 
 
 @dataclass(frozen=True)
-class Opened:
+class ModelFiles:
     """Files that JSBSim may open for an aircraft, as the gate passed them.
 
     own      path within the aircraft's folder -> file: all that its XML refers to, and initial
-    conditions beside   "engine/..." or "systems/..." -> file, of the shared folders looked_at  the
+    conditions beside   "engine/..." or "systems/..." -> file, of the shared folders shared_paths  the
     shared folders' files that were looked for, there or not"""
 
-    own: dict[str, Passed]
-    beside: dict[str, Passed]
-    looked_at: tuple[Path, ...]
+    local: dict[str, ScreenedFile]
+    shared: dict[str, ScreenedFile]
+    shared_paths: tuple[Path, ...]
 
 
 def walk(folder: Path) -> Iterator[tuple[str, Path]]:
@@ -278,12 +278,12 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     collection = home.parent
     allowed = (home, collection) if collection.name == "aircraft" else (home,)
     # By parts, as paths sort: the order is part of the identity.
-    found = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
-    if len(found) > MOST_FILES:
+    files = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
+    if len(files) > MAX_FILES:
         raise BadInputError(
-            f"{folder}: has more than {MOST_FILES} files; an aircraft's folder is needed"
+            f"{folder}: has more than {MAX_FILES} files; an aircraft's folder is needed"
         )
-    for _, path in found:
+    for _, path in files:
         if path.is_symlink():
             _refuse_link(path, allowed)
         try:
@@ -292,7 +292,7 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
             raise BadInputError(
                 f"{path}: {error.strerror or error}; remove it from the aircraft's folder"
             ) from None
-    yield from found
+    yield from files
 
 
 def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
@@ -340,7 +340,7 @@ def read_xml(path: Path) -> bytes:
     too large.
     """
     try:
-        content = read_regular(path, MOST_FILE_BYTES)
+        content = read_regular(path, MAX_FILE_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if content.startswith(_LFS_POINTER):
@@ -351,49 +351,51 @@ def read_xml(path: Path) -> bytes:
     return content
 
 
-def opened(aircraft: HasFiles) -> Opened:
+def model_files(aircraft: HasFiles) -> ModelFiles:
     """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with
     file and line.
 
     Of a file that is named, every place in which JSBSim looks is taken, so that its own search
     decides."""
     files = dict(walk(aircraft.folder))
-    own: dict[str, Passed] = {}
-    beside: dict[str, Passed] = {}
-    looked_at: list[Path] = []
-    todo = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
-    named: set[str] = set()
-    while todo:
-        name = todo.pop()
-        if name in files and name not in own:
-            own[name] = passed(read_xml(files[name]), str(files[name]))
-            todo += _named_in(own[name], named, files)
+    local: dict[str, ScreenedFile] = {}
+    shared_files: dict[str, ScreenedFile] = {}
+    shared_paths: list[Path] = []
+    pending = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
+    requested_names: set[str] = set()
+    while pending:
+        name = pending.pop()
+        if name in files and name not in local:
+            local[name] = screen_file(read_xml(files[name]), str(files[name]))
+            pending += _new_references(local[name], requested_names, files)
         for kind in ("engine", "systems"):
             shared = _shared(aircraft, kind)
             path, key = shared / name, f"{kind}/{name}"
-            if name not in named or key in beside:
+            if name not in requested_names or key in shared_files:
                 continue
-            looked_at.append(path)
+            shared_paths.append(path)
             if path.is_file():
-                beside[key] = passed(_read_beside(path, shared), str(path))
-                todo += _named_in(beside[key], named, files)
+                shared_files[key] = screen_file(_read_shared(path, shared), str(path))
+                pending += _new_references(shared_files[key], requested_names, files)
     for name, path in files.items():
-        if name not in own and name.endswith(".xml"):
+        if name not in local and name.endswith(".xml"):
             content = read_xml(path)
             if b"<initialize" in content:
-                own[name] = passed(content, str(path))
-    return Opened(own, beside, tuple(dict.fromkeys(looked_at)))
+                local[name] = screen_file(content, str(path))
+    return ModelFiles(local, shared_files, tuple(dict.fromkeys(shared_paths)))
 
 
-def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator[str]:
+def _new_references(
+    file: ScreenedFile, requested_names: set[str], files: dict[str, Path]
+) -> Iterator[str]:
     """Names to look up that ``file`` refers to and no file before it did, and where they are within
     the aircraft's folder.
     """
     for reference in file.references:
         # "./a//b.xml" is "a/b.xml".
         name = Path(reference.name).as_posix()
-        if name not in named:
-            named.add(name)
+        if name not in requested_names:
+            requested_names.add(name)
             yield name
             inside = (
                 f"{folder}/{name}" for folders in INSIDE.values() for folder in folders if folder
@@ -401,7 +403,7 @@ def _named_in(file: Passed, named: set[str], files: dict[str, Path]) -> Iterator
             yield from (place for place in inside if place in files)
 
 
-def _read_beside(path: Path, folder: Path) -> bytes:
+def _read_shared(path: Path, folder: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
         raise BadInputError(
             f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there"
@@ -423,10 +425,10 @@ def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
         if path.suffix in {".xml", ".toml"}:
             yield name.encode(errors="surrogateescape") + b"\0"
             yield read_xml(path) + b"\0"
-    for name in sorted(opened(aircraft).beside):
-        kind, _, rest = name.partition("/")
+    for name in sorted(model_files(aircraft).shared):
+        kind, _, path_in_kind = name.partition("/")
         yield f"beside/{name}".encode(errors="surrogateescape") + b"\0"
-        yield read_xml(_shared(aircraft, kind) / rest) + b"\0"
+        yield read_xml(_shared(aircraft, kind) / path_in_kind) + b"\0"
 
 
 FileState = tuple[int, int, int] | None
@@ -436,10 +438,10 @@ FileState = tuple[int, int, int] | None
 def state(path: Path) -> FileState:
     """What changes when a file is edited, without reading it."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def signature(folder: Path) -> tuple[tuple[str, FileState], ...]:
@@ -464,20 +466,22 @@ def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
         os.chmod(place, stat.S_IMODE(path.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
 
 
-def copy_beside(aircraft: HasFiles, root: Path, stock: Path) -> None:
+def copy_shared_parts(aircraft: HasFiles, root: Path, stock: Path) -> None:
     """Copy what the aircraft takes from engines and systems of its own, beside its folder, into
     ``root``. Raises BadInputError.
 
     stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even
     if nothing of it is used: JSBSim's would be looked at instead."""
-    own = {kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind}
-    for kind in own:
+    local_kinds = {
+        kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind
+    }
+    for kind in local_kinds:
         (root / kind).mkdir(parents=True, exist_ok=True)
-    for name in opened(aircraft).beside:
-        kind, _, rest = name.partition("/")
-        if kind in own:
+    for name in model_files(aircraft).shared:
+        kind, _, path_in_kind = name.partition("/")
+        if kind in local_kinds:
             (root / name).parent.mkdir(parents=True, exist_ok=True)
-            (root / name).write_bytes(read_xml(_shared(aircraft, kind) / rest))
+            (root / name).write_bytes(read_xml(_shared(aircraft, kind) / path_in_kind))
 
 
 def _shared(aircraft: HasFiles, kind: str) -> Path:
@@ -485,11 +489,11 @@ def _shared(aircraft: HasFiles, kind: str) -> Path:
 
 
 _LOG = logging.getLogger("uqharness")
-_KEPT = 8
-_said: set[tuple[str, str]] = set()
+_MAX_STAGINGS = 8
+_reported: set[tuple[str, str]] = set()
 
 
-class Named(HasFiles, Protocol):
+class NamedFiles(HasFiles, Protocol):
     """An aircraft's files and its name, which JSBSim's folder and file must bear."""
 
     @property
@@ -508,7 +512,7 @@ class Staging:
 
     root: Path
     name: str
-    shown: tuple[tuple[Path, Path], ...] = ()
+    user_folders: tuple[tuple[Path, Path], ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -521,16 +525,16 @@ class Staging:
         return self.folder / f"{self.name}.xml"
 
 
-def stage(aircraft: Named, root: Path) -> Staging:
+def stage(aircraft: NamedFiles, root: Path) -> Staging:
     """Write the aircraft's files into ``root``, which is made. Raises BadInputError as `opened`
     does.
 
     What was taken out of a file is said once per process, to the logger "uqharness" at level INFO.
     """
-    return write(opened(aircraft), aircraft, root)
+    return write(model_files(aircraft), aircraft, root)
 
 
-def write(files: Opened, aircraft: Named, root: Path) -> Staging:
+def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
     """The same for files that have passed the gate."""
     staging = Staging(
         root,
@@ -543,15 +547,15 @@ def write(files: Opened, aircraft: Named, root: Path) -> Staging:
     )
     for folder in (staging.folder, root / "engine", root / "systems"):
         folder.mkdir(parents=True, exist_ok=True)
-    for name, file in files.own.items():
-        _put(staging.folder / name, file)
-        _say(str(aircraft.folder / name), file)
-    for name, file in files.beside.items():
-        _put(root / name, file)
+    for name, file in files.local.items():
+        _write_screened(staging.folder / name, file)
+        _report_removed(str(aircraft.folder / name), file)
+    for name, file in files.shared.items():
+        _write_screened(root / name, file)
     return staging
 
 
-def copied(staging: Staging, root: Path) -> Staging:
+def copy_staging(staging: Staging, root: Path) -> Staging:
     """A second root with the same files, to be edited; messages go on naming the user's own
     folders.
     """
@@ -560,48 +564,48 @@ def copied(staging: Staging, root: Path) -> Staging:
     return Staging(
         root,
         staging.name,
-        tuple((root / at.relative_to(staging.root), real) for at, real in staging.shown),
+        tuple((root / at.relative_to(staging.root), real) for at, real in staging.user_folders),
     )
 
 
-def _put(path: Path, file: Passed) -> None:
+def _write_screened(path: Path, file: ScreenedFile) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(file.content)
 
 
-def _say(path: str, file: Passed) -> None:
-    if not file.taken_out:
+def _report_removed(path: str, file: ScreenedFile) -> None:
+    if not file.removed:
         return
-    counts = Counter(tag for tag, _ in file.taken_out)
-    what = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
-    if (key := (Path(path).name, what)) in _said:
+    counts = Counter(tag for tag, _ in file.removed)
+    elements = " and ".join(f"{number} <{tag}>" for tag, number in sorted(counts.items()))
+    if (key := (Path(path).name, elements)) in _reported:
         return  # also a copy that this process made of an aircraft
-    _said.add(key)
-    lines = ", ".join(dict.fromkeys(str(line) for _, line in file.taken_out))
+    _reported.add(key)
+    lines = ", ".join(dict.fromkeys(str(line) for _, line in file.removed))
     _LOG.info(
         "%s: %s left out (line %s): a flight writes no file and opens no connection for its"
         " aircraft",
         path,
-        what,
+        elements,
         lines,
     )
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _CachedStaging:
     """A staging, the scratch folder that holds it, and the state that shared files had when it was
     made.
     """
 
     staging: Staging
     scratch: Scratch
-    beside: tuple[tuple[Path, FileState], ...]
+    shared_states: tuple[tuple[Path, FileState], ...]
 
 
-_kept: OrderedDict[object, _Kept] = OrderedDict()
+_stagings: OrderedDict[object, _CachedStaging] = OrderedDict()
 
 
-def staged(aircraft: Named) -> Staging:
+def staged(aircraft: NamedFiles) -> Staging:
     """The aircraft staged in this process's scratch folder; made anew once a file of it has
     changed. Raises BadInputError.
     """
@@ -612,20 +616,22 @@ def staged(aircraft: Named) -> Staging:
         aircraft.systems_path,
         signature(aircraft.folder),
     )
-    found = _kept.get(key)
-    if found is None or any(state(path) != then for path, then in found.beside):
-        files = opened(aircraft)
-        beside = tuple((path, state(path)) for path in files.looked_at)
+    cached = _stagings.get(key)
+    if cached is None or any(state(path) != old for path, old in cached.shared_states):
+        files = model_files(aircraft)
+        shared_states = tuple((path, state(path)) for path in files.shared_paths)
         scratch = scratch_folder("aircraft")
-        found = _kept[key] = _Kept(write(files, aircraft, scratch.path), scratch, beside)
-        while len(_kept) > _KEPT:
+        cached = _stagings[key] = _CachedStaging(
+            write(files, aircraft, scratch.path), scratch, shared_states
+        )
+        while len(_stagings) > _MAX_STAGINGS:
             # Whoever flies it has loaded it: JSBSim reads a file once.
-            _kept.popitem(last=False)[1].scratch.close()
-    _kept.move_to_end(key)
-    return found.staging
+            _stagings.popitem(last=False)[1].scratch.close()
+    _stagings.move_to_end(key)
+    return cached.staging
 
 
-def fingerprint(aircraft: Named) -> str:
+def fingerprint(aircraft: NamedFiles) -> str:
     """A text that changes when a file of the aircraft does; reads none where nothing has changed.
 
     Raises BadInputError.

@@ -22,13 +22,13 @@ from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
-    Rest,
-    answers,
+    ControlEquilibrium,
     body_velocity,
     force_state,
-    forced,
-    place,
+    open_forced,
+    read_accelerations,
     set_control,
+    set_initial_state,
 )
 from uqharness.simulator.physical_checks import rotor_place
 
@@ -52,33 +52,33 @@ class AtLimit:
 
 def thrust_reason(
     V_mps: float,
-    wanted_rad: float,
+    target_rad: float,
     full: Callable[[float], AtLimit | None],
     idle: Callable[[float], AtLimit | None],
     mass_kg: float,
 ) -> str:
-    """A sentence where full throttle is too little or idle too much for the path ``wanted_rad``;
+    """A sentence where full throttle is too little or idle too much for the path ``target_rad``;
     empty where it is neither.
 
     ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that
     end, None where there is none. ``mass_kg`` turns the acceleration into the thrust that is
     missing, or too much."""
-    for throttle, fly, way in (("full", full, -1.0), ("idle", idle, 1.0)):
-        found = fly(V_mps)
-        if found is None or way * (found.climb_rad - wanted_rad) <= 0.0:
+    for throttle, fly_at_end, direction in (("full", full, -1.0), ("idle", idle, 1.0)):
+        limit = fly_at_end(V_mps)
+        if limit is None or direction * (limit.climb_rad - target_rad) <= 0.0:
             continue
-        change = G0_MPS2 * abs(math.sin(found.climb_rad) - math.sin(wanted_rad))
+        change = G0_MPS2 * abs(math.sin(limit.climb_rad) - math.sin(target_rad))
         thrust = (
-            f"{found.thrust_N:.0f} N of thrust"
-            if math.isfinite(found.thrust_N)
+            f"{limit.thrust_N:.0f} N of thrust"
+            if math.isfinite(limit.thrust_N)
             else "the thrust of that throttle"
         )
-        said = (
-            f"{'deceleration' if way < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle}"
+        shortfall = (
+            f"{'deceleration' if direction < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle}"
             f" throttle: {thrust}"
         )
-        amount = f"{mass_kg * change:.3g} N too {'little' if way < 0.0 else 'much'}"
-        return f"{said} at {V_mps:g} m/s, {amount}; {_advice(V_mps, wanted_rad, fly, way, found)}"
+        amount = f"{mass_kg * change:.3g} N too {'little' if direction < 0.0 else 'much'}"
+        return f"{shortfall} at {V_mps:g} m/s, {amount}; {_advice(V_mps, target_rad, fly_at_end, direction, limit)}"
     return ""
 
 
@@ -86,9 +86,9 @@ def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
     """A sentence for engines whose thrust [N] is the same at both ends of the throttle;
     ``unsettled`` says what else is known.
     """
-    known = f" ({unsettled})" if unsettled else ""
+    remark = f" ({unsettled})" if unsettled else ""
     return (
-        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{known}; name"
+        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark}; name"
         " the property that does as [inputs.throttle] property of a card, or leave"
         " [inputs.throttle] out of it to fly with the engines as they are"
     )
@@ -96,16 +96,20 @@ def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
 
 def _advice(
     V_mps: float,
-    wanted_rad: float,
-    fly: Callable[[float], AtLimit | None],
-    way: float,
-    found: AtLimit,
+    target_rad: float,
+    fly_at_end: Callable[[float], AtLimit | None],
+    direction: float,
+    limit: AtLimit,
 ) -> str:
     """The nearest speed that fits, slower first."""
 
     def fits(V: float) -> bool | None:
-        there = fly(V)
-        return None if there is None else way * (there.climb_rad - wanted_rad) <= 0.0
+        limit_at_speed = fly_at_end(V)
+        return (
+            None
+            if limit_at_speed is None
+            else direction * (limit_at_speed.climb_rad - target_rad) <= 0.0
+        )
 
     for slower in (True, False):
         outside = V_mps
@@ -125,14 +129,16 @@ def _advice(
                 inside, outside = (middle, outside) if fits(middle) else (inside, middle)
             sign = "<=" if slower else ">="
             # Rounded to the side that flies.
-            whole = math.floor(10.0 * inside) if slower else math.ceil(10.0 * inside)
-            return f"try V {sign} {whole / 10.0:g} m/s"
-    tried = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
+            tenths = math.floor(10.0 * inside) if slower else math.ceil(10.0 * inside)
+            return f"try V {sign} {tenths / 10.0:g} m/s"
+    speed_range = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
     # Rounded to the side that flies.
-    hundredths = 100.0 * math.degrees(found.climb_rad)
-    path, sign = (math.floor(hundredths), "<=") if way < 0.0 else (math.ceil(hundredths), ">=")
+    hundredths = 100.0 * math.degrees(limit.climb_rad)
+    path, sign = (
+        (math.floor(hundredths), "<=") if direction < 0.0 else (math.ceil(hundredths), ">=")
+    )
     return (
-        f"no speed from {tried} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg,"
+        f"no speed from {speed_range} fits; try a path of {sign} {path / 100.0:g} deg (--climb-deg,"
         " climb_deg of [start])"
     )
 
@@ -145,7 +151,7 @@ _PROPELLER_RPM = "propulsion/engine/propeller-rpm"
 _BODY_RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
 _MASS = "inertia/mass-slugs"
 _SURFACES = ("elevator", "aileron", "rudder", "throttle")
-_LATERAL_FELT = "accelerations/Ny"
+_LATERAL_LOAD_FACTOR = "accelerations/Ny"
 _G_MPS2 = 9.806
 _AXES = (
     "forward acceleration",
@@ -161,12 +167,12 @@ _AT_LIMIT = 0.005  # of a range: a search keeps off its bounds
 _STALLED_STEPS, _STALLED_GAIN = 3, 0.98  # a search ends where that many steps leave that share
 _LATERAL_SHARE = 0.1  # of the largest acceleration, from where bank may help
 _UNSETTLED_SHARE = 0.25  # of a failed search's evaluations, from where it failed for that
-_SHORTER = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
-_MOVES = 1e-9  # m/s2, rad/s2
-_STEEPEST_RAD = 0.9
-_NEARLY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
-_OPEN = 0.9  # of the throttle's travel, from where a second search begins
-_MOST_BANK_RAD = math.radians(
+_STEP_SHARES = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
+_MIN_CHANGE = 1e-9  # m/s2, rad/s2
+_MAX_CLIMB_RAD = 0.9
+_NEARLY_STEADY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
+_OPEN_THROTTLE = 0.9  # of the throttle's travel, from where a second search begins
+_MAX_BANK_RAD = math.radians(
     5.0
 )  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
 _OFF_CENTRE = 0.6  # of a command's range: a filter of a command in the centre may rest at zero
@@ -218,7 +224,7 @@ class Trim:
     rpm: float
     residual: NDArray[np.float64]
     velocity_ned_mps: tuple[float, float, float]
-    rest: Rest | None = None
+    equilibrium: ControlEquilibrium | None = None
 
     @property
     def state(self) -> BodyState:
@@ -229,8 +235,8 @@ class Trim:
         return BodyState(u, v, w, condition.bank_rad, self.theta_rad, condition.heading_rad, *rates)
 
     def __repr__(self) -> str:
-        said = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
-        return f"Trim({self.condition.V_mps:g} m/s at {self.condition.altitude_m:g} m, {said})"
+        summary = f"alpha {self.alpha_rad:.4g} rad" if self.converged else self.reason
+        return f"Trim({self.condition.V_mps:g} m/s at {self.condition.altitude_m:g} m, {summary})"
 
 
 def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
@@ -246,7 +252,7 @@ def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> floa
     return math.atan2(a * b + s * math.sqrt(root), a * a - s * s)
 
 
-def force_beside(
+def force_near_trim(
     aircraft: Aircraft,
     trim: Trim,
     state: BodyState,
@@ -256,16 +262,21 @@ def force_beside(
     to rest: it stands as it rested there, and what passes it without delay is felt. Raises
     BadInputError."""
     condition = trim.condition
-    fdm, _ = forced(
-        aircraft, trim.state, trim.controls, condition.altitude_m, condition.properties, trim.rest
+    fdm, _ = open_forced(
+        aircraft,
+        trim.state,
+        trim.controls,
+        condition.altitude_m,
+        condition.properties,
+        trim.equilibrium,
     )
     for name, value in controls.items():
         set_control(fdm, aircraft, name, value)
-    place(fdm, state)
+    set_initial_state(fdm, state)
     engine.run_ic(fdm)
     if fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
-    return answers(fdm, ())[0]
+    return read_accelerations(fdm, ())[0]
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
@@ -284,20 +295,20 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     does not load, and for a rotorcraft."""
     if rotor := rotor_place(aircraft):
         raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
-    rest = _moving_from_the_start(aircraft, condition)
-    found = _search(aircraft, condition, rest)
-    if rest is None and (rest := _moving(aircraft, found.trim)) is not None:
-        found = _search(aircraft, condition, rest)
-    if rest is not None and not found.trim.converged and found.problem.unsettled:
+    equilibrium = _moving_from_the_start(aircraft, condition)
+    result = _search(aircraft, condition, equilibrium)
+    if equilibrium is None and (equilibrium := _moving_at_trim(aircraft, result.trim)) is not None:
+        result = _search(aircraft, condition, equilibrium)
+    if equilibrium is not None and not result.trim.converged and result.problem.unsettled:
         # A control law that integrates rests where the aircraft turns as commanded: body rates are
         # left to it.
-        free = _search(aircraft, condition, replace(rest, free=True))
-        found = free if free.trim.converged else found
-    return found.explained()
+        free = _search(aircraft, condition, replace(equilibrium, free=True))
+        result = free if free.trim.converged else result
+    return result.explained()
 
 
 @dataclass(frozen=True)
-class _Found:
+class _SearchResult:
     """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty:
     nothing).
     """
@@ -305,59 +316,63 @@ class _Found:
     problem: _Problem
     trim: Trim
     x: NDArray[np.float64]
-    wrong: str
+    failure: str
 
     def explained(self) -> Trim:
         """The trim; where there is none, with its cause."""
         if self.trim.converged:
             return self.trim
-        return replace(self.trim, reason=f"{_asked(self.problem.condition)}: {self._cause()}")
+        return replace(
+            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}"
+        )
 
     def _cause(self) -> str:
         """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of
         these.
         """
-        if self.wrong:
-            return self.wrong
-        problem, left = self.problem, self.trim.residual
+        if self.failure:
+            return self.failure
+        problem, residual = self.problem, self.trim.residual
         limits = problem.at_limits(self.x)
-        axis = int(np.argmax(np.abs(left)))
+        axis = int(np.argmax(np.abs(residual)))
         throttle_end = dict(limits).get("throttle", "")
         mass_kg = _mass_kg(problem, self.x)
         if "throttle" in problem.names and (throttle_end or axis == 0):
-            end = throttle_end if left[0] == 0.0 else "upper" if left[0] < 0.0 else "lower"
+            end = throttle_end if residual[0] == 0.0 else "upper" if residual[0] < 0.0 else "lower"
             if reason := _thrust_reason(problem, end, mass_kg):
                 return reason
-        remains = f"{_AXES[axis]} of {left[axis]:.3g} {_UNITS[axis]} remains"
+        remaining = f"{_AXES[axis]} of {residual[axis]:.3g} {_UNITS[axis]} remains"
         if throttle_end and axis == 0:
-            amount = f"{mass_kg * abs(left[0]):.3g} N too {'little' if left[0] < 0.0 else 'much'}"
-            remains += f", thrust is {amount}"
+            amount = f"{mass_kg * abs(residual[0]):.3g} N too {'little' if residual[0] < 0.0 else 'much'}"
+            remaining += f", thrust is {amount}"
         saturated = [name for name, _ in limits if name != "alpha"]
         where = ", ".join(problem.limit_words(name, end) for name, end in limits)
         if "alpha" in dict(limits):
             return (
-                f"{where}: {remains}; the wing does not carry the aircraft at this speed and "
+                f"{where}: {remaining}; the wing does not carry the aircraft at this speed and "
                 "height, so try a faster or lower flight"
             )
         if saturated:
             return (
-                f"{where}: {remains}; try another speed, or widen limits in [inputs.{saturated[0]}]"
+                f"{where}: {remaining}; try another speed, or widen limits in [inputs.{saturated[0]}]"
                 " of airframe.toml if the aircraft has more travel"
             )
-        if axis == 2 and left[2] > 0.0:
+        if axis == 2 and residual[2] > 0.0:
             return (
-                f"{remains} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg:"
+                f"{remaining} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg:"
                 " the wing does not carry the aircraft at this speed and height, so try a faster"
                 " or lower flight"
             )
         return (
-            f"no equilibrium: {remains} where all accelerations are least (alpha "
+            f"no equilibrium: {remaining} where all accelerations are least (alpha "
             f"{math.degrees(self.trim.alpha_rad):.3g} deg), although no control is at its limit; "
             "try another speed or height"
         )
 
 
-def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -> _Found:
+def _search(
+    aircraft: Aircraft, condition: SteadyCondition, equilibrium: ControlEquilibrium | None
+) -> _SearchResult:
     """A search with the control system as it is in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
@@ -366,28 +381,28 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
         for name in _SURFACES
         if name in cards and (aircraft.has_card or exists(cards[name].property))
     ]
-    acts, dead = _throttle_acts(aircraft, condition, names, rest)
-    held = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
-    gliding = bool(held) or "throttle" not in names
+    acts, dead = _throttle_acts(aircraft, condition, names, equilibrium)
+    fixed = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
+    gliding = bool(fixed) or "throttle" not in names
     problem = _Problem(
         aircraft,
         condition,
-        tuple(n for n in names if n not in held),
-        held,
+        tuple(n for n in names if n not in fixed),
+        fixed,
         free_climb=gliding,
-        rest=rest,
+        equilibrium=equilibrium,
     )
     x = problem.solve()
     trim = _result(problem, x)
-    wrong, unstable = ("", False) if trim.converged else _unsettled(problem, x)
-    if unstable or (rest is not None and not rest.free and problem.never_settles):
-        return _Found(problem, trim, x, dead or wrong)
+    failure, unstable = ("", False) if trim.converged else _unsettled(problem, x)
+    if unstable or (equilibrium is not None and not equilibrium.free and problem.never_settles):
+        return _SearchResult(problem, trim, x, dead or failure)
     if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
         # A propeller that the wind drives and one that its engine drives are two steady states;
         # thrust leaps between them.
-        again = problem.solve(_OPEN)
-        other = _result(problem, again)
-        x, trim = (again, other) if other.converged else (x, trim)
+        other_x = problem.solve(_OPEN_THROTTLE)
+        other = _result(problem, other_x)
+        x, trim = (other_x, other) if other.converged else (x, trim)
     lateral = np.abs(trim.residual)[[1, 3, 5]]
     if (
         not trim.converged
@@ -395,15 +410,19 @@ def _search(aircraft: Aircraft, condition: SteadyCondition, rest: Rest | None) -
         and np.max(lateral) > _LATERAL_SHARE * np.max(np.abs(trim.residual))
     ):
         banked = problem.banked()
-        other = _result(banked, again := banked.solve())
-        problem, x, trim = (banked, again, other) if other.converged else (problem, x, trim)
-    if trim.converged or not wrong:
-        wrong = _settles_not_at(problem, x) if trim.converged else ""
-    wrong = dead or wrong
-    return _Found(problem, replace(trim, converged=trim.converged and not wrong), x, wrong)
+        other = _result(banked, other_x := banked.solve())
+        problem, x, trim = (banked, other_x, other) if other.converged else (problem, x, trim)
+    if trim.converged or not failure:
+        failure = _unsettled_at(problem, x) if trim.converged else ""
+    failure = dead or failure
+    return _SearchResult(
+        problem, replace(trim, converged=trim.converged and not failure), x, failure
+    )
 
 
-def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Rest | None:
+def _moving_from_the_start(
+    aircraft: Aircraft, condition: SteadyCondition
+) -> ControlEquilibrium | None:
     """What has to come to rest where the control system moves at this speed, its commands off
     centre; None where it does not.
     """
@@ -416,30 +435,33 @@ def _moving_from_the_start(aircraft: Aircraft, condition: SteadyCondition) -> Re
         if name in cards and exists(cards[name].property)
     }
     controls = {name: low + _OFF_CENTRE * (high - low) for name, (low, high) in ends.items()}
-    return _moves_at(
+    return _moving_at(
         aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls
     )
 
 
-def _moving(aircraft: Aircraft, trim: Trim) -> Rest | None:
+def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None:
     """The same at a trim."""
     return (
-        _moves_at(aircraft, trim.condition, trim.state, trim.controls)
+        _moving_at(aircraft, trim.condition, trim.state, trim.controls)
         if math.isfinite(trim.theta_rad)
         else None
     )
 
 
-def _moves_at(
+def _moving_at(
     aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]
-) -> Rest | None:
-    fdm, _ = forced(aircraft, state, controls, condition.altitude_m, condition.properties)
-    rest = forced_state.rest_of(aircraft, fdm)
-    return rest if forced_state.moving(fdm, rest) else None
+) -> ControlEquilibrium | None:
+    fdm, _ = open_forced(aircraft, state, controls, condition.altitude_m, condition.properties)
+    equilibrium = forced_state.control_equilibrium(aircraft, fdm)
+    return equilibrium if forced_state.moving_property(fdm, equilibrium) else None
 
 
 def _throttle_acts(
-    aircraft: Aircraft, condition: SteadyCondition, names: list[str], rest: Rest | None
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    names: list[str],
+    equilibrium: ControlEquilibrium | None,
 ) -> tuple[bool, str]:
     """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines
     are there and it does not.
@@ -449,14 +471,19 @@ def _throttle_acts(
     card = aircraft.card.inputs["throttle"]
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
-    said, unsettled = [], ""
+    accelerations, unsettled = [], ""
     for end in card.limits:
-        fdm, why = forced(
-            aircraft, state, {"throttle": end}, condition.altitude_m, condition.properties, rest
+        fdm, end_unsettled = open_forced(
+            aircraft,
+            state,
+            {"throttle": end},
+            condition.altitude_m,
+            condition.properties,
+            equilibrium,
         )
-        said.append(np.array([fdm[name] for name in ACCELERATIONS]))
-        unsettled = unsettled or why
-    if float(np.max(np.abs(said[1] - said[0]))) > _MOVES:
+        accelerations.append(np.array([fdm[name] for name in ACCELERATIONS]))
+        unsettled = unsettled or end_unsettled
+    if float(np.max(np.abs(accelerations[1] - accelerations[0]))) > _MIN_CHANGE:
         return True, ""
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
@@ -473,23 +500,28 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
     """
     condition = problem.condition
 
-    def at(aircraft: Aircraft) -> str:
+    def unsettled_with(aircraft: Aircraft) -> str:
         state, controls, _, _ = problem.unpack(x)
         if not math.isfinite(state.theta):
             return ""
-        return forced(
-            aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+        return open_forced(
+            aircraft,
+            state,
+            controls,
+            condition.altitude_m,
+            condition.properties,
+            problem.equilibrium,
         )[1]
 
-    reason = at(problem.aircraft)
+    reason = unsettled_with(problem.aircraft)
     if not reason and len(problem.unsettled) > _UNSETTLED_SHARE * problem.evaluations:
         x = problem.unsettled[-1]
-        reason = at(problem.aircraft)
+        reason = unsettled_with(problem.aircraft)
     if not reason:
         return "", False
-    for share in _SHORTER:
+    for share in _STEP_SHARES:
         dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
-        if not at(_with_step(problem.aircraft, dt_s)):
+        if not unsettled_with(_with_step(problem.aircraft, dt_s)):
             larger = (
                 f", or a propeller's <ixx> of {1.0 / share:g} times the XML's"
                 if "propeller" in reason
@@ -505,12 +537,17 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
     return reason, False
 
 
-def _settles_not_at(problem: _Problem, x: NDArray[np.float64]) -> str:
+def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
     """What does not settle at these unknowns."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
-    return forced(
-        problem.aircraft, state, controls, condition.altitude_m, condition.properties, problem.rest
+    return open_forced(
+        problem.aircraft,
+        state,
+        controls,
+        condition.altitude_m,
+        condition.properties,
+        problem.equilibrium,
     )[1]
 
 
@@ -545,12 +582,12 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
             free,
             {"throttle": limits[end == "upper"]},
             True,
-            rest=problem.rest,
+            equilibrium=problem.equilibrium,
         )
-        unknowns = limited.solve(start=start, tolerance=_NEARLY)
+        unknowns = limited.solve(start=start, tolerance=_NEARLY_STEADY)
         result = _result(limited, unknowns)
         # A governor hunts within its last digits; what is said of the thrust needs two.
-        if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY):
+        if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY_STEADY):
             return None
         start = unknowns
         return AtLimit(result.condition.climb_rad, result.thrust_N)
@@ -572,17 +609,17 @@ class _Problem:
         aircraft: Aircraft,
         condition: SteadyCondition,
         names: tuple[str, ...],
-        held: Mapping[str, float],
+        fixed: Mapping[str, float],
         free_climb: bool,
         free_bank: bool = False,
-        rest: Rest | None = None,
+        equilibrium: ControlEquilibrium | None = None,
     ) -> None:
-        self.aircraft, self.condition, self.names, self.held, self.rest = (
+        self.aircraft, self.condition, self.names, self.fixed, self.equilibrium = (
             aircraft,
             condition,
             names,
-            held,
-            rest,
+            fixed,
+            equilibrium,
         )
         self.free_climb, self.free_bank = free_climb, free_bank
         self.evaluations, self.unsettled = 0, list[NDArray[np.float64]]()
@@ -594,11 +631,11 @@ class _Problem:
         extra = [0.1] * (self.turning + free_climb + free_bank)
         # Unknowns are scaled to order one: 0.1 rad, a tenth of the control's span, 0.1 rad/s.
         self.scale = np.concatenate([[0.1, 0.1], (highs - lows) / 10.0, extra])
-        most = np.array(
-            [3.0] * self.turning + [_STEEPEST_RAD] * free_climb + [_MOST_BANK_RAD] * free_bank
+        extra_limits = np.array(
+            [3.0] * self.turning + [_MAX_CLIMB_RAD] * free_climb + [_MAX_BANK_RAD] * free_bank
         )
-        self.lower = np.concatenate([[-0.35, -0.35], lows, -most]) / self.scale
-        self.upper = np.concatenate([[0.5, 0.35], highs, most]) / self.scale
+        self.lower = np.concatenate([[-0.35, -0.35], lows, -extra_limits]) / self.scale
+        self.upper = np.concatenate([[0.5, 0.35], highs, extra_limits]) / self.scale
         rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
         climb = [condition.climb_rad] * free_climb
         self.guess = np.concatenate(
@@ -622,10 +659,10 @@ class _Problem:
             self.aircraft,
             self.condition,
             names,
-            {**self.held, **neutral},
+            {**self.fixed, **neutral},
             self.free_climb,
             True,
-            self.rest,
+            self.equilibrium,
         )
 
     def at_limits(self, x: NDArray[np.float64]) -> list[tuple[str, str]]:
@@ -674,7 +711,7 @@ class _Problem:
                 len(costs) > _STALLED_STEPS and cost > _STALLED_GAIN * costs[-1 - _STALLED_STEPS]
             )
             hopeless = len(costs) > 1 and self.never_settles
-            if (stalled and cost > _NEARLY**2) or 2.0 * cost < tolerance**2 or hopeless:
+            if (stalled and cost > _NEARLY_STEADY**2) or 2.0 * cost < tolerance**2 or hopeless:
                 raise StopIteration
 
         solution = least_squares(
@@ -699,7 +736,7 @@ class _Problem:
         controls = {
             name: float(v)
             for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)
-        } | dict(self.held)
+        } | dict(self.fixed)
         rate = float(value[2 + len(self.names)]) if self.turning else 0.0
         climb = float(value[-1 - self.free_bank]) if self.free_climb else self.condition.climb_rad
         theta = pitch_for_climb(alpha, beta, phi, climb)
@@ -726,27 +763,27 @@ class _Problem:
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
-        fdm, unsettled = forced(
+        fdm, unsettled = open_forced(
             self.aircraft,
             state,
             controls,
             condition.altitude_m,
             condition.properties,
-            self.rest,
+            self.equilibrium,
         )
-        acceleration, out = answers(fdm, (_LATERAL_FELT, *_BODY_RATES))
+        acceleration, out = read_accelerations(fdm, (_LATERAL_LOAD_FACTOR, *_BODY_RATES))
         self.evaluations += 1
         if unsettled:
             self.unsettled.append(x.copy())
-        if self.rest is not None and self.rest.free:
+        if self.equilibrium is not None and self.equilibrium.free:
             ended = np.array([out[name] for name in _BODY_RATES])
             acceleration[3:] += (ended - (state.p, state.q, state.r)) / _RATE_TIME_S
         if self.turning:
-            acceleration = np.append(acceleration, out[_LATERAL_FELT] * _G_MPS2)
+            acceleration = np.append(acceleration, out[_LATERAL_LOAD_FACTOR] * _G_MPS2)
         return np.where(np.isfinite(acceleration), acceleration, 1e3)
 
 
-def _asked(condition: SteadyCondition) -> str:
+def _condition_text(condition: SteadyCondition) -> str:
     return (
         f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g}"
         f" deg, climb {math.degrees(condition.climb_rad):g} deg"
@@ -756,7 +793,7 @@ def _asked(condition: SteadyCondition) -> str:
 def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
     aircraft, condition, names = problem.aircraft, problem.condition, problem.names
     state, controls, rate, climb = problem.unpack(x)
-    left = problem.residual(x)
+    residual = problem.residual(x)
     keys = {
         key: aircraft.card.outputs[key]
         for key in ("thrust_N", "rpm")
@@ -767,19 +804,25 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         for name in names
         if name != "throttle"
     }
-    wanted = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
+    outputs = (*keys.values(), *surfaces.values(), *_ENGINE_THRUSTS, _PROPELLER_RPM)
     _, out = force_state(
-        aircraft, state, controls, condition.altitude_m, condition.properties, wanted, problem.rest
+        aircraft,
+        state,
+        controls,
+        condition.altitude_m,
+        condition.properties,
+        outputs,
+        problem.equilibrium,
     )
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
     thrust_N = out.get(
         keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan")
     )
-    converged = bool(np.max(np.abs(left)) < 1e-6)
+    converged = bool(np.max(np.abs(residual)) < 1e-6)
     return Trim(
         condition=replace(condition, climb_rad=climb, bank_rad=state.phi),
         converged=converged,
-        reason="" if converged else _asked(condition),
+        reason="" if converged else _condition_text(condition),
         alpha_rad=math.atan2(state.w, state.u),
         beta_rad=math.asin(state.v / condition.V_mps),
         theta_rad=state.theta,
@@ -791,13 +834,13 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         positions_deg={name: out[source] for name, source in surfaces.items() if source in out},
         thrust_N=thrust_N,
         rpm=out.get(keys.get("rpm", _PROPELLER_RPM), float("nan")),
-        residual=left,
-        velocity_ned_mps=_over_ground(state, condition.wind_ned_mps),
-        rest=problem.rest,
+        residual=residual,
+        velocity_ned_mps=_velocity_ned(state, condition.wind_ned_mps),
+        equilibrium=problem.equilibrium,
     )
 
 
-def _over_ground(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
+def _velocity_ned(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
     from scipy.spatial.transform import Rotation
 
     body_to_ned = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])

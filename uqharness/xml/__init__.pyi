@@ -14,7 +14,7 @@ from .aerodynamics import axis_name as axis_name
 from .aerodynamics import call as call
 from .aerodynamics import function_lines as function_lines
 from .aerodynamics import horner as horner
-from .aerodynamics import prop as prop
+from .aerodynamics import property_value as property_value
 from .aerodynamics import read_reference as read_reference
 from .aerodynamics import read_section as read_section
 from .aerodynamics import require_reference as require_reference
@@ -26,11 +26,10 @@ from .document import FIELDS as FIELDS
 from .document import Document as Document
 from .document import Insertion as Insertion
 from .document import Node as Node
-from .document import after as after
 from .document import append_child as append_child
+from .document import append_remark as append_remark
 from .document import apply as apply
 from .document import attribute as attribute
-from .document import before as before
 from .document import comment as comment
 from .document import computes as computes
 from .document import declaration as declaration
@@ -41,10 +40,11 @@ from .document import folder_declares as folder_declares
 from .document import folder_documents as folder_documents
 from .document import folder_names as folder_names
 from .document import in_comment as in_comment
+from .document import insert_after as insert_after
+from .document import insert_before as insert_before
 from .document import number as number
 from .document import parse_document as parse_document
 from .document import protocol_xml as protocol_xml
 from .document import read_document as read_document
-from .document import remarked as remarked
-from .document import with_attribute as with_attribute
-from .document import with_text as with_text
+from .document import replace_attribute as replace_attribute
+from .document import replace_text as replace_text

@@ -21,13 +21,13 @@ from uqharness.xml.document import (
     Document,
     Insertion,
     Node,
-    after,
     append_child,
     apply,
     attribute,
-    before,
     comment,
-    joined,
+    insert_after,
+    insert_before,
+    merge_insertions,
     number,
     read_document,
 )
@@ -77,7 +77,7 @@ def value(number: float, form: str = "") -> Expression:
     return Expression("value", format(number, form) if form else repr(float(number)))
 
 
-def prop(name: str) -> Expression:
+def property_value(name: str) -> Expression:
     """The value of a JSBSim property."""
     return Expression("property", name)
 
@@ -122,16 +122,18 @@ def _horner(terms: dict[Powers, float], names: Sequence[str]) -> Expression:
             summands.append(value(next(iter(terms.values()))))
             break
         k = min(use, key=lambda index: (-use[index], index))
-        inside = {_less(powers, k): c for powers, c in terms.items() if powers[k]}
+        inside = {_lower_power(powers, k): c for powers, c in terms.items() if powers[k]}
         terms = {powers: c for powers, c in terms.items() if not powers[k]}
         factor = _horner(inside, names)
         factors = factor.arguments if factor.tag == "product" else (factor,)
         one = len(inside) == 1 and factor == value(1.0)
-        summands.append(prop(names[k]) if one else call("product", prop(names[k]), *factors))
+        summands.append(
+            property_value(names[k]) if one else call("product", property_value(names[k]), *factors)
+        )
     return call("sum", *summands) if summands else value(0.0)
 
 
-def _less(powers: Powers, k: int) -> Powers:
+def _lower_power(powers: Powers, k: int) -> Powers:
     return (*powers[:k], powers[k] - 1, *powers[k + 1 :])
 
 
@@ -213,20 +215,23 @@ def read_section(folder: Path, xml: str) -> AeroSection:
             f"{main.where(main.root)}: no <aerodynamics>, so there are no coefficients to add to"
         )
     document, node = included(folder, main, outer)
-    found = [Axis(main, child) for child in outer.all("axis")]
+    axis_elements = [Axis(main, child) for child in outer.all("axis")]
     if document is not main:
-        found += [Axis(document, child) for child in node.all("axis")]
-    for axis in found:
+        axis_elements += [Axis(document, child) for child in node.all("axis")]
+    for axis in axis_elements:
         if axis.name not in SLOT:
             raise BadInputError(
                 f"{axis.document.where(axis.node)}: axis '{axis.name}' is unknown to JSBSim;"
                 f" allowed are {', '.join(SLOT)}"
             )
-    force = _force_axes([axis for axis in found if axis.name in _FORCE_SLOT])
-    moment = _agreed([axis for axis in found if axis.name in _MOMENT_SLOT], "moment") or BODY
-    axes = {SLOT[axis.name]: axis for axis in found}
-    lost = tuple(axis for axis in found if axes[SLOT[axis.name]] is not axis)
-    return AeroSection(folder, main, document, node, force, moment, axes, lost)
+    force = _force_axes([axis for axis in axis_elements if axis.name in _FORCE_SLOT])
+    moment = (
+        _common_frame([axis for axis in axis_elements if axis.name in _MOMENT_SLOT], "moment")
+        or BODY
+    )
+    axes = {SLOT[axis.name]: axis for axis in axis_elements}
+    overridden = tuple(axis for axis in axis_elements if axes[SLOT[axis.name]] is not axis)
+    return AeroSection(folder, main, document, node, force, moment, axes, overridden)
 
 
 def included(folder: Path, document: Document, node: Node) -> tuple[Document, Node]:
@@ -236,8 +241,8 @@ def included(folder: Path, document: Document, node: Node) -> tuple[Document, No
     name = attribute(node, "file")
     if not name:
         return document, node
-    given = Path(name)
-    if given.is_absolute() or ".." in given.parts:
+    included_path = Path(name)
+    if included_path.is_absolute() or ".." in included_path.parts:
         raise BadInputError(
             f'{document.where(node)}: file="{name}" lies outside the aircraft\'s folder, and a copy'
             " of the folder would go on using it; move the file into the folder"
@@ -268,21 +273,21 @@ def _force_axes(axes: list[Axis]) -> str:
         elif axis.name in ("AXIAL", "NORMAL"):
             kinds.append((AXIAL, axis))
     # SIDE alone decides nothing; without any other axis JSBSim takes wind axes.
-    return _same(kinds, "force") or WIND
+    return _require_same(kinds, "force") or WIND
 
 
-def _agreed(axes: list[Axis], what: str) -> str | None:
-    return _same([(_frame(axis), axis) for axis in axes], what)
+def _common_frame(axes: list[Axis], kind_of_axes: str) -> str | None:
+    return _require_same([(_frame(axis), axis) for axis in axes], kind_of_axes)
 
 
-def _same(kinds: list[tuple[str, Axis]], what: str) -> str | None:
+def _require_same(kinds: list[tuple[str, Axis]], kind_of_axes: str) -> str | None:
     if not kinds:
         return None
     first, axis = kinds[0]
     for kind, other in kinds[1:]:
         if kind != first:
             raise BadInputError(
-                f"{other.document.where(other.node)}: {what} axes are mixed: <axis"
+                f"{other.document.where(other.node)}: {kind_of_axes} axes are mixed: <axis"
                 f' name="{other.name}"> is in {kind} axes, <axis name="{axis.name}"> (line'
                 f" {axis.node.line}) in {first} axes. JSBSim loads that and takes all of them for"
                 f" {first} axes, so the aircraft does not fly what is written; write all in one"
@@ -335,9 +340,9 @@ def require_reference(section: AeroSection) -> None:
     for name, size in zip(("wingarea", "wingspan", "chord"), read_reference(section), strict=True):
         if not size > 0.0:
             node = metrics.find(name) or outer.find(name)
-            line, is_what = (metrics, "missing") if node is None else (node, node.text.strip())
+            line, content = (metrics, "missing") if node is None else (node, node.text.strip())
             raise BadInputError(
-                f"{document.where(line)}: <{name}> is {is_what}, so a coefficient has nothing to be"
+                f"{document.where(line)}: <{name}> is {content}, so a coefficient has nothing to be"
                 " multiplied by; give it in <metrics>, or S_m2, b_m and c_m under [reference] in"
                 " airframe.toml"
             )
@@ -389,7 +394,7 @@ _NAMES = {
 }
 _MOMENT_NAMES = ("ROLL", "PITCH", "YAW")
 _TRIG = {
-    f"{tag[0]}{angle[0]}": Expression(tag, "", (prop(f"aero/{angle}-rad"),), tight=True)
+    f"{tag[0]}{angle[0]}": Expression(tag, "", (property_value(f"aero/{angle}-rad"),), tight=True)
     for tag in ("cos", "sin")
     for angle in ("alpha", "beta")
 }
@@ -419,7 +424,7 @@ class Reference:
 
 
 def _value(number: float | None, name: str) -> Expression:
-    return prop(name) if number is None else value(number, ".17g")
+    return property_value(name) if number is None else value(number, ".17g")
 
 
 @dataclass(frozen=True)
@@ -447,7 +452,9 @@ class SectionEdit:
 
     def made_in(self, document: Document) -> list[Insertion]:
         """The insertions into one file, in its order."""
-        return joined([insertion for owner, insertion in self.insertions if owner is document])
+        return merge_insertions(
+            [insertion for owner, insertion in self.insertions if owner is document]
+        )
 
 
 def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
@@ -458,11 +465,11 @@ def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
     line = f'<system file="{name}"/>' + (f"  <!-- {remark} -->" if remark else "")
     systems = main.root.all("system")
     if systems:
-        return edit.plus(main, after(main, systems[-1], [line]))
+        return edit.plus(main, insert_after(main, systems[-1], [line]))
     for tag in ("autopilot", "flight_control", "aerodynamics"):
         node = main.root.find(tag)
         if node is not None:
-            return edit.plus(main, before(main, node, [line]))
+            return edit.plus(main, insert_before(main, node, [line]))
     return edit.plus(main, append_child(main, main.root, [line]))
 
 
@@ -509,7 +516,7 @@ def add_deltas(
         if not body:
             continue
         sign = -1 if force and section.force != BODY and slot != 1 else 1
-        factors = [prop("aero/qbar-psf"), reference.area, *([_MINUS] if sign < 0 else [])]
+        factors = [property_value("aero/qbar-psf"), reference.area, *([_MINUS] if sign < 0 else [])]
         lines = [*(factor.line() for factor in factors), *body]
         edit = add_to_axis(edit, slot, function_lines(names[slot], "product", lines, force, remark))
     return edit
@@ -551,7 +558,7 @@ def _sum(
         factors = [_MINUS] if sign < 0 else []
         factors += [_TRIG[name] for name in trig.split()]
         factors += [lengths[index]] if lengths else []
-        factors.append(call("sum", *map(prop, triple[index])))
+        factors.append(call("sum", *map(property_value, triple[index])))
         pieces.append(factors)
     if len(pieces) == 1:
         return [factor.line() for factor in pieces[0]]

@@ -56,11 +56,11 @@ class Node:
 
     def walk(self) -> Iterator[Node]:
         """The element and all below it, in the order of the text."""
-        ahead = [self]
-        while ahead:
-            node = ahead.pop()
+        pending = [self]
+        while pending:
+            node = pending.pop()
             yield node
-            ahead.extend(reversed(node.children))
+            pending.extend(reversed(node.children))
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,10 @@ class Document:
     @property
     def encoding(self) -> str:
         """As the XML declaration has it; UTF-8 without one."""
-        said = re.match(
+        declared = re.match(
             rb"(?:\xef\xbb\xbf)?<\?xml[^>]*?\bencoding\s*=\s*[\"']([^\"']+)[\"']", self.raw
         )
-        return said.group(1).decode("ascii", errors="replace") if said else "utf-8"
+        return declared.group(1).decode("ascii", errors="replace") if declared else "utf-8"
 
     def encoded(self, text: str) -> bytes:
         """``text`` as the file would have it; what its encoding does not know becomes a character
@@ -226,7 +226,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
-def before(document: Document, node: Node, lines: list[str]) -> Insertion:
+def insert_before(document: Document, node: Node, lines: list[str]) -> Insertion:
     """``lines`` as siblings before ``node``, on lines of their own."""
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
@@ -236,20 +236,20 @@ def before(document: Document, node: Node, lines: list[str]) -> Insertion:
     return Insertion(begin, document.encoded(f"{block}{newline}"))
 
 
-def after(document: Document, node: Node, lines: list[str]) -> Insertion:
+def insert_after(document: Document, node: Node, lines: list[str]) -> Insertion:
     """``lines`` as siblings after ``node``, below the line that it ends on (a remark there stays
     with it).
     """
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
     end_of_line = document.raw.find(b"\n", node.end)
-    rest = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
-    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", rest).strip():
+    line_end = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
+    if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", line_end).strip():
         return Insertion(end_of_line + 1, document.encoded(f"{block}{newline}"))
     return Insertion(node.end, document.encoded(f"{newline}{block}"))
 
 
-def with_text(document: Document, node: Node, text: str) -> Insertion:
+def replace_text(document: Document, node: Node, text: str) -> Insertion:
     """The element's own words replaced, white space and comments around them left; an empty element
     gets them.
     """
@@ -258,18 +258,20 @@ def with_text(document: Document, node: Node, text: str) -> Insertion:
     return Insertion(at, document.encoded(text), old)
 
 
-def with_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
+def replace_attribute(document: Document, node: Node, name: str, value: str) -> Insertion:
     """The value of an attribute that the element has, its quotes left."""
     tag = document.raw[node.start : node.open_end]
-    found = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
-    assert found is not None
-    return Insertion(node.start + found.start(2), document.encoded(value), found.group(2))
+    match = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*([\"'])(.*?)\1", tag, re.DOTALL)
+    assert match is not None
+    return Insertion(node.start + match.start(2), document.encoded(value), match.group(2))
 
 
-def remarked(document: Document, node: Node, remark: str) -> Insertion:
+def append_remark(document: Document, node: Node, remark: str) -> Insertion:
     """A remark behind the element and the remarks that stand behind it on its line."""
-    others = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
-    return Insertion(others.end() if others else node.end, document.encoded(f"  {comment(remark)}"))
+    comments = re.compile(rb"(?:[ \t]*<!--(?:(?!-->)[^\n])*-->)*").match(document.raw, node.end)
+    return Insertion(
+        comments.end() if comments else node.end, document.encoded(f"  {comment(remark)}")
+    )
 
 
 def comment(remark: str) -> str:
@@ -282,11 +284,11 @@ def in_comment(text: str) -> str:
     return re.sub("-(?=-)", "- ", text)
 
 
-def joined(insertions: list[Insertion]) -> list[Insertion]:
+def merge_insertions(insertions: list[Insertion]) -> list[Insertion]:
     """In the order of the file, opening and closing made part of the text; children put into the
     same ``<a/>`` become one.
     """
-    out: list[Insertion] = []
+    merged: list[Insertion] = []
     pending: list[Insertion] = []
     for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
         if pending and (
@@ -295,17 +297,17 @@ def joined(insertions: list[Insertion]) -> list[Insertion]:
             text = b"".join(
                 [pending[0].opening, *(item.text for item in pending), pending[0].closing]
             )
-            out.append(Insertion(pending[0].at, text, pending[0].removed))
+            merged.append(Insertion(pending[0].at, text, pending[0].removed))
             pending = []
         if insertion is not None:
-            (pending if insertion.opening else out).append(insertion)
-    return out
+            (pending if insertion.opening else merged).append(insertion)
+    return merged
 
 
 def apply(document: Document, insertions: list[Insertion]) -> bytes:
     """The file's bytes with the insertions made; two at the same byte keep their order."""
     pieces, position = [], 0
-    for insertion in joined(insertions):
+    for insertion in merge_insertions(insertions):
         if insertion.at < position:
             raise ValueError("insertions overlap")
         pieces += [document.raw[position : insertion.at], insertion.text]
@@ -324,13 +326,13 @@ def elements(lines: str) -> list[str]:
     return textwrap.dedent(lines).strip("\n").splitlines()
 
 
-def number(node: Node, what: str, document: Document) -> float:
+def number(node: Node, name: str, document: Document) -> float:
     """The element's text as a number; BadInputError with file and line."""
     try:
         return float(node.text)
     except ValueError:
         raise BadInputError(
-            f"{document.where(node)}: {what} must be a number; received {node.text.strip()!r}"
+            f"{document.where(node)}: {name} must be a number; received {node.text.strip()!r}"
         ) from None
 
 
@@ -363,7 +365,7 @@ def declarations(document: Document) -> Iterator[tuple[str, Node]]:
 
 def declaration(document: Document, name: str) -> Node | None:
     """The first element that declares the property; None where none does."""
-    return next((node for found, node in declarations(document) if found == name), None)
+    return next((node for declared, node in declarations(document) if declared == name), None)
 
 
 def computes(document: Document, name: str) -> bool:
@@ -386,11 +388,11 @@ def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
     computed: set[str] = set()
     for path in sorted(folder.rglob("*.xml")):
         try:
-            names, made = _declared_and_computed(read_regular(path))
+            names, computed_names = _declared_and_computed(read_regular(path))
         except (BadInputError, OSError):
             continue
         declared |= {name for name in names if name.startswith(prefix)}
-        computed |= made
+        computed |= computed_names
     return tuple(sorted(declared - computed))
 
 

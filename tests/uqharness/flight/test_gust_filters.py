@@ -54,7 +54,7 @@ def test_the_start_has_the_stationary_covariance(T: float, T_span: float) -> Non
 def test_first_order(x: float) -> None:
     made = first_order(x, 1.0)
     assert made.keep == pytest.approx(np.exp(-x), rel=1e-14)
-    assert made.spread == pytest.approx(np.sqrt(-np.expm1(-2.0 * x)), rel=1e-14)
+    assert made.noise_std == pytest.approx(np.sqrt(-np.expm1(-2.0 * x)), rel=1e-14)
 
 
 @pytest.mark.parametrize("x", [1e-7, 1e-3, 0.1, 2.0, 9.0, 12.0, 30.0, 650.0, 800.0])

@@ -65,13 +65,13 @@ from uqharness.flight import (
     TransientDriver,
     dryden_parameters,
     first_levels,
-    in_signals,
     record_stride,
     refuse_above_ceiling,
     row_counts,
     score,
     scored_signals,
     staged_mission,
+    to_signals,
 )
 from uqharness.simulator import CHANGEABLE, Source, StagedMission
 
@@ -739,7 +739,7 @@ def _recorded(made: Ready, end: End, records: FloatArray) -> Recorded:
     properties = [s.property for s in made.table.values()] + [
         s.over for s in made.table.values() if s.over is not None
     ]
-    rows = in_signals(
+    rows = to_signals(
         np.ascontiguousarray(records[[index[name] for name in properties]].T), made.table
     )
     if np.any(records[index[BEYOND]] != 0.0):
