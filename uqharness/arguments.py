@@ -1,5 +1,7 @@
-"""Arguments of functions in Python: refused by name, with what was given and what is needed, in one
-sentence.
+"""Validation of arguments of the Python API.
+
+Each function returns the validated value, or raises BadInputError with one sentence that names the
+argument, the value received and what is needed.
 """
 
 from __future__ import annotations
@@ -21,8 +23,24 @@ _SHORT.maxstring = _SHORT.maxother = 80
 
 
 def require(name: str, value: object, fits: bool, needed: str) -> None:
-    """Raise BadInputError unless the value of the argument ``name`` ``fits``; ``needed`` says what
-    does, as "a path".
+    """Raise BadInputError unless an argument's value ``fits``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+        Value received; long ones are abbreviated.
+    fits : bool
+        Whether it is valid.
+    needed : str
+        What is valid, such as "a path".
+
+    Examples
+    --------
+    >>> require("dt_s", -1.0, False, "a positive number")
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: dt_s = -1.0: a positive number is needed
     """
     if not fits:
         received = str(value) if isinstance(value, Real) else _SHORT.repr(value)
@@ -30,20 +48,20 @@ def require(name: str, value: object, fits: bool, needed: str) -> None:
 
 
 def instance(name: str, value: Any, kind: type, needed: str) -> Any:
-    """The value, which is of that kind. Raises BadInputError, as all functions here do."""
+    """Return the value if it is an instance of ``kind``."""
     require(name, value, isinstance(value, kind), needed)
     return value
 
 
 def integer(name: str, value: Any, minimum: int = 0) -> int:
-    """A whole number, numpy's too; True and False are none."""
+    """Return an integer of at least ``minimum``; numpy integers are valid, booleans are not."""
     fits = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= minimum
     require(name, value, fits, f"a whole number of at least {minimum}")
     return int(value)
 
 
 def workers(value: object) -> int | None:
-    """A number of processes, None for the function's own choice."""
+    """Return a number of worker processes; None leaves the choice to the function."""
     return None if value is None else integer("workers", value, 1)
 
 
@@ -53,9 +71,9 @@ def number(
     needed: str = "a finite number",
     fits: Callable[[float], bool] = math.isfinite,
 ) -> float:
-    """A number, numpy's too; True and False are none.
+    """Return a real number; numpy numbers are valid, booleans are not.
 
-    NaN and infinity must fit what is asked for.
+    ``fits`` decides which numbers are valid, NaN and infinity among them.
     """
     real = isinstance(value, Real) and not isinstance(value, bool)
     require(name, value, real and fits(float(value)), needed)
@@ -63,20 +81,20 @@ def number(
 
 
 def share(name: str, value: object) -> float:
-    """A confidence: between 0 and 1, neither of them."""
+    """Return a confidence level, between 0 and 1 exclusive."""
     return number(
         name, value, "a number between 0 and 1, such as 0.95,", lambda given: 0.0 < given < 1.0
     )
 
 
 def flag(name: str, value: object) -> bool:
-    """True or False, numpy's too."""
+    """Return a boolean; numpy booleans are valid."""
     require(name, value, isinstance(value, bool | np.bool_), "True or False")
     return bool(value)
 
 
 def path(name: str, value: Any) -> Path:
-    """A path, given as a text that is not empty or as any path."""
+    """Return a path given as a non-empty text or as any path object."""
     require(
         name,
         value,
@@ -87,7 +105,7 @@ def path(name: str, value: Any) -> Path:
 
 
 def one_of(name: str, value: Any, allowed: Collection[Any]) -> Any:
-    """The value, which is one of those."""
+    """Return the value if it is one of ``allowed``."""
     if not (isinstance(value, str | int) and value in allowed):
         raise BadInputError(
             f"{name} = {_SHORT.repr(value)}: allowed are {', '.join(map(str, allowed))}"
@@ -96,7 +114,7 @@ def one_of(name: str, value: Any, allowed: Collection[Any]) -> Any:
 
 
 def properties(value: object) -> dict[str, float]:
-    """JSBSim properties and what they are set to; None for none."""
+    """Return JSBSim properties and their values; None gives an empty dictionary."""
     settings = (
         {}
         if value is None

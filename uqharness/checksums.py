@@ -1,10 +1,10 @@
-"""SHA256SUMS: digests of every file in a folder of results, so that damage to any of them is seen.
+"""SHA256SUMS: digests of all files in a folder of results, which make damage visible.
 
-The file has the format of ``sha256sum``, which can check it too (``sha256sum -c SHA256SUMS``).
-Comment lines name the folders within that have such a file of their own, and the last line has the
-digest of all lines before it. A campaign, a study and a refinement write it when they are complete;
-files that are written into the folder later are entered as they are written. Files that nobody
-entered are the user's and are not judged."""
+The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` checks it too. Comment
+lines name inner folders with such a file of their own, and the last line holds the digest of all
+lines above it. A campaign, a study and a refinement write it on completion; files written later are
+entered as they are written. Files that are not entered belong to the user and are not checked.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from uqharness.errors import BadInputError
 
 SUMS = "SHA256SUMS"
 LOCK = "run.lock"
-"""The lock of a run, empty while no run holds it."""
+"""Lock file of a run, empty while no run holds it."""
 PART = ".part"
-"""Ending of a file that is being written; one that a killed process left behind may be deleted."""
+"""Suffix of a file being written; a file that a killed process left behind may be deleted."""
 
 _HEADER = (
     b"# Files of this folder as uqharness wrote them. Check: uqharness campaign verify,"
@@ -37,13 +37,19 @@ _MAX_BYTES = 256_000_000
 
 
 class SumsError(ValueError):
-    """A SHA256SUMS that is not as it was written; ``str`` completes a sentence."""
+    """SHA256SUMS is damaged; the text completes a sentence."""
 
 
 @dataclass(frozen=True)
 class Sums:
-    """``files``: digest by path below the folder, "/" between parts; ``folders``: those within that
-    have a file of their own.
+    """Content of SHA256SUMS.
+
+    Attributes
+    ----------
+    files : dict
+        Path below the folder, with "/" between parts, to its digest.
+    folders : tuple of str
+        Inner folders with a SHA256SUMS of their own.
     """
 
     files: dict[str, str] = field(default_factory=dict)
@@ -52,7 +58,17 @@ class Sums:
 
 @dataclass(frozen=True)
 class Fault:
-    """A file or folder that is not as it was written; ``problem`` completes a sentence."""
+    """A damaged file or folder.
+
+    Attributes
+    ----------
+    name : str
+        Path below the checked folder.
+    problem : str
+        What is wrong; it completes a sentence.
+    missing : bool
+        Whether the file is gone.
+    """
 
     name: str
     problem: str
@@ -61,17 +77,26 @@ class Fault:
 
 @dataclass(frozen=True)
 class DamageRecord:
-    """Faults of a folder before a command that writes its sums anew: recorded digest and damaged
-    digest by path.
+    """Damage that a folder had before a command rewrites its sums.
+
+    Attributes
+    ----------
+    damaged : mapping
+        Path to (recorded digest, digest of the damaged content).
     """
 
     damaged: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 def read_sums(folder: Path) -> Sums | None:
-    """The digests that a folder holds; None where it has none of this program's.
+    """Return the digests of a folder; None if it has no SHA256SUMS of this program.
 
-    Raises SumsError for what is damaged, OSError for what cannot be read.
+    Raises
+    ------
+    SumsError
+        If the file is damaged.
+    OSError
+        If it cannot be read.
     """
     try:
         content = read_regular(folder / SUMS, _MAX_BYTES)
@@ -81,6 +106,7 @@ def read_sums(folder: Path) -> Sums | None:
     begins = content[: len(_HEADER_START)]
     if not body and not _HEADER_START.startswith(begins):
         return None  # somebody else's
+    # The last line protects the lines above it.
     if last != sha256_hex(body).encode() + b"\n":
         raise SumsError("its content does not fit its digest")
     files: dict[str, str] = {}
@@ -100,10 +126,21 @@ def read_sums(folder: Path) -> Sums | None:
 
 
 def write_sums(folder: Path, damage: DamageRecord | None = None) -> None:
-    """Enter every file of a folder that is complete. Raises BadInputError.
+    """Enter every file of a complete folder.
 
-    A file that was damaged ``damage`` and has not been written since keeps the digest that it does
-    not fit."""
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    damage : DamageRecord, optional
+        Damage found before. A file damaged then and unchanged since keeps its recorded digest, so
+        that the damage stays visible.
+
+    Raises
+    ------
+    BadInputError
+        If the file cannot be written.
+    """
     files: dict[str, str] = {}
     folders: list[str] = []
     try:
@@ -119,9 +156,14 @@ def write_sums(folder: Path, damage: DamageRecord | None = None) -> None:
 
 
 def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
-    """Every file below a folder that is not as it was written; none where there are no sums.
+    """Return every file below a folder that is missing or altered; empty without sums.
 
-    Files of the folders with sums of their own are among them if ``include_inner``.
+    Parameters
+    ----------
+    folder : Path
+        Folder of results.
+    include_inner : bool
+        Whether to check files of inner folders that have sums of their own.
     """
     try:
         sums = read_sums(folder)
@@ -150,7 +192,7 @@ def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
 
 
 def remove_sums(folder: Path) -> DamageRecord:
-    """Remove the sums of a folder that is about to be written to; what was damaged in it."""
+    """Remove the sums of a folder that is about to be written; return the damage found in it."""
     damaged = {}
     sums = None
     with contextlib.suppress(SumsError, OSError):
@@ -166,8 +208,9 @@ def remove_sums(folder: Path) -> DamageRecord:
 
 
 def update_sums(path: Path) -> None:
-    """Enter a file that has just been written, or removed, in the sums that list it, if there are
-    any. Raises OSError.
+    """Enter a file that was just written or removed in the sums that list it.
+
+    Does nothing if no folder above it has sums. Raises OSError.
     """
     if path.name in (SUMS, LOCK) or path.name.endswith(PART):
         return
@@ -194,8 +237,9 @@ def update_sums(path: Path) -> None:
 
 
 def _files(folder: Path, folders: list[str]) -> Iterator[Path]:
-    """Regular files below a folder; folders with sums of their own are left out and named in
-    ``folders``.
+    """Yield the regular files below a folder.
+
+    Inner folders with sums of their own are skipped and appended to ``folders``.
     """
     for place, inner, names in os.walk(folder):
         for name in sorted(inner):
@@ -215,7 +259,7 @@ def _files(folder: Path, folders: list[str]) -> Iterator[Path]:
 
 
 def _is_sealed(folder: Path) -> bool:
-    """Whether a folder has sums of this program's, damaged or not."""
+    """Return whether a folder has a SHA256SUMS of this program, damaged or not."""
     try:
         return read_sums(folder) is not None
     except SumsError:
@@ -225,6 +269,7 @@ def _is_sealed(folder: Path) -> bool:
 
 
 def _fault(folder: Path, name: str, digest: str) -> Fault | None:
+    """Return what is wrong with one listed file; None if nothing is."""
     if is_behind_link(folder, name):
         return Fault(name, "is a link, or lies behind one")
     try:
@@ -239,7 +284,7 @@ def _fault(folder: Path, name: str, digest: str) -> Fault | None:
 
 
 def is_behind_link(folder: Path, name: str) -> bool:
-    """Whether a file or folder below ``folder``, or a folder on the way to it, is a link."""
+    """Return whether a path below ``folder`` is a symbolic link or leads through one."""
     place = folder
     for part in name.split("/"):
         place = place / part
@@ -249,9 +294,11 @@ def is_behind_link(folder: Path, name: str) -> bool:
 
 
 def _write(folder: Path, sums: Sums) -> None:
+    """Write SHA256SUMS in one step, with the digest of its own lines last."""
     lines = [_HEADER]
     for name, digest in sorted(sums.files.items()):
         escaped = _escaped(name)
+        # As sha256sum does: a line with an escaped name begins with a backslash.
         mark = b"\\" if escaped != os.fsencode(name) else b""
         lines.append(mark + digest.encode() + b"  " + escaped)
     lines += [_FOLDER + _escaped(name) for name in sums.folders]
@@ -269,10 +316,12 @@ _ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
 
 
 def _escaped(name: str) -> bytes:
+    """Return a file name with line ends and backslashes escaped."""
     return os.fsencode("".join(_ESCAPES.get(letter, letter) for letter in name))
 
 
 def _unescaped(name: bytes, marked: bool) -> str:
+    """Return a file name as it was before `_escaped`."""
     text = os.fsdecode(name)
     if not marked:
         return text

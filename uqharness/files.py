@@ -1,4 +1,9 @@
-"""Files that are there whole or not at all."""
+"""Files and folders: atomic writing, checks of output paths, package data, temporary folders.
+
+A file appears complete or not at all, and enters the SHA256SUMS of its folder
+(:mod:`uqharness.checksums`). Results may come from elsewhere, so that links inside them are not
+followed when writing.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +31,27 @@ from uqharness.errors import BadInputError
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, bring it to the disk, then put it in
-    place at once.
+    """Let ``write`` fill a temporary file, and move it to ``path`` in one step.
 
-    The sums of a folder of results that is complete are brought up to date
-    (:mod:`uqharness.checksums`). A reader, or a crash, finds the old file or the new one. Folders
-    on the way are made. Raises BadInputError where that cannot be done."""
+    A reader, or a crash, finds the old file or the new one. Missing folders are made, and the sums
+    of a complete folder of results are updated.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    write : callable
+        Called with the path of the temporary file.
+
+    Raises
+    ------
+    BadInputError
+        If the file cannot be written.
+    """
     temporary = path.with_name(f".{path.name}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # In a folder that came from elsewhere it may be a link to any file.
+        # In a foreign folder the temporary name may be a link to any file.
         temporary.unlink(missing_ok=True)
         write(temporary)
         with temporary.open("rb+") as handle:
@@ -50,7 +66,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file of results, if it is there, and its entry in the sums. Raises BadInputError."""
+    """Remove a file of results and its entry in the sums, if it exists. Raises BadInputError."""
     try:
         path.unlink(missing_ok=True)
         update_sums(path)
@@ -59,12 +75,12 @@ def remove(path: Path) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """The same for content that is at hand."""
+    """Write bytes atomically. Raises BadInputError."""
     write_atomically(path, lambda target: target.write_bytes(content))
 
 
 def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
-    """The same for content in parts, one after the other."""
+    """Write several byte strings, one after the other, atomically. Raises BadInputError."""
 
     def write(target: Path) -> None:
         with target.open("wb") as handle:
@@ -74,18 +90,22 @@ def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """The same for a text, as UTF-8."""
+    """Write text in UTF-8 atomically. Raises BadInputError."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """The same for a document as JSON, which is :func:`finite` already."""
+    """Write a JSON document atomically; pass it through :func:`finite` before."""
     write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def finite(value: Any) -> Any:
-    """A document, or a part of it, with null for numbers that are not finite: what JSON can
-    hold.
+    """Return a document with None in place of NaN and infinity, which JSON does not have.
+
+    Examples
+    --------
+    >>> finite({"a": [1.0, float("nan")]})
+    {'a': [1.0, None]}
     """
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
@@ -97,11 +117,11 @@ def finite(value: Any) -> Any:
 
 
 def inner_folder(folder: Path, *parts: str) -> Path:
-    """The folder ``folder``/parts, made if need be. ``folder`` may be a link of the user's own; a
-    part may not.
+    """Return the folder ``folder``/parts, made if needed.
 
-    A results folder that came from elsewhere could have a link in it, and files would be written
-    where that leads. Raises BadInputError."""
+    ``folder`` may be a link of the user's. A part may not: in foreign results, files would be
+    written to where the link leads. Raises BadInputError.
+    """
     place = folder
     try:
         for part in parts:
@@ -118,10 +138,16 @@ def inner_folder(folder: Path, *parts: str) -> Path:
 
 
 def check_out(path: Path, option: str = "--out") -> None:
-    """Refuse, before work is spent on it, an ``option`` that no file or folder can be made at;
-    missing folders are made later.
+    """Raise BadInputError if nothing can be written at an output path.
 
-    Raises BadInputError where something on the way is no folder, or one that may not be written to.
+    Called before long work. Missing folders are no error; they are made later.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder to be written.
+    option : str
+        Option that named it, for the message.
     """
     existing = path.absolute()
     while not (existing.exists() or existing.is_symlink()):
@@ -136,10 +162,7 @@ def check_out(path: Path, option: str = "--out") -> None:
 
 
 def check_page(path: Path, option: str = "--out") -> None:
-    """The same for a page, a file whose name ends in .html.
-
-    Raises BadInputError for another ending and for a folder.
-    """
+    """Raise BadInputError unless a report page can be written at a path ending in .html."""
     if path.suffix.lower() != ".html":
         raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
     if path.is_dir():
@@ -148,21 +171,18 @@ def check_page(path: Path, option: str = "--out") -> None:
 
 
 def check_folder(path: Path) -> None:
-    """The same for a folder of results, which may exist already.
-
-    Raises BadInputError where a file has its name.
-    """
+    """Raise BadInputError unless results can be written to a folder, which may exist."""
     check_out(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
 
 
 def open_no_link(path: Path, make: bool = True) -> int:
-    """Open a file for reading and writing in a folder that may come from elsewhere; its content
-    stays.
+    """Open a file for reading and writing, keeping its content; return the descriptor.
 
-    Raises OSError where the name is a link, or the file is no regular one or has a second name: it
-    may be any file of the user's."""
+    Raises OSError if the name is a link, or the file is not regular or has a second name: it could
+    be any file of the user's.
+    """
     flags = os.O_RDWR | (os.O_CREAT if make else 0)
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
         flags |= getattr(os, name, 0)
@@ -179,11 +199,11 @@ def open_no_link(path: Path, make: bool = True) -> int:
 
 
 def lock_at_once(descriptor: int) -> bool:
-    """Take the lock of an open, writable file; False if another process has it. The system drops it
-    when this process ends.
+    """Lock an open, writable file; return False if another process holds the lock.
 
-    It is a record lock: children do not inherit it, a second one of the same process succeeds, and
-    closing any handle of that file in this process gives it back."""
+    The system releases the lock when this process ends. It is a record lock: children do not
+    inherit it, the same process can take it twice, and closing any handle of the file releases it.
+    """
     try:
         import fcntl
     except ImportError:  # Windows
@@ -201,27 +221,30 @@ def lock_at_once(descriptor: int) -> bool:
     return True
 
 
-# Where the files lie that come with the package: aircraft, run scripts, campaigns, published
-# figures.
-#
-# In a working copy that is the folder above the packages; in an installed wheel,
-# ``uqharness/data``, with the same names inside.
+# Package data: aircraft, run scripts, campaigns, published figures. In a working copy they lie
+# above the packages; in an installed wheel in ``uqharness/data``, under the same names.
 
 _INSTALLED = Path(__file__).resolve().parent / "data"
 
 PROJECT_ROOT = _INSTALLED if _INSTALLED.is_dir() else Path(__file__).resolve().parent.parent
-"""Folder that holds ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``.
-
-Read, never written to.
-"""
+"""Folder with ``aircraft``, ``scripts``, ``campaigns`` and ``tests/reference``; read-only."""
 
 
 def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path:
-    """The campaign file of that path (here, then in the project), or of the project's campaign of
-    that name.
+    """Return the campaign file with a path or a name.
 
-    ``file`` is what is taken where a folder or a name is given. Raises BadInputError naming what
-    there is."""
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Path relative to the working folder or the project, or name of a folder in ``campaigns``.
+    file : str
+        File taken from a folder.
+
+    Raises
+    ------
+    BadInputError
+        If there is none; the message lists the names.
+    """
     requested = Path(name_or_path)
     for root in (Path(), PROJECT_ROOT, PROJECT_ROOT / "campaigns"):
         for path in (root / requested, root / requested / file):
@@ -236,11 +259,9 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
     )
 
 
-# Temporary folders that a killed process does not leave behind for ever.
-#
-# All of a process's temporary folders lie below one of its own, which holds a locked file. The
-# system drops the lock when the process ends, however it ends: a folder whose lock can be taken
-# has lost its owner, and the next process of the same user removes it before it makes its own.
+# Temporary folders that do not outlive a killed process. All of a process's temporary folders lie
+# in one of its own with a locked file. The system releases the lock when the process ends. A folder
+# whose lock can be taken has no owner, and the next process of the same user removes it.
 
 LOCK = "owner.lock"
 _NAME = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
@@ -249,16 +270,14 @@ _ATTEMPTS = 20
 
 
 class Scratch:
-    """A temporary folder, removed with all that is in it by ``close``, at the end of a ``with``, or
-    with its process.
-    """
+    """A temporary folder, removed by ``close``, by leaving a ``with`` block, or with its process."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._finish = weakref.finalize(self, _discard, path, os.getpid())
 
     def close(self) -> None:
-        """Remove the folder; may be called again.
+        """Remove the folder; may be called twice.
 
         What cannot be removed now is removed with the process's own folder.
         """
@@ -286,43 +305,48 @@ def _discard(path: Path, process: int) -> None:
 
 
 def scratch_folder(purpose: str = "") -> Scratch:
-    """A new, empty folder that only this user may enter; ``purpose`` begins its name.
+    """Make a new, empty temporary folder that only this user may enter.
 
-    Raises BadInputError where no temporary folder can be made.
+    Parameters
+    ----------
+    purpose : str
+        Prefix of its name.
+
+    Raises
+    ------
+    BadInputError
+        If no temporary folder can be made.
     """
     prefix = f"{purpose or 'scratch'}-"
     with _making:
         try:
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
         except FileNotFoundError:
-            # Systems empty their folder of temporary files now and then.
+            # The system may have cleaned its temporary folder.
             os.close(_homes.pop(os.getpid()).lock)
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
 
 
 def without_scratch(text: str) -> str:
-    """A message with the place of a process's own copies left out: "c310/c310.xml:68" is the user's
-    aircraft all the same.
-    """
+    """Return a message without the path of this process's copies: they stand for the user's files."""
     return _COPY.sub("", text)
 
 
 @dataclass
 class _Home:
-    """A process's own folder, and the handle that holds its lock."""
+    """A process's own temporary folder and the handle that holds its lock."""
 
     path: Path
     lock: int
 
 
 _making = threading.Lock()
-# By process: after a fork the parent's entry is in the child's memory and is not the child's
-# folder.
+# Keyed by process: after a fork, the child inherits the parent's entry but not its folder.
 _homes: dict[int, _Home] = {}
 
 
 def _after_fork() -> None:
-    """Another thread of the parent may have held the lock at the fork."""
+    """Replace the lock, which another thread of the parent may have held at the fork."""
     global _making
     _making = threading.Lock()
 
@@ -332,6 +356,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _own_home() -> _Home:
+    """Return this process's folder, made on first use after removing abandoned ones."""
     number = os.getpid()
     if number not in _homes:
         sweep()
@@ -343,6 +368,7 @@ def _own_home() -> _Home:
 
 
 def _new_home() -> _Home:
+    """Make and lock a folder for this process."""
     for _ in range(_ATTEMPTS):
         try:
             path = Path(tempfile.mkdtemp(prefix=f"uqharness-{os.getpid()}-"))
@@ -356,8 +382,7 @@ def _new_home() -> _Home:
             continue
         if lock_at_once(handle):
             os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-            # Another process may have taken the folder for an orphan's in the instant before the
-            # lock.
+            # Between making and locking, another process may have removed the folder as abandoned.
             with contextlib.suppress(OSError):
                 if os.path.samestat(os.stat(path / LOCK), os.fstat(handle)):
                     return _Home(path, handle)
@@ -378,9 +403,7 @@ def _remove_home(number: int) -> None:
 
 
 def sweep() -> None:
-    """Remove the folders of this user's processes on this machine that have ended without
-    doing so.
-    """
+    """Remove the folders of this user's processes on this machine that ended without doing so."""
     own_names = {home.path.name for number, home in _homes.items() if number == os.getpid()}
     for path in _candidates():
         if path.name in own_names:
@@ -399,7 +422,7 @@ def sweep() -> None:
 
 
 def _candidates() -> Iterator[Path]:
-    """Folders, and no links to any, of the right name and owner."""
+    """Yield folders (no links) of the right name and owner."""
     try:
         paths = [
             entry.path for entry in os.scandir(tempfile.gettempdir()) if _NAME.fullmatch(entry.name)
@@ -416,6 +439,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _open_lock(folder: Path, flags: int) -> int | None:
+    """Open the lock file of a folder; None if there is none or it is no regular file."""
     with contextlib.suppress(OSError):
         handle = os.open(
             folder / LOCK,
@@ -429,16 +453,18 @@ def _open_lock(folder: Path, flags: int) -> int | None:
 
 
 def _of_this_machine(handle: int) -> bool:
-    """False for a folder on a shared disk whose owner runs elsewhere: that its lock is felt here is
-    not certain.
+    """Return whether the owner of a lock runs on this machine.
+
+    On a shared disk, locks of other machines are not reliable.
     """
     text = os.read(handle, 1000).decode("utf-8", "replace")
     return not text or text.endswith(f" on {socket.gethostname()}\n")
 
 
 def _remove(path: Path, lock: int) -> None:
-    """Remove a folder whose lock this process holds; the lock last, so that what is left of a
-    failed attempt is found again.
+    """Remove a folder whose lock this process holds, the lock file last.
+
+    If removal fails halfway, the lock file marks the rest for another attempt.
     """
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(path)):

@@ -1,4 +1,8 @@
-"""Parquet tables of this program: written to the same bytes, read within limits."""
+"""Parquet tables of this program: reproducible bytes, and reading within memory limits.
+
+Tables may come from elsewhere. Sizes are checked before memory is allocated, and texts are counted
+before dictionaries are expanded.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ _TEXT_BASE_BYTES, _TEXT_PER_BYTE = 50_000_000, 100.0
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """A table as parquet, every option that moves a byte fixed."""
+    """Return a table as parquet, with every option fixed that affects the bytes."""
     buffer = io.BytesIO()
     pq.write_table(
         table,
@@ -37,7 +41,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """Write parquet with every option that moves a byte fixed. Raises BadInputError."""
+    """Write a table as parquet. Raises BadInputError."""
     write_bytes(path, table_bytes(table))
 
 
@@ -57,11 +61,11 @@ def read_table(path: Path) -> pa.Table:
 
 
 def _decode(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
-    """The table with its texts written out, unless that takes more memory than a table may.
+    """Return the table with texts expanded, unless that takes too much memory.
 
-    A dictionary holds a text once, and each row refers to it: sixteen kilobytes can stand for
-    gigabytes. Column chunks are therefore decoded one after another with their dictionaries kept,
-    and counted before a text is written out."""
+    A dictionary holds each text once and rows refer to it: 16 kB can stand for gigabytes. Column
+    chunks are decoded with their dictionaries, and texts are counted before they are expanded.
+    """
     texts = [field.name for field in schema if _is_text(field.type)]
     text_bytes, row_bytes = 0, 0
     parts: list[pa.Table] = []
@@ -90,20 +94,21 @@ def _decode(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
 
 
 def _max_text_bytes(file_bytes: int) -> float:
-    """Bytes of texts that a file of a size may hold: the reasons of a million failed flights
-    compress a hundredfold.
+    """Return the bytes of text that a file of a size may hold; reasons of failed flights compress
+    well.
     """
     return _TEXT_BASE_BYTES + _TEXT_PER_BYTE * file_bytes
 
 
 def _text_bytes(chunk: pa.DictionaryArray) -> int:
-    """Bytes of the texts that a column chunk stands for."""
+    """Return the bytes of the texts that a column chunk stands for."""
     lengths = pc.binary_length(chunk.dictionary)
     total = pc.sum(pc.take(pc.cast(lengths, pa.int64()), chunk.indices)).as_py()
     return int(total or 0)
 
 
 def _is_text(kind: pa.DataType) -> bool:
+    """Return whether an Arrow type is text or binary."""
     return bool(
         pa.types.is_string(kind)
         or pa.types.is_large_string(kind)
@@ -113,10 +118,21 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table:
-    """A parquet table from bytes that were read from ``path``. What it says of its size is looked
-    at before memory is asked for.
+    """Return a parquet table from the bytes of a file.
 
-    ``rows``: how many the manifest lists. Raises BadInputError.
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    path : Path
+        Name of the file in messages.
+    rows : int, optional
+        Expected number of rows, from the manifest.
+
+    Raises
+    ------
+    BadInputError
+        If the file is damaged, too large, or has another number of rows.
     """
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
@@ -137,10 +153,9 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
                     f" {_MAX_MEMORY_BYTES / 1e9:g} GB"
                 )
             table = _decode(content, file.schema_arrow, path)
-            # Text that is no UTF-8, offsets that lead out of a buffer: the reader itself takes them
-            # as they come.
+            # The reader itself accepts invalid UTF-8 and offsets outside a buffer.
             table.validate(full=True)
-            # What others have noted for their own readers may be anything, and would steer ours.
+            # Metadata of other programs would influence later readers.
             return table.replace_schema_metadata(None)
     except (OSError, pa.ArrowException, ValueError, OverflowError, MemoryError) as error:
         raise BadInputError(

@@ -1,9 +1,9 @@
-"""What the documents of results must hold for a page to be written from them: fit.json,
-compare.json and others; refinement.json in `refinement_document`.
+"""Validation of result documents (fit.json, compare.json, ...) before a page is made from them.
 
-Folders of results are passed on, edited and damaged. A page is written from a document that has
-passed here, so that a missing key or a text in place of a number is told of the file. Keys that no
-page reads may be anything."""
+Folders of results are passed on, edited and damaged. Report pages read only documents that passed
+here, so that a missing key is an error of the file, not of the page. Unknown keys are allowed. The
+classes also document the files: one class for each object, one field for each key.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from uqharness.toml import dotted
 
 
 def _inside(name: str) -> str:
+    """Return the name of an inner folder; ValueError if it leads out of the folder of results."""
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
     if ".." in parts or name.startswith("/") or windows.drive or windows.root or "\0" in name:
@@ -31,24 +32,24 @@ Numbers = dict[str, Number]
 Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 _IDENTIFIED = "identified"
 _MAX_BYTES = 16_000_000
-"""A document may have; as Python objects it takes up to thirty times as much."""
+"""Largest document; as Python objects it takes up to thirty times as much memory."""
 
 
 class Part(BaseModel):
-    """A part of a document: types are not bent, further keys are allowed."""
+    """An object in a document: no type conversion, further keys allowed."""
 
     model_config = ConfigDict(strict=True, extra="allow")
 
 
 class RmsWithNoise(Part):
-    """A root mean square beside what noise gives."""
+    """A root mean square and the part that noise explains."""
 
     rms: Number = None
     noise: Number = None
 
 
 class Parameter(Part):
-    """A row of fit.json."""
+    """A parameter of fit.json."""
 
     value: Number
     std: Number = None
@@ -59,6 +60,7 @@ class Parameter(Part):
 
     @model_validator(mode="after")
     def _check_consistent(self) -> Parameter:
+        """Require standard errors of an identified parameter."""
         if self.status == _IDENTIFIED and (
             self.value is None or not {"std", "std_crb"} <= self.model_fields_set
         ):
@@ -116,7 +118,7 @@ class Manoeuvre(Part):
 
 
 class Moment(Part):
-    """A moment of compare.json."""
+    """An instant of large error in compare.json."""
 
     time_s: float
     channel: str
@@ -142,6 +144,7 @@ class Compare(Part):
 
     @model_validator(mode="after")
     def _check_consistent(self) -> Compare:
+        """Require that channels above the limit exist and have a ratio."""
         for name in self.above:
             if name not in self.channels or self.channels[name].ratio is None:
                 raise ValueError(f"above names {name!r}, which is no channel with a ratio")
@@ -149,7 +152,7 @@ class Compare(Part):
 
 
 class Share(Part):
-    """A coefficient of coverage.json."""
+    """Coverage of one coefficient in coverage.json."""
 
     share_95: float = Field(alias="0.95")
     share_68: float = Field(alias="0.68")
@@ -158,7 +161,7 @@ class Share(Part):
 
 
 class StateBin(Part):
-    """A range of a state in coverage.json, and the share of its samples inside by coefficient."""
+    """A range of a state in coverage.json, and the coverage in it by coefficient."""
 
     state: str
     low: Number = Field(alias="from")
@@ -186,6 +189,7 @@ class Coverage(Part):
 
     @model_validator(mode="after")
     def _check_consistent(self) -> Coverage:
+        """Require that failed coefficients have a coverage."""
         for name in self.failed:
             if name not in self.coverage:
                 raise ValueError(f"failed names {name!r}, of which there is no coverage")
@@ -193,7 +197,7 @@ class Coverage(Part):
 
 
 class Width(Part):
-    """A coefficient of bounds.json."""
+    """Widths of one coefficient's bounds in bounds.json."""
 
     mean_width: Number = None
     noise_width: Number = None
@@ -202,7 +206,7 @@ class Width(Part):
 
 
 class Filters(Part):
-    """Other low-passes tried on bounds, in bounds.json, and what they gave by coefficient."""
+    """Alternative low-pass filters in bounds.json, and the bounds that they give."""
 
     cutoff_hz: Number
     airspeed_cutoff_hz: Number = None
@@ -211,7 +215,7 @@ class Filters(Part):
 
 
 class Bounds(Part):
-    """bounds.json of `uqharness bounds`: what stands beside the model form."""
+    """bounds.json of `uqharness bounds`: diagnostics of the model form."""
 
     coefficients: dict[str, Width] = Field(default_factory=dict)
     left_out: dict[str, Numbers] = Field(default_factory=dict)
@@ -237,7 +241,7 @@ class Stage(Part):
 
 
 class Pair(Part):
-    """The campaigns before and after refinement."""
+    """Folders of the campaigns before and after refinement."""
 
     before: FolderName
     after: FolderName
@@ -251,7 +255,7 @@ class Sentence(Part):
 
 
 class StudyAnswer(Part):
-    """The answer of a study in lines, ``lacked`` empty without refinement."""
+    """The answer of a study in sentences; `lacked` is empty without refinement."""
 
     level: str
     answer: str
@@ -261,7 +265,7 @@ class StudyAnswer(Part):
 
 
 class Tracks(Part):
-    """The flights of tracks.parquet, or the reason why there are none."""
+    """Flights in tracks.parquet, or the reason why there are none."""
 
     reason: str = ""
     wind_mps: float | None = None
@@ -287,9 +291,24 @@ class Study(Part):
 
 
 def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
-    """The content of a document that has ``shape``.
+    """Read and validate a JSON document.
 
-    Raises BadInputError naming the file and what is wrong with it.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shape : type of Part
+        Model that it must match.
+
+    Returns
+    -------
+    dict
+        Its content, unknown keys included.
+
+    Raises
+    ------
+    BadInputError
+        If the file cannot be read or does not match; the message names file and key.
     """
     try:
         document = parse_json(read_regular(path, _MAX_BYTES))
@@ -314,11 +333,11 @@ def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
     return document
 
 
-# What refinement.json must hold for a page to be written from it; see result_documents.
+# Objects of refinement.json.
 
 
 class Evidence(Part):
-    """What speaks for an effect, or for an alternative in its place."""
+    """Statistical evidence for an effect or an alternative."""
 
     interval_95: Ends | None = None
     t: Number = None
@@ -328,7 +347,7 @@ class Evidence(Part):
 
 
 class Alternative(Part):
-    """What an effect may be taken for."""
+    """Another effect that explains the same data."""
 
     name: str
     term: str = ""
@@ -340,13 +359,14 @@ class Alternative(Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> Alternative:
+        """Require advice for an alternative that cannot be distinguished."""
         if not self.separable and "would_separate" not in self.model_fields_set:
             raise ValueError("an alternative that is not separable needs would_separate")
         return self
 
 
 class Trial(Part):
-    """What the test flights say of an effect."""
+    """Test of an effect on the hold-out flights."""
 
     gap: str
     change_of_twice_log_likelihood: float
@@ -357,6 +377,7 @@ class Trial(Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> Trial:
+        """Require the rms ratio of a gap that is too large for the test."""
         if self.gap == "too far" and "rms_over_that_of_train" not in self.model_fields_set:
             raise ValueError("a gap that is too far needs rms_over_that_of_train")
         return self
@@ -380,13 +401,13 @@ class Effect(Part):
 
 
 class Withdrawn(Effect):
-    """An effect that the test flights spoke against."""
+    """An effect that the hold-out flights contradict."""
 
     test: Trial
 
 
 class Region(Part):
-    """Where model and flights disagreed."""
+    """A region of states where model and flights disagree."""
 
     coefficient: str
     manoeuvre: str
@@ -402,9 +423,7 @@ class State(Part):
 
 
 class RemainingPart(Part):
-    """A place where something is left: in words, as a candidate that is asked for, or as a
-    coefficient and what it depends on.
-    """
+    """Something unexplained: as text, as a candidate effect, or as a coefficient with its states."""
 
     words: str = ""
     t: float = 0.0
@@ -416,6 +435,7 @@ class RemainingPart(Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> RemainingPart:
+        """Require one of the three forms."""
         alternatives = ({"words"}, {"term", "t"}, {"coefficient", "rms_over_noise", "depends_on"})
         if not any(self.model_fields_set >= keys for keys in alternatives):
             raise ValueError(
@@ -425,7 +445,7 @@ class RemainingPart(Part):
 
 
 class GoesWith(Part):
-    """The state with which what is left goes."""
+    """The state with which the remaining residual varies."""
 
     state: str
     low: float
@@ -435,7 +455,7 @@ class GoesWith(Part):
 
 
 class NearbyCandidate(Part):
-    """A candidate near to what is left, and what it leaves of the channel: rms over noise."""
+    """A candidate that would explain part of the residual, and the rms over noise that remains."""
 
     name: str
     term: str
@@ -446,7 +466,7 @@ class NearbyCandidate(Part):
 
 
 class Place(Part):
-    """Where the strongest of what is left sits; null fields have a reason."""
+    """Where the largest remaining residual occurs; null fields have a reason."""
 
     flights: str | None
     flight: str | None
@@ -466,6 +486,7 @@ class Place(Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> Place:
+        """Require the fields that belong together."""
         timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
         if self.reason is None and (self.channel is None or None in timed):
             raise ValueError(
@@ -484,7 +505,7 @@ class Place(Part):
 
 
 class BeforeAfter(Part):
-    """A root mean square before and after."""
+    """A root mean square before and after refinement."""
 
     rms_before: Number = None
     rms_after: Number = None
@@ -492,7 +513,7 @@ class BeforeAfter(Part):
 
 
 class Interval(Part):
-    """A coefficient's intervals before and after."""
+    """Error bounds of a coefficient before and after refinement."""
 
     width_before: Number
     width_after: Number
@@ -503,12 +524,13 @@ class Interval(Part):
 
 
 class Reasoned(Part):
-    """What is whole, or has the reason why it is not there."""
+    """An object that is complete, or has a reason for being incomplete."""
 
     reason: str | None = None
 
     @model_validator(mode="after")
     def _check_complete(self) -> Self:
+        """Require all fields unless there is a reason."""
         lacking = sorted({*type(self).model_fields} - {*self.model_fields_set, "reason"})
         if self.reason is None and lacking:
             raise ValueError(f"needs {', '.join(lacking)}, or a reason")
@@ -516,7 +538,7 @@ class Reasoned(Part):
 
 
 class Intervals(Reasoned):
-    """Intervals on the test flights."""
+    """Error bounds evaluated on the hold-out flights."""
 
     reason: str | None
     confidence: float = 0.0
@@ -530,7 +552,7 @@ class Failed(Part):
 
 
 class Mission(Reasoned):
-    """A mission flown with both models."""
+    """A mission flown with the models before and after refinement."""
 
     folders: Annotated[list[FolderName], Field(max_length=2)] = Field(default_factory=list)
     mission: str = ""
@@ -542,7 +564,9 @@ class Mission(Reasoned):
 
 
 class GapShown(Part):
-    """The gap on the test flights; predictions: errors one sample ahead, where those judged."""
+    """Residuals on one set of flights; `predictions` are one-step prediction errors, if these
+    counted.
+    """
 
     channels: dict[str, BeforeAfter]
     predictions: dict[str, BeforeAfter] = Field(default_factory=dict)
@@ -553,15 +577,13 @@ class GapShown(Part):
 
 
 class Gaps(Part):
-    """Gaps by the use of the flights."""
+    """Residuals by the use of the flights."""
 
     test: GapShown
 
 
 class Curve(Part):
-    """A smooth term by its state: value, ends of its 95 % band, and how many samples of the train
-    flights lie near.
-    """
+    """A smooth term over its state: value, 95 % band, and number of train samples nearby."""
 
     at: list[float]
     value: list[float]
@@ -571,6 +593,7 @@ class Curve(Part):
 
     @model_validator(mode="after")
     def _check_complete(self) -> Curve:
+        """Require lists of equal length, at least two points."""
         if (
             len({len(v) for v in (self.at, self.value, self.low, self.high, self.samples)}) != 1
             or len(self.at) < 2
@@ -582,9 +605,7 @@ class Curve(Part):
 
 
 class Shape(Part):
-    """A form that physics has a name for: its correlation with the curve, and what it would leave
-    of the channel.
-    """
+    """A functional form of physics compared with a smooth term."""
 
     form: str
     correlation: float
@@ -592,7 +613,7 @@ class Shape(Part):
 
 
 class Smooth(Part):
-    """A smooth term that is offered for naming."""
+    """A smooth term proposed as a new effect."""
 
     coefficient: str
     state: str
@@ -613,7 +634,7 @@ class Smooth(Part):
 
 
 class Remaining(Part):
-    """What a refinement left."""
+    """Residual that the refined model does not explain."""
 
     unexplained: bool
     where: list[RemainingPart]
@@ -632,27 +653,27 @@ class Identified(Part):
 
 
 class Switch(Part):
-    """A property that takes an effect out."""
+    """A property that removes an effect from the model."""
 
     property: str
     off: float
 
 
 class Score(Part):
-    """A candidate."""
+    """A candidate effect and its t statistic."""
 
     effect: str
     t: Number = None
 
 
 class Refused(Score):
-    """The best candidate that was refused."""
+    """The best candidate that was not accepted."""
 
     why: str
 
 
 class Candidates(Part):
-    """Candidates, the likeliest first."""
+    """Candidate effects, the most likely first."""
 
     limit: Number = None
     scores: list[Score] = Field(default_factory=list)

@@ -266,7 +266,7 @@ def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) ->
 
 
 def _read_study(evidence: Evidence) -> None:
-    """Report stages of a study that are unfinished, whose folder is gone, or whose output changed."""
+    """Report stages of a study that are unfinished, lack their folder, or have altered outputs."""
     for study in evidence.of(STUDY):
         assert study.document is not None
         for stage in study.document["stages"]:
@@ -334,7 +334,8 @@ def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
 
 
 def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
-    """Return how many steps of the folder lie between a step's aircraft and an external aircraft."""
+    """Return the number of the folder's steps between a step's aircraft and an external aircraft.
+    """
     # The third word of a command line is the aircraft.
     words = step.command.split()
     for other in evidence.steps:
