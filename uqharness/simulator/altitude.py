@@ -1,5 +1,8 @@
-"""How high a flight began when its record does not say: as high as the aircraft's own initial
-conditions.
+"""Altitude at the start of a flight whose record does not tell it.
+
+Air density changes by 1 % in 100 m, and so does every identified coefficient. Without density or
+altitude in the record, the altitude of the aircraft's only initial condition is used, with a
+warning.
 """
 
 from __future__ import annotations
@@ -19,10 +22,21 @@ _SETTLES = "a column rho_kgpm3 settles it"
 
 
 def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecord, str]:
-    """The record with an altitude above sea level to begin at, and a sentence when that is an
-    assumption ("" when it is not).
+    """Return the record with an altitude above sea level, and a warning if that is assumed.
 
-    A hundred metres are one per cent of the air's density, and so of every force and moment.
+    Parameters
+    ----------
+    record : FlightRecord
+        The flight.
+    folder : Path
+        Folder of the aircraft with its initial conditions.
+
+    Returns
+    -------
+    record : FlightRecord
+        Unchanged if density or altitude is known, or no assumption is possible.
+    warning : str
+        Empty if nothing is assumed.
     """
     start = record.metadata.start
     if "rho_kgpm3" in record or "alt_m" in start:
@@ -50,9 +64,7 @@ def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecor
 
 
 def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
-    """(file, altitude above sea level [m]) of the initial conditions in an aircraft's folder that
-    name one.
-    """
+    """Return (file, altitude above sea level [m]) of the initial conditions that give one."""
     altitudes = []
     for path in sorted(folder.glob("*.xml")):
         try:
@@ -73,10 +85,7 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
 
 
 def _length(root: etree._Element, tag: str) -> float | None:
-    """The element's length [m]; None where it is absent or no number.
-
-    JSBSim's unit without an attribute is feet.
-    """
+    """Return an element's length [m]; None if absent or no number. JSBSim's default unit is feet."""
     element = root.find(tag)
     try:
         return (

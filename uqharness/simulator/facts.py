@@ -1,5 +1,9 @@
-"""An aircraft in the middle of its envelope, with every axis in motion: what checks fly that know
-nothing of the aircraft.
+"""Facts about an unknown aircraft: a flight in mid-envelope, and what its controls do.
+
+`open_mid_envelope` starts any aircraft in level flight with all axes in motion. `measure_facts`
+measures the sense and throw of each control and the thrust, for an aircraft without a card. It runs
+in a child process (`measure_facts_in_child`), because an unknown aircraft may crash the
+interpreter.
 """
 
 from __future__ import annotations
@@ -41,20 +45,32 @@ _RATES_RADPS = (0.03, 0.02, -0.02)
 def open_mid_envelope(
     aircraft: Aircraft, dt_s: float | None = None
 ) -> tuple[Any, Callable[[int], None]]:
-    """An initialised instance in the middle of the aircraft's envelope, and a function that flies
-    frame k.
+    """Return an initialised instance in the middle of the envelope, and a function that flies frame
+    k.
 
-    Level at 5000 ft above the sea, at the speed where a lift coefficient of 0.5 carries the weight
-    (12 to 274 m/s), with a little incidence, sideslip and rotation; engines run settled at 60 % and
-    the controls move, so that no axis is idle. Raises BadInputError."""
+    Level at 5000 ft, at the speed where a lift coefficient of 0.5 carries the weight (limited to 12
+    to 274 m/s), with small incidence, sideslip and rates. Engines are settled at 60 % throttle and
+    controls move, so that no axis is idle.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Any aircraft that loads.
+    dt_s : float, optional
+        Integration step [s].
+
+    Raises
+    ------
+    BadInputError
+        If it does not load or initialise.
+    """
     state = mid_envelope_state(aircraft)
     speed_fps = math.hypot(state.u, state.v, state.w) / FT_M
     fdm = _open(aircraft, dt_s)
     _initial(fdm, speed_fps)
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
-        # A propeller that is let go at rest gives some electric aircraft a torque in the first
-        # frames that ends the flight.
+        # Released at rest, some electric propellers give a torque that ends the flight at once.
         engine.start_engines(fdm)
         for k in range(engines):
             fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
@@ -76,7 +92,7 @@ def open_mid_envelope(
 
 
 def mid_envelope_state(aircraft: Aircraft) -> BodyState:
-    """The state of `open_mid_envelope`. Raises BadInputError."""
+    """Return the state of `open_mid_envelope`. Raises BadInputError."""
     fdm = _open(aircraft, None)
     _initial(fdm, 150.0)
     engine.run_ic(fdm)
@@ -89,10 +105,12 @@ def mid_envelope_state(aircraft: Aircraft) -> BodyState:
 
 
 def _open(aircraft: Aircraft, dt_s: float | None) -> Any:
+    """Return a new instance of the aircraft."""
     return engine.open_fdm(staged(aircraft), dt_s or aircraft.dt_s)
 
 
 def _initial(fdm: Any, speed_fps: float) -> None:
+    """Set the initial conditions in mid-envelope at an airspeed [ft/s]."""
     fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"] = TRIM_LATITUDE_DEG, _ALTITUDE_FT
     fdm["ic/theta-rad"], fdm["ic/phi-rad"] = _THETA, _PHI
     for name, value in zip("uvw", body_velocity(speed_fps, _ALPHA, _BETA), strict=True):
@@ -101,16 +119,11 @@ def _initial(fdm: Any, speed_fps: float) -> None:
         fdm[f"ic/{name}-rad_sec"] = value
 
 
-# What an aircraft without a card answers when it is asked: reference, which controls act, in
-# which sense, throws and thrust.
-#
-# Each of JSBSim's normalised commands is held at -1, -0.5, 0, 0.5 and 1 with the aircraft's
-# motion frozen in the middle of its envelope, as a trim does: engines are started and settled,
-# the control system is brought to rest. The sense is read from angular accelerations, the throw
-# from a surface that has come to rest, the thrust from engines that have settled. No answer
-# depends on whether the aircraft is stable. A control that shows no effect there is held in a
-# short flight. All this runs in a process of its own, because an aircraft from anywhere may end
-# its interpreter.
+# Measurement of the controls of an aircraft without a card. Each normalised command is held at -1,
+# -0.5, 0, 0.5 and 1 with the motion frozen in mid-envelope, engines and control system settled.
+# Angular accelerations give the sense, positions at rest the throw, settled engines the thrust.
+# None of this depends on the aircraft's stability. A control without effect is tried in a short
+# flight.
 
 _COMMANDS = (-1.0, -0.5, 0.0, 0.5, 1.0, -1.0)  # the first once more: what then differs is drift
 _LINEAR_SHARE = 0.01  # of the throw: how far the middle may lie from halfway between the ends
@@ -131,8 +144,7 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
-# What FlightGear passes to JSBSim's engines before a frame and takes from them after it (its
-# src/FDM/JSBSim/JSBSim.cxx).
+# What FlightGear exchanges with JSBSim's engines in each frame (src/FDM/JSBSim/JSBSim.cxx).
 _FLIGHTGEAR = (
     ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
     ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
@@ -145,8 +157,7 @@ _FLIGHTGEAR = (
     ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
     ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
 )
-# Acceleration that answers to a control, and whether the positive command of the record's
-# convention makes it positive.
+# Acceleration caused by a control, and its sign for a positive command of the record.
 _RESPONSE = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
     "aileron": ("accelerations/pdot-rad_sec2", 1),
@@ -164,16 +175,21 @@ _THRUST = "thrust-lbs"
 
 @dataclass(frozen=True)
 class ControlFacts:
-    """One normalised command. sense: +1 as the record counts (nose down, right wing down, nose
-    left), -1 opposite, 0 no answer.
+    """One normalised command.
 
-    throw_deg    degrees per norm, mean of both ends, positive; None where no position property
-    follows
-    position     the property that follows, None where its travel is not in proportion to the
-    command
-    thrust_N     of all engines, settled, throttle closed and open; None where there is no engine or
-    it does not settle unmeasured   why the control could not be measured: ``sense`` is then
-    assumed; empty where it was"""
+    Attributes
+    ----------
+    sense : int
+        +1 as in a record (nose down, right wing down, nose left), -1 opposite, 0 without effect.
+    throw_deg : float or None
+        Degrees per unit, mean of both ends, positive; None if no position property follows.
+    position : str or None
+        The property that follows; None if its travel is not proportional.
+    thrust_N : tuple of float or None
+        Settled thrust of all engines [N], throttle closed and open; None without a value.
+    unmeasured : str
+        Why the control could not be measured, in which case `sense` is assumed; else empty.
+    """
 
     sense: int
     throw_deg: float | None = None
@@ -184,12 +200,21 @@ class ControlFacts:
 
 @dataclass(frozen=True)
 class AircraftFacts:
-    """Reference lengths by JSBSim's metrics, number of engines, and the controls.
+    """Reference values, engines and controls of an aircraft.
 
-    host       (FlightGear's property, JSBSim's own) of what the aircraft reads of FlightGear and
-    nothing in JSBSim alone writes
-    V_mps      airspeed at which the controls were measured, at ALTITUDE_M above the sea; NaN where
-    nothing was"""
+    Attributes
+    ----------
+    S_m2, b_m, c_m : float
+        Wing area [m2], span and chord [m] by JSBSim's metrics.
+    engines : int
+        Number of engines.
+    controls : mapping
+        Control to its facts.
+    host : tuple of (str, str)
+        (FlightGear's property, JSBSim's) that the aircraft reads and only FlightGear writes.
+    V_mps : float
+        Airspeed of the measurement [m/s] at ALTITUDE_M; NaN if nothing was measured.
+    """
 
     S_m2: float
     b_m: float
@@ -201,16 +226,14 @@ class AircraftFacts:
 
 
 def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
-    """What is taken for granted of an aircraft that does not fly by itself: JSBSim's commands in
-    the usual sense, no throws.
-    """
+    """Return assumed facts of an aircraft that does not fly alone: usual senses, no throws."""
     return AircraftFacts(
         S_m2, b_m, c_m, 1, {name: ControlFacts(1) for name in (*_RESPONSE, "throttle")}
     )
 
 
 def measure_facts(folder: Path) -> AircraftFacts:
-    """The facts, asked for in this process. Raises BadInputError."""
+    """Measure the aircraft in a folder, in this process. Raises BadInputError."""
     aircraft = find_aircraft(folder)
     controls = {
         name: _control_facts(
@@ -228,8 +251,7 @@ def measure_facts(folder: Path) -> AircraftFacts:
     ):
         throttle = ControlFacts(1)
     controls["throttle"] = throttle
-    # A control law may be at its limit at rest, whatever the command: a flight has the last word on
-    # a control without effect.
+    # At rest a control law may be at its limit whatever the command; a flight decides.
     controls |= {
         name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
     }
@@ -246,6 +268,7 @@ def measure_facts(folder: Path) -> AircraftFacts:
 
 
 def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
+    """Return the properties that the aircraft expects FlightGear to write."""
     fdm = open_aircraft(aircraft)
     exists, written_properties = fdm.get_property_manager().hasNode, written_by_components(aircraft)
     pairs = []
@@ -260,10 +283,16 @@ def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
 
 @dataclass(frozen=True)
 class _HeldState:
-    """The aircraft with one command held.
+    """The aircraft at rest with one command held.
 
-    values     of properties; positions: of the surfaces at rest
-    unsettled  what of the engines does not settle
+    Attributes
+    ----------
+    values, positions : mapping
+        Properties, and positions of surfaces that are at rest.
+    engines : int
+        Number of engines.
+    unsettled : str
+        Which engine does not settle; else empty.
     """
 
     values: Mapping[str, float]
@@ -275,12 +304,12 @@ class _HeldState:
 def _hold_commands(
     aircraft: Aircraft, control: str, commands: Sequence[float], rate_radps: float = 0.0
 ) -> list[_HeldState]:
-    """The aircraft with one command after the other held until all has come to rest.
+    """Hold one command after another until control system and engines are at rest.
 
     Raises BadInputError.
     """
     flying = mid_envelope_state(aircraft)
-    # Straight and level: dampers would add to the commands.
+    # Without rates, which dampers would answer.
     rates = (rate_radps,) * 3
     state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi, *rates)
     exists = open_aircraft(aircraft).get_property_manager().hasNode
@@ -299,8 +328,7 @@ def _hold_commands(
         if control in controls:
             set_control(fdm, aircraft, control, command)
         moving = still_moving(fdm, equilibrium, names)
-        # A surface that still moves is led by more than its command: a control law, or an
-        # autopilot.
+        # A surface that keeps moving is driven by a control law or an autopilot as well.
         positions = {name: float(fdm[name]) for name in names if name not in moving}
         thrust = sum(fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in range(engines))
         read = {name: float(fdm[name]) for name in values} | {_THRUST: float(thrust)}
@@ -309,9 +337,7 @@ def _hold_commands(
 
 
 def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
-    """The sense that a short flight shows with the command held at either end; "moves nothing"
-    where a finite one shows none.
-    """
+    """Return the sense of a control from short flights with the command at either end."""
     rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
     ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
     answers = []
@@ -335,16 +361,23 @@ def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
 def _control_facts(
     control: str, rows: Sequence[_HeldState], turning: Callable[[], Sequence[_HeldState]]
 ) -> ControlFacts:
-    """Sense and throw by what was held.
+    """Return sense and throw of a surface.
 
-    ``turning`` gives the same rows with the aircraft turning.
+    Parameters
+    ----------
+    control : str
+        The control.
+    rows : sequence of _HeldState
+        One for each of `_COMMANDS`.
+    turning : callable
+        Returns the same rows with the aircraft turning.
     """
     name, sign = _RESPONSE[control]
     answers = [row.values[name] for row in rows]
     if not all(map(math.isfinite, answers)):
         return ControlFacts(1, unmeasured=f"{name} is not finite with {control} held")
     low, high, repeated = answers[0], answers[-2], answers[-1]
-    # What goes on changing by itself, such as the gas of a balloon, is no answer to the command.
+    # A drift, such as the gas of a balloon, is no effect of the command.
     if not abs(high - low) > max(_MIN_ANSWER, 10.0 * abs(repeated - low)):
         return ControlFacts(0)
     sense = sign if high > low else -sign
@@ -360,6 +393,8 @@ def _control_facts(
         throw = 0.5 * abs(highest - lowest)
         limited = min(abs(highest - half_up), abs(lowest - half_down)) <= _LINEAR_SHARE * throw
         if throw > _MIN_TRAVEL and not (limited and _depends_on_motion(name, rows, turning())):
+            # A position is proportional to the command if its middle lies half-way between its
+            # ends.
             is_linear = (
                 not limited and abs(middle - 0.5 * (lowest + highest)) <= _LINEAR_SHARE * throw
             )
@@ -372,9 +407,7 @@ def _control_facts(
 def _depends_on_motion(
     position: str, rows: Sequence[_HeldState], turning: Sequence[_HeldState]
 ) -> bool:
-    """Whether the motion moves the surface too: the end of its travel is then a control law's
-    limit, not the command's throw.
-    """
+    """Return whether the motion moves the surface too: the end is then a control law's limit."""
     return any(
         abs(row.positions[position] - other.positions.get(position, math.inf)) > _MIN_TRAVEL
         for row, other in zip(rows, turning, strict=True)
@@ -382,9 +415,7 @@ def _depends_on_motion(
 
 
 def _throttle_facts(closed: _HeldState, opened: _HeldState) -> ControlFacts:
-    """Sense and thrust of the throttle: of the engines, or of what pulls the aircraft forward where
-    it has none.
-    """
+    """Return sense and thrust of the throttle; without engines, of the force forward."""
     name = _THRUST if opened.engines else _FORWARD
     thrust = closed.values[name], opened.values[name]
     if not all(map(math.isfinite, thrust)):
@@ -398,7 +429,20 @@ def _throttle_facts(closed: _HeldState, opened: _HeldState) -> ControlFacts:
 
 
 def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFacts:
-    """The same in a process of its own. Raises BadInputError with its last words."""
+    """Measure the aircraft in a child process.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the aircraft.
+    timeout_s : float
+        Time limit [s].
+
+    Raises
+    ------
+    BadInputError
+        If it does not fly, with the last message of the child.
+    """
     child = run_module(__name__, folder, timeout_s=timeout_s)
     if child.code is None:
         raise BadInputError(f"aircraft {folder}: was not measured within {timeout_s:g} s")
@@ -420,6 +464,7 @@ def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFa
 
 
 def _main(folder: str) -> None:
+    """Measure an aircraft and answer the parent."""
     try:
         give_answer(asdict(measure_facts(Path(folder))))
     except (BadInputError, engine.RuntimeFailure) as error:

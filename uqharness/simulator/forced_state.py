@@ -1,5 +1,9 @@
-"""A state forced upon the model: a fresh instance put there, its engines and, if asked, its control
-system settled.
+"""States imposed on the model: attitude, velocity and controls set, engines and controls settled.
+
+`force_state` returns the accelerations of a new instance at a given state; trim, linearisation and
+replays use it. With a `ControlEquilibrium` the control system is first brought to rest: frames are
+run with the motion frozen until nothing changes. Body rates can be left free, for control laws that
+integrate a rate error and settle only at the commanded rate.
 """
 
 from __future__ import annotations
@@ -21,22 +25,15 @@ from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.staging import HasFiles, model_files
 
-# The control system at rest: what aerodynamics and engines read of it no longer changes while
-# the aircraft's motion stands still.
-#
-# In the first frames of an instance its filters and integrators are on their way from zero,
-# flaps and gear from where JSBSim has put them: forces there are not those of steady flight.
-# Frames are run with the motion frozen until all comes to rest. The body rates may be left
-# free: a control law that integrates the error of a rate rests where the aircraft turns as
-# commanded, and nowhere before.
+# Control system at rest. In the first frames of an instance, filters and integrators start from
+# zero, and flaps and gear move: forces are not those of steady flight.
 
 RATES_HELD, RATES_FREE = "flight/steady-controls", "flight/steady-rates"
-"""Run properties of a mission that begins with the control system at rest, body rates held or free
-meanwhile.
+"""Run properties of a mission that starts with the control system at rest, body rates held or free.
 """
 
 AT_REST = 1e-9
-"""Change in a frame, as a share of the value or of 1, below which nothing moves."""
+"""Relative (or absolute below 1) change per frame that counts as rest."""
 BLOCK_FRAMES, MAX_BLOCKS, PATIENCE = 50, 400, 20
 _CONVERGED = 1e-11  # change over a block
 _MOVED_POSITION = 1e-6  # deg or rad
@@ -52,9 +49,14 @@ _BY_POWER = ("thrust-lbs", "propeller-rpm")
 
 @dataclass(frozen=True)
 class ControlEquilibrium:
-    """How the control system comes to rest.
+    """How the control system is brought to rest.
 
-    ``watched``: properties that must; ``free``: the body rates are left free meanwhile.
+    Attributes
+    ----------
+    watched : tuple of str
+        Properties that must come to rest.
+    free : bool
+        Whether body rates are left to the control system.
     """
 
     watched: tuple[str, ...]
@@ -62,13 +64,15 @@ class ControlEquilibrium:
 
     @property
     def mark(self) -> str:
-        """The run property that says so to a flight."""
+        """Return the run property that tells a flight to start this way."""
         return RATES_FREE if self.free else RATES_HELD
 
 
 def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
-    """Properties that components of the control system write and aerodynamics, engines or external
-    forces read. Raises BadInputError."""
+    """Return the properties that the control system writes and the rest of the model reads.
+
+    These are inputs of aerodynamics, engines and external forces. Raises BadInputError.
+    """
     outputs, read = _written_and_read(aircraft)
     levers = {
         name
@@ -81,11 +85,12 @@ def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
 
 
 def written_by_components(aircraft: HasFiles) -> set[str]:
-    """Properties that components of the control system write. Raises BadInputError."""
+    """Return the properties that components of the control system write. Raises BadInputError."""
     return _written_and_read(aircraft)[0]
 
 
 def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
+    """Return the properties that the control system writes, and those that other sections read."""
     outputs: set[str] = set()
     read: set[str] = set()
     files = model_files(aircraft)
@@ -102,6 +107,7 @@ def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
 
 
 def _outputs(section: Any) -> Iterator[str]:
+    """Yield the properties that the components of a section write."""
     for channel in section.iter("channel"):
         for component in channel.iterchildren("*"):
             if name := (component.get("name") or "").strip():
@@ -113,6 +119,7 @@ def _outputs(section: Any) -> Iterator[str]:
 
 
 def _tokens(section: Any) -> Iterator[str]:
+    """Yield the texts of a section that may be names of properties."""
     for element in section.iter("*"):
         text = (element.text or "").strip().lstrip("-+")
         if _NAME.fullmatch(text):
@@ -120,11 +127,12 @@ def _tokens(section: Any) -> Iterator[str]:
 
 
 def _without_index(name: str) -> str:
+    """Return a property's name without the index of the first one."""
     return name.removesuffix("[0]")
 
 
 def control_equilibrium(aircraft: HasFiles, fdm: Any, free: bool = False) -> ControlEquilibrium:
-    """What must come to rest in an instance of the aircraft. Raises BadInputError."""
+    """Return what must come to rest in an instance of the aircraft. Raises BadInputError."""
     exists = fdm.get_property_manager().hasNode
     return ControlEquilibrium(
         tuple(name for name in control_outputs(aircraft) if exists(name)), free
@@ -132,8 +140,9 @@ def control_equilibrium(aircraft: HasFiles, fdm: Any, free: bool = False) -> Con
 
 
 def moving_property(fdm: Any, equilibrium: ControlEquilibrium) -> str:
-    """What of the control system moves in the next frame, in which time and motion stand still;
-    empty where nothing does.
+    """Return a watched property that changes in the next frame; empty if none does.
+
+    Time and motion are frozen in that frame.
     """
     old_values = [fdm[name] for name in equilibrium.watched]
     engine.renew_forces(fdm)
@@ -144,11 +153,11 @@ def moving_property(fdm: Any, equilibrium: ControlEquilibrium) -> str:
 
 
 def bring_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
-    """Run frames, the motion frozen, until control system and engines rest: empty, or what still
-    changes. Clock and fuel stay.
+    """Run frames with frozen motion until control system and engines are at rest.
 
-    With ``rest.free`` the body rates end where the control system brings them. Raises
-    BadInputError."""
+    Clock and fuel are unchanged. With ``equilibrium.free``, body rates end where the control system
+    brings them. Returns an empty text, or what still changes. Raises BadInputError.
+    """
     try:
         return _run_to_rest(fdm, equilibrium)
     except engine.RuntimeFailure as error:
@@ -156,9 +165,7 @@ def bring_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
 
 
 def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]) -> set[str]:
-    """Bring the control system to rest as far as it goes, and return those of ``names`` that change
-    in further frames.
-    """
+    """Bring the control system to rest and return those of ``names`` that keep changing."""
     if not bring_to_rest(fdm, equilibrium):
         return set()
     old_values = {name: fdm[name] for name in names}
@@ -167,6 +174,7 @@ def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]
 
 
 def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
+    """Run blocks of frames until no watched property changes, or no progress is made."""
     exists = fdm.get_property_manager().hasNode
     engines = range(fdm.get_propulsion().get_num_engines())
     powers = [
@@ -196,6 +204,7 @@ def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
         previous = current
         if not largest > _CONVERGED:
             return ""
+        # Give up once PATIENCE blocks have not halved the smallest change.
         smallest, blocks_without_gain = (
             (largest, 0) if largest < 0.5 * smallest else (smallest, blocks_without_gain + 1)
         )
@@ -210,22 +219,20 @@ def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
 
 
 def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
-    """Frames with the motion frozen, then the aircraft back where it was: the Earth has turned
-    beneath it meanwhile.
+    """Run frames with frozen motion, then restore the position: the Earth turned meanwhile.
 
-    ``free``: body rates are left to the control system.
+    ``free`` leaves body rates to the control system.
     """
     frozen = [name for name in settling.INTEGRATORS if not (free and name == _ROTATION)]
     saved = {name: fdm[name] for name in frozen}
     time_s, trimming = fdm.get_sim_time(), fdm.get_trim_status()
     for name in frozen:
         fdm[name] = 0.0
-    # While JSBSim takes itself to be trimming, no engine draws fuel, and actuators, flaps and gear
-    # stand where they are commanded.
+    # In trim mode engines draw no fuel, and actuators, flaps and gear are at their commands.
     fdm.set_trim_status(True)
     try:
         for _ in range(frames):
-            # A script's events must not take these frames for flight.
+            # Events of a script must not see time advance.
             fdm.set_sim_time(time_s)
             fdm.run()
     finally:
@@ -236,7 +243,7 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
     if free:
         for axis in _RATES:
             fdm[f"ic/{axis}-rad_sec"] = fdm[f"velocities/{axis}-rad_sec"]
-    # A turboprop would fall back to idle.
+    # Initialisation would set a turboprop to idle.
     if not settling.has_turboprop(fdm):
         wind = {name: fdm[name] for name in _WIND}
         fdm.run_ic()
@@ -247,8 +254,7 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
 def marked_equilibrium(
     run_properties: Sequence[str], aircraft: HasFiles, fdm: Any
 ) -> ControlEquilibrium | None:
-    """How a mission's flights bring the control system to rest before they begin; None where they
-    need not.
+    """Return the equilibrium that a mission's run properties ask for; None if they do not.
 
     Raises BadInputError.
     """
@@ -259,11 +265,11 @@ def marked_equilibrium(
 
 
 TRIM_LATITUDE_DEG = 45.0
-"""Where states are forced and trims are made: there JSBSim's effective gravity is 9.806 m/s2."""
+"""Latitude of forced states and trims [deg]; JSBSim's effective gravity there is 9.806 m/s2."""
 
 SETTLED_RADPS, MAX_FRAMES = 1e-6, 25
-"""Change of alphadot and betadot from frame to frame at which a forced state has settled, and the
-frames that it may take.
+"""Change of alphadot and betadot per frame at which a forced state has settled, and the largest
+number of frames.
 """
 
 ACCELERATIONS = (
@@ -277,7 +283,13 @@ ACCELERATIONS = (
 
 
 def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, float]:
-    """u, v, w [m/s] of airspeed V at alpha, beta."""
+    """Return u, v, w of an airspeed V at alpha and beta [rad], in the unit of V.
+
+    Examples
+    --------
+    >>> body_velocity(20.0, 0.0, 0.0)
+    (20.0, 0.0, 0.0)
+    """
     return (
         V * math.cos(alpha) * math.cos(beta),
         V * math.sin(beta),
@@ -287,9 +299,7 @@ def body_velocity(V: float, alpha: float, beta: float) -> tuple[float, float, fl
 
 @dataclass(frozen=True)
 class BodyState:
-    """A state to be forced upon the model: air-relative velocity [m/s], Euler angles [rad], body
-    rates [rad/s].
-    """
+    """A state: air-relative velocity [m/s], Euler angles [rad], body rates [rad/s]."""
 
     u: float
     v: float
@@ -311,11 +321,37 @@ def force_state(
     outputs: tuple[str, ...] = (),
     equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of the model at a forced state in still air, and the values
-    of those ``outputs`` that the model has.
+    """Return the accelerations of the model at a state in still air.
 
-    Actuators stand at their commands (first frame of a fresh instance, or with ``equilibrium`` the control
-    system brought to rest); the ground is put 300 m below. Raises BadInputError."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    state : BodyState
+        Velocity, attitude and rates.
+    controls : mapping
+        Control to command, in the card's units.
+    altitude_m : float
+        Altitude above sea level [m]; the ground is 300 m below.
+    properties : mapping, optional
+        Properties set before initialisation.
+    outputs : tuple of str
+        Properties to read, where they exist.
+    equilibrium : ControlEquilibrium, optional
+        Brings the control system to rest; else actuators are at their commands.
+
+    Returns
+    -------
+    accelerations : ndarray
+        (6,) du, dv, dw [m/s2], dp, dq, dr [rad/s2].
+    values : dict
+        Of ``outputs``.
+
+    Raises
+    ------
+    BadInputError
+        If the model does not load or a property does not exist.
+    """
     fdm, _ = open_forced(aircraft, state, controls, altitude_m, properties, equilibrium)
     return read_accelerations(fdm, outputs)
 
@@ -323,9 +359,7 @@ def force_state(
 def read_accelerations(
     fdm: Any, outputs: tuple[str, ...]
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Accelerations (6,) [m/s2, rad/s2] of an instance as it stands, and the values of those
-    ``outputs`` that it has.
-    """
+    """Return accelerations (6,) [m/s2, rad/s2] and ``outputs`` of an instance in its present state."""
     acceleration = np.array([fdm[name] for name in ACCELERATIONS])
     acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()
@@ -340,8 +374,11 @@ def open_forced(
     properties: Mapping[str, float] | None,
     equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[Any, str]:
-    """A fresh instance at that state, engines settled, and with ``equilibrium`` the control system, and
-    what does not settle (empty: all does)."""
+    """Return a new instance at a state, and what does not settle (empty if all does).
+
+    Engines are settled, and with ``equilibrium`` the control system. Parameters as of
+    `force_state`.
+    """
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
         engine.set_property(fdm, name, value)
@@ -356,7 +393,7 @@ def open_forced(
 
 
 def set_initial_state(fdm: Any, state: BodyState) -> None:
-    """Give an instance its start: attitude, velocity and body rates."""
+    """Set attitude, velocity and body rates of the initial conditions."""
     fdm["ic/phi-rad"], fdm["ic/theta-rad"], fdm["ic/psi-true-rad"] = (
         state.phi,
         state.theta,
@@ -371,20 +408,19 @@ def set_initial_state(fdm: Any, state: BodyState) -> None:
 
 
 def apply_controls(fdm: Any, aircraft: Aircraft, controls: Mapping[str, float]) -> None:
-    """Set the command properties of the card's inputs; every engine runs, and takes JSBSim's
-    throttle where that is the input.
-    """
+    """Set the commands of the card's inputs, with all engines running."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
-        # First of all: starting the engines opens their throttles.
+        # Starting the engines opens their throttles, so it comes first.
         engine.start_engines(fdm)
     for control, value in controls.items():
         set_control(fdm, aircraft, control, value)
 
 
 def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> None:
-    """Set one input's property, all throttles where it is JSBSim's first; nothing where the card
-    has no such input.
+    """Set one input's property; all throttles if it is JSBSim's first one.
+
+    Does nothing if the card has no such input.
     """
     card = aircraft.card.inputs.get(control)
     if card is None:

@@ -1,4 +1,8 @@
-"""Linearise the nonlinear JSBSim model about a trim and name its modes."""
+"""Linear model about a trim, and the names of its modes.
+
+`linearise` differentiates the accelerations of the JSBSim model by central differences. `modes`
+names the eigenvalues by the shapes of their eigenvectors.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ LATERAL = (1, 3, 5, 6)
 MODE_NAMES = ("short_period", "phugoid", "third", "dutch_roll", "roll", "spiral", "other")
 """Names that `modes` gives, in its order."""
 
-# Central-difference steps: m/s, rad/s and rad; controls take a thousandth of their span.
+# Central-difference steps [m/s, rad/s, rad]; controls use a thousandth of their range.
 _STEP = {
     "u": 0.05,
     "v": 0.05,
@@ -32,15 +36,24 @@ _STEP = {
     "phi": 1e-3,
     "theta": 1e-3,
 }
-# Accelerations [m/s2, rad/s2] of an aircraft in the trim that was found for it; find_trim leaves
-# less than 1e-6.
+# Accelerations [m/s2, rad/s2] that a trim of this aircraft may leave; find_trim leaves under 1e-6.
 _TRIM_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """dx/dt = A x + B u about a trim. x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad; u in
-    the controls' own units.
+    """dx/dt = A x + B u about a trim.
+
+    Attributes
+    ----------
+    trim : Trim
+        The trim.
+    A : ndarray
+        (8, 8), x = (u, v, w, p, q, r, phi, theta) in m/s, rad/s, rad.
+    B : ndarray
+        (8, m), u in the controls' own units.
+    controls : tuple of str
+        Names of the m controls.
     """
 
     trim: Trim
@@ -56,8 +69,16 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode: a conjugate pair is listed once, with its positive imaginary part; wn in rad/s,
-    zeta = -real/wn.
+    """One mode; a conjugate pair is listed once.
+
+    Attributes
+    ----------
+    name : str
+        One of `MODE_NAMES`.
+    real, imag : float
+        Eigenvalue [1/s], imaginary part not negative.
+    wn_radps, zeta : float
+        Natural frequency [rad/s] and damping ratio, -real/wn.
     """
 
     name: str
@@ -68,14 +89,32 @@ class Mode:
 
 
 def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
-    """A (8, 8) and B (8, controls) by central differences of the model's accelerations and exact
-    attitude kinematics.
+    """Linearise the model about a trim.
 
-    Actuators are outside (a control here is a surface position) and thrust follows its map at fixed
-    throttle. A control system that was brought to rest stands as it rested in the trim; what it
-    makes of a control is what it ends at, and NaN where the body rates are its own: it answers with
-    another rate, not with another acceleration. Raises BadInputError if the trim did not converge
-    or is of another aircraft."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    trim : Trim
+        A converged trim of it.
+
+    Returns
+    -------
+    LinearModel
+        A by central differences of the accelerations and exact attitude kinematics, B likewise.
+
+    Raises
+    ------
+    BadInputError
+        If the trim did not converge or belongs to another aircraft.
+
+    Notes
+    -----
+    A control is a surface position: actuators are not part of the model. Thrust follows its map at
+    fixed throttle. A control system that was brought to rest for the trim stays there; for a change
+    of command, B holds the final effect. B is NaN if the control system sets body rates, because it
+    then answers with another rate, not with an acceleration.
+    """
     instance("trim", trim, Trim, "a Trim, as find_trim gives it,")
     if not trim.converged:
         raise BadInputError(f"cannot linearise: {trim.reason}")
@@ -101,6 +140,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
         theta_dot = state.q * np.cos(state.phi) - state.r * np.sin(state.phi)
         return np.array([*acceleration, phi_dot, theta_dot])
 
+    # A trim of another aircraft would give a linear model of no flight condition.
     has_controls = aircraft.card.inputs.keys() >= base.keys()
     if not (has_controls and np.max(np.abs(derivative(centre, base)[:6])) <= _TRIM_TOLERANCE):
         raise BadInputError(
@@ -129,18 +169,19 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
 
 
 def _central(function: Callable[[float], NDArray[np.float64]], step: float) -> NDArray[np.float64]:
+    """Return the central difference of a function at 0."""
     return (function(step) - function(-step)) / (2.0 * step)
 
 
 def modes(model: LinearModel) -> list[Mode]:
-    """Modes of A, every eigenvalue once, conjugate pairs whole, named by their eigenvectors.
+    """Return the modes of A, named by their eigenvectors; every eigenvalue appears once.
 
-    The four roots whose eigenvectors have the largest share of u, w, q, theta are longitudinal, the
-    other four lateral. Among the longitudinal roots, short_period has the most angle of attack for
-    its airspeed and phugoid the least. A pair between two real roots is ``third``, the third
-    oscillatory mode of an aircraft with little or no static stability. Among the lateral roots,
-    dutch_roll has the most sideslip for its bank; of the others the faster one is roll, the
-    slower one spiral. Roll and spiral that have joined in a pair (lateral phugoid) are ``other``.
+    The four roots with the largest share of u, w, q, theta are longitudinal, the others lateral.
+    Longitudinal roots: short_period has the largest ratio of incidence to airspeed, phugoid the
+    smallest; a pair between two real roots is ``third``, the third oscillatory mode of an aircraft
+    with little static stability. Lateral roots: dutch_roll has the largest ratio of sideslip to
+    bank; of the others the faster is roll, the slower spiral. A pair formed by roll and spiral
+    (lateral phugoid) is ``other``.
 
     Parameters
     ----------
@@ -150,9 +191,9 @@ def modes(model: LinearModel) -> list[Mode]:
     Returns
     -------
     list of Mode
-        short_period, phugoid, third, dutch_roll, roll, spiral, other, as far as they exist. Two
-        real roots in place of a pair are two entries of one name. Axes are coupled in a steep
-        turn; a name then says which mode of straight flight is nearest.
+        In the order of `MODE_NAMES`. Two real roots in place of a pair are two entries of one name.
+        In a steep turn axes are coupled; the name is then that of the nearest mode of straight
+        flight.
 
     References
     ----------
@@ -161,11 +202,11 @@ def modes(model: LinearModel) -> list[Mode]:
     values, vectors = np.linalg.eig(model.A)
     V = model.trim.condition.V_mps
     size = np.abs(vectors)
-    # Angles and rates times airspeed have the unit of u, v, w, so shares can be added.
+    # Multiplied by airspeed, angles and rates have the unit of u, v, w.
     energy = (size * np.where(np.arange(8) < 3, 1.0, V)[:, None]) ** 2
     share = energy[list(LONGITUDINAL)].sum(axis=0) / energy.sum(axis=0)
     blocks = _conjugate_blocks(values)
-    # Blocks of four roots in all; eight roots of a real matrix always allow such a choice.
+    # All choices of blocks with four roots; a real 8 x 8 matrix always has one.
     choices = [
         chosen
         for count in range(2, 5)
@@ -183,7 +224,7 @@ def modes(model: LinearModel) -> list[Mode]:
 
 
 def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
-    """Return indices of each real root alone and of each pair, the upper half first."""
+    """Return the indices of each real root and of each pair, the upper half first."""
     upper = [k for k, value in enumerate(values) if value.imag > 0]
     lower = [k for k, value in enumerate(values) if value.imag < 0]
     blocks: list[tuple[int, ...]] = [(k,) for k, value in enumerate(values) if value.imag == 0]
@@ -201,7 +242,7 @@ _NamedBlocks = list[tuple[str, tuple[int, ...]]]
 def _longitudinal_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], incidence: NDArray[np.float64]
 ) -> _NamedBlocks:
-    """Name four roots in blocks by their share of angle of attack; fastest first within a name."""
+    """Name blocks of four roots by their share of incidence; within a name the fastest first."""
     ranked = sorted(blocks, key=lambda block: (-incidence[block[0]], -abs(values[block[0]])))
     if [len(block) for block in ranked] == [1, 2, 1]:
         return [("short_period", ranked[0]), ("phugoid", ranked[2]), ("third", ranked[1])]
@@ -214,7 +255,7 @@ def _longitudinal_names(
 def _lateral_names(
     blocks: list[tuple[int, ...]], values: NDArray[np.complex128], sideslip: NDArray[np.float64]
 ) -> _NamedBlocks:
-    """Name four roots in blocks by their share of sideslip."""
+    """Name blocks of four roots by their share of sideslip."""
     ranked = sorted(blocks, key=lambda block: -sideslip[block[0]])
     pairs, reals = ([b for b in ranked if len(b) == n] for n in (2, 1))
     if len(pairs) == 2:
@@ -227,6 +268,7 @@ def _lateral_names(
 
 
 def _mode(name: str, value: complex) -> Mode:
+    """Return a mode of an eigenvalue."""
     value = complex(value)
     wn = abs(value)
     return Mode(name, value.real, value.imag, wn, -value.real / wn if wn > 0 else float("nan"))

@@ -1,9 +1,10 @@
-"""Mass, inertia and reference lengths by the name of the property that JSBSim computes from them.
+"""Mass, inertia and reference lengths set through the XML numbers that JSBSim computes them from.
 
-JSBSim 1.3.3 gives inertia/iyy-slugs_ft2 and its like to read, not to set: they follow from
-<mass_balance>, point masses and fuel. Here they are set all the same: the numbers in a copy of the
-aircraft's XML are moved until the property stands at what is wanted. inertia/ixz-slugs_ft2 is, as
-JSBSim has it, the entry of the inertia matrix: minus the product of inertia."""
+In JSBSim 1.3.3, properties such as inertia/iyy-slugs_ft2 are read-only: they follow from
+<mass_balance>, point masses and fuel. `MassChange` adjusts the numbers in a copy of the XML until
+the properties reach their targets. inertia/ixz-slugs_ft2 is the entry of the inertia matrix, that
+is, minus the product of inertia.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +35,18 @@ _MAX_ITERATIONS, _TOLERANCE = (
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a property's number stands: path below <fdm_config>, units by attribute (one property
-    unit in each), default unit.
+    """Where the XML holds a property's number.
+
+    Attributes
+    ----------
+    path : str
+        Path below <fdm_config>.
+    units : mapping
+        Unit attribute to its size in the property's unit (before `per_property_unit`).
+    default : str
+        Unit without an attribute.
+    per_property_unit : float
+        Further factor from the property's unit.
     """
 
     path: str
@@ -67,9 +78,16 @@ CHANGEABLE = frozenset(_PLACES)
 
 
 class MassChange:
-    """Copies of one aircraft with other numbers in its XML, made beside the staged one.
+    """Copies of a staged aircraft with other mass properties.
 
-    ``open_copy`` opens a mission with such a copy.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    staging : Staging
+        Its staged copy; changed copies are written next to it.
+    open_copy : callable
+        Opens an instance with a staged copy.
     """
 
     def __init__(
@@ -82,10 +100,14 @@ class MassChange:
         self._nominal: dict[str, float] | None = None
 
     def realise(self, target: Mapping[str, float]) -> Staging:
-        """The staged copy in which every property of ``target`` stands at its value.
+        """Return a staged copy in which every property of ``target`` has its value.
 
-        Raises BadInputError for a value that cannot be (a mass of 0) and for a number that is not
-        in the aircraft's own XML."""
+        Raises
+        ------
+        BadInputError
+            For an impossible value, for properties that depend on each other, and for a number that
+            is not in the aircraft's main XML file.
+        """
         elements, tree = self._elements(target)
         if self._nominal is None:
             self._nominal = self._measure(tree, CHANGEABLE)
@@ -95,6 +117,7 @@ class MassChange:
             ):
                 raise BadInputError(f"property {name} = {value:g}: must be a positive number")
         actual = {name: self._nominal[name] for name in target}
+        # Fixed-point iteration: the error shrinks by the share of fuel and loads in each step.
         for _ in range(_MAX_ITERATIONS):
             self._move(elements, target, actual)
             actual = self._measure(tree, target)
@@ -116,6 +139,10 @@ class MassChange:
     def _elements(
         self, target: Mapping[str, float]
     ) -> tuple[dict[str, etree._Element], etree._ElementTree]:
+        """Return the XML elements behind the target properties, and the tree that holds them.
+
+        A missing inertia is created with the value 0.
+        """
         path = self._aircraft.xml
         tree = parse_xml(self._staging.xml)
         root = tree.getroot()
@@ -153,6 +180,7 @@ class MassChange:
         target: Mapping[str, float],
         actual: Mapping[str, float],
     ) -> None:
+        """Add the remaining difference to each element, in its own unit."""
         for name, element in elements.items():
             place = _PLACES[name]
             change = (
@@ -163,14 +191,15 @@ class MassChange:
             if place.units is _INERTIA and element.tag not in ("ixx", "iyy", "izz"):
                 mass_balance = element.getparent()
                 assert mass_balance is not None
-                # The property is the entry of the inertia matrix, minus the product of inertia; the
-                # XML means the one or the other.
+                # Cross products: the property is the matrix entry; the XML may hold the entry or
+                # its negative.
                 change *= (
                     -1.0 if mass_balance.get("negated_crossproduct_inertia") == "false" else 1.0
                 )
             element.text = repr(float(element.text or 0.0) + change)
 
     def _measure(self, tree: etree._ElementTree, names: Any) -> dict[str, float]:
+        """Write the tree, initialise the copy, and return the properties."""
         if self._changed is None:
             self._changed = copy_staging(self._staging, self._staging.root / "changed")
         tree.write(str(self._changed.xml), encoding="UTF-8", xml_declaration=True)
@@ -180,12 +209,24 @@ class MassChange:
 
 
 def xml_numbers_for(aircraft: Aircraft, target: Mapping[str, float]) -> dict[str, str]:
-    """The numbers with which the properties ``target`` (of CHANGEABLE) stand at their values.
+    """Return the XML numbers for which properties of CHANGEABLE have their target values.
 
-    Keys are elements of the aircraft's XML, as paths below its root such as
-    ``mass_balance/location[@name='CG']/x``.
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    target : mapping
+        Property to value in its own unit.
 
-    Raises BadInputError as MassChange.realise does.
+    Returns
+    -------
+    dict
+        Path below the root, such as ``mass_balance/location[@name='CG']/x``, to the number as text.
+
+    Raises
+    ------
+    BadInputError
+        As `MassChange.realise`.
     """
     with scratch_folder("mass") as scratch:
         change = MassChange(
@@ -199,11 +240,12 @@ def xml_numbers_for(aircraft: Aircraft, target: Mapping[str, float]) -> dict[str
 
 
 def _is_close(actual: float, target: float, nominal: float) -> bool:
+    """Return whether a property has reached its target."""
     return abs(actual - target) <= _TOLERANCE * max(abs(target), abs(nominal), 1e-3)
 
 
 def _unit(path: Path, element: etree._Element, place: _Place) -> float:
-    """The element's own unit in one unit of the property (before ``per_property_unit``)."""
+    """Return the element's unit in units of the property, before ``per_property_unit``."""
     owner = element
     if place.units is _LENGTH_IN:
         parent = element.getparent()

@@ -1,5 +1,7 @@
-"""Run scripts: find one, check it against what a host wants to vary, and stage a copy for any
-aircraft folder and duration.
+"""Run scripts: finding and reading one, and a staged copy for any aircraft and duration.
+
+`read_script` extracts what a host needs to know. `StagedMission` copies aircraft and script into a
+private folder, from which fresh instances are opened.
 """
 
 from __future__ import annotations
@@ -19,16 +21,33 @@ from uqharness.simulator.mass import MassChange
 from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file, stage
 
 ENDLESS_S = 1e9
-"""End written into a staged script: the host counts steps itself."""
+"""End time of a staged script [s]; the host counts steps."""
 MANOEUVRE_PROPERTY = "flight/manoeuvre"
-"""Counts a script's manoeuvres while they last; the event that sets it to a number other than 0
-bears the manoeuvre's name.
+"""Number of the manoeuvre in progress; 0 between manoeuvres.
+
+The name of the event that sets it is the manoeuvre's name.
 """
 
 
 @dataclass(frozen=True)
 class Script:
-    """What a host needs to know of a run script."""
+    """Content of a run script.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    aircraft, initialize : str
+        Aircraft and initial conditions that it names.
+    end_s, dt_s : float
+        End time and step [s].
+    event_properties : tuple of (str, int)
+        Properties that events set, with their lines.
+    run_properties : tuple of str
+        Properties set at the start.
+    manoeuvres : mapping
+        Number to name of each manoeuvre.
+    """
 
     path: Path
     aircraft: str
@@ -41,8 +60,20 @@ class Script:
 
 
 def find_script(name_or_path: str | Path, folder: Path | None = None) -> Path:
-    """The script file of that path, from the folder ``folder`` or from here, or of that name under
-    ./scripts or the project's scripts/. Raises BadInputError."""
+    """Return the file of a run script.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Path relative to ``folder``, the working folder or the project, or a name in scripts/.
+    folder : Path, optional
+        Folder that is searched first.
+
+    Raises
+    ------
+    BadInputError
+        If there is none; the message lists the names.
+    """
     requested = Path(name_or_path)
     candidates = [
         *([] if folder is None else [folder / requested]),
@@ -95,6 +126,7 @@ def read_script(path: Path) -> Script:
 
 
 def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
+    """Return number and name of the manoeuvres that events announce."""
     names: dict[int, str] = {}
     for event in run.iterfind("event"):
         for item in event.iterfind("set"):
@@ -112,11 +144,13 @@ def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
 
 
 def _line(element: etree._Element) -> int:
+    """Return the line of an element; 0 if unknown."""
     line = element.sourceline
     return line if isinstance(line, int) else 0
 
 
 def _number(path: Path, element: etree._Element, key: str) -> float:
+    """Return a positive attribute of <run>."""
     text = element.get(key)
     try:
         value = float(text if text is not None else "")
@@ -134,8 +168,9 @@ def _number(path: Path, element: etree._Element, key: str) -> float:
 
 
 def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
-    """BadInputError if an event sets a property that the host varies: the event would
-    silently win.
+    """Raise BadInputError if an event sets a property that the host varies.
+
+    The event would silently replace the host's value.
     """
     varied_names = set(varied)
     for name, line in script.event_properties:
@@ -147,11 +182,25 @@ def refuse_conflicts(script: Script, varied: Iterable[str]) -> None:
 
 
 class StagedMission:
-    """A script made ready for an aircraft in any folder; opens fresh instances until closed.
+    """A script made ready for an aircraft; opens new instances until it is closed.
 
-    The copy differs from the script in three ways: it uses this aircraft, it has no end unless
-    ``end_s`` gives one (the host counts), and it neither writes nor listens. Not safe to share
-    between processes; cheap to make."""
+    The copy uses this aircraft, ends at ``end_s``, and neither writes files nor listens on the
+    network. It cannot be shared between processes.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft, whatever the script names.
+    script_path : Path
+        The run script.
+    end_s : float
+        End time [s].
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft cannot be loaded or lacks the initial conditions.
+    """
 
     def __init__(self, aircraft: Aircraft, script_path: Path, end_s: float = ENDLESS_S) -> None:
         self.aircraft = aircraft
@@ -183,11 +232,20 @@ class StagedMission:
         document.getroottree().write(str(self._staged), encoding="UTF-8", xml_declaration=True)
 
     def open(self, dt_s: float | None = None, changed: Mapping[str, float] | None = None) -> Any:
-        """A fresh ``FGFDMExec`` with script, aircraft and initial conditions loaded, nothing run.
-        Raises BadInputError.
+        """Return a new ``FGFDMExec`` with script, aircraft and initial conditions loaded.
 
-        ``changed`` are mass properties (see mass_change) that are to stand at other values than in
-        the aircraft's XML."""
+        Parameters
+        ----------
+        dt_s : float, optional
+            Integration step [s]; the card's by default.
+        changed : mapping, optional
+            Mass properties (of CHANGEABLE) that differ from the XML.
+
+        Raises
+        ------
+        BadInputError
+            If JSBSim does not accept the script or a mass property.
+        """
         if not changed:
             return self._open(self._staging, dt_s)
         if self._mass is None:
@@ -195,10 +253,11 @@ class StagedMission:
         return self._open(self._mass.realise(changed), dt_s)
 
     def _open(self, staging: Staging, dt_s: float | None = None) -> Any:
+        """Open an instance; messages name the user's script, not the copy."""
         try:
             return engine.open_script(staging, self._staged, dt_s or self.aircraft.dt_s)
         except BadInputError as error:
-            # The reader knows their own file, not the copy.
+            # Messages name the user's file.
             raise BadInputError(
                 str(error).replace(str(self._staged), str(self.script.path))
             ) from None

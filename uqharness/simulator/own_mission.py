@@ -1,9 +1,11 @@
-"""Manoeuvres for any aircraft without a script: it is trimmed, and steps are added to the controls
-that trim it.
+"""Generated missions: steady flight and manoeuvres for any aircraft, without a run script.
 
-The steps are sized by the linear model about the trim, so that the greatest excursion of each is a
-few degrees. Their lengths follow the mode that each control excites: 2.3/wn for a doublet, 1.6/wn
-for 3-2-1-1 (R. V. Jategaonkar, Flight Vehicle System Identification, chapter 2)."""
+`write_steady_start` trims the aircraft and writes a script that starts in the trim.
+`write_own_mission` adds doublets and 3-2-1-1 inputs, sized by the linear model so that each reaches
+a few degrees. Step lengths follow the excited mode: 2.3/wn for a doublet, 1.6/wn for 3-2-1-1 (R. V.
+Jategaonkar, Flight Vehicle System Identification, chapter 2). `script` writes the identification
+flights of this project's aircraft, flown on its autopilot between manoeuvres.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,29 @@ from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 from uqharness.toml import Number, Section
 
-# [start] of campaign.toml: the trimmed flight of a mission that needs no script.
+# Section [start] of campaign.toml.
 
 STEADY = "steady"
-"""The mission that [start] describes."""
+"""Name of the mission that [start] describes."""
 
 MARK = "flight/steady-start"
-"""Run property of such a mission: engines begin in the steady state of their throttles, deviations
-are scored from the start.
-"""
+"""Run property of such a mission: engines start settled, and deviations count from the start."""
 
 
 class StartSection(Section):
-    """Steady flight, wings level, controls where they trim the nominal model; above flat ground at
-    sea level.
+    """Steady flight, wings level, above flat ground at sea level, with the trimmed controls fixed.
 
-    ``climb_deg`` is the flight-path angle, level where it is None; it is solved for where the
-    throttle gives no thrust."""
+    Attributes
+    ----------
+    V_mps : float
+        True airspeed [m/s].
+    altitude_m : float
+        Altitude above sea level [m].
+    heading_deg : float
+        True heading [deg].
+    climb_deg : float or None
+        Flight-path angle [deg]; None for level flight. Solved for if the throttle gives no thrust.
+    """
 
     V_mps: Number = Field(gt=0, le=1000)
     altitude_m: Number = Field(gt=0, le=30_000)
@@ -52,26 +60,43 @@ class StartSection(Section):
     climb_deg: Number | None = Field(default=None, ge=-45, le=45)
 
 
-# Steady flight as a mission of any aircraft: trim it, and write initial conditions and a run
-# script that begin in that trim.
-#
-# The controls stay where they are (what an aircraft does by itself), so flights should be
-# short: seconds to a minute or two.
+# Steady flight as a mission. Controls are fixed, so flights should last seconds to two minutes.
 
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
-# A campaign makes its copy more than once (to know it, to fly it, to see that nothing was edited);
-# a trim takes a second.
+# Trims by content and start: a campaign stages its aircraft several times.
 _trims: dict[tuple[str, StartSection], Trim] = {}
 
 
 def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
-    """Trim ``aircraft`` and write its folder's steady-start.xml and the run script. Raises
-    BadInputError where there is no trim.
+    """Trim the aircraft and write its initial conditions and a run script.
 
-    Numbers carry nine digits: what a solver leaves in the last ones would be another file on
-    another machine."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Its folder receives ``steady-start.xml``.
+    start : StartSection
+        Flight condition.
+    script : Path
+        Run script to write.
+    source : str
+        Begins an error message.
+
+    Returns
+    -------
+    Trim
+        The converged trim.
+
+    Raises
+    ------
+    BadInputError
+        If there is no trim.
+
+    Notes
+    -----
+    Numbers have nine digits; the last digits of the solver differ between machines.
+    """
     condition = SteadyCondition(
         start.V_mps,
         start.altitude_m,
@@ -94,6 +119,7 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
 
 
 def _initialize(trim: Trim) -> str:
+    """Return the initial conditions of a trim as XML."""
     condition = trim.condition
     u, v, w = (
         speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
@@ -116,18 +142,20 @@ def _initialize(trim: Trim) -> str:
 
 
 def _path(condition: SteadyCondition) -> str:
+    """Return the flight path as text."""
     if condition.climb_rad == 0.0:
         return "Level flight"
     return f"Steady flight on a path of {math.degrees(condition.climb_rad):.3f} deg"
 
 
 def _script(aircraft: Aircraft, trim: Trim) -> str:
+    """Return a run script that holds the trimmed controls."""
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
     marks = [(MARK, 1.0), *([(trim.equilibrium.mark, 1.0)] if trim.equilibrium is not None else [])]
     properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
     if engines:
-        # Before the throttle, which starting an engine opens.
+        # Starting an engine opens its throttle, so the throttle follows.
         properties += [
             ("propulsion/set-running", -1.0),
             *((name, 1.0) for name in engine.levers(fdm)),
@@ -151,14 +179,9 @@ def _script(aircraft: Aircraft, trim: Trim) -> str:
 """
 
 
-# Run scripts of the three identification flights: manoeuvres flown open loop, the autopilot in
-# between.
-#
-# A manoeuvre begins where the autopilot left the controls: the surfaces' and the motor's own
-# positions become the open-loop commands, the autopilot lets go, and the steps are added to
-# what it held, so that one script serves any aircraft with this project's autopilot, at any
-# speed, in turbulence. ``flight/manoeuvre`` counts the manoeuvres; `uqharness fly` turns the
-# count into the name of the event that set it, and the record's column ``manoeuvre``.
+# Run scripts of three identification flights: open-loop manoeuvres between autopilot phases. Each
+# manoeuvre starts from the positions at which the autopilot left the controls and adds its steps,
+# so that one script serves any aircraft with this autopilot, at any speed and in turbulence.
 
 STEP_S = 0.01
 _COMMAND = {
@@ -174,11 +197,23 @@ QUIET_S = 1.0  # open loop before the first step: the segment's start state is e
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Steps of one control about where it stands: ``pattern`` of (units, sign), ``unit_s`` s,
-    ``size`` deg or percent.
+    """Steps of one control about its present position.
 
-    ``rest_s`` open loop after the last step; then the autopilot recovers for ``recovery_s`` at
-    ``speed_mps`` (None: as before)."""
+    Attributes
+    ----------
+    name, control : str
+        Name, and the control that moves.
+    size : float
+        Step size [deg or percent].
+    unit_s : float
+        Length of a unit [s].
+    pattern : tuple of (int, float)
+        (units, sign) of each step.
+    rest_s, recovery_s : float
+        Open loop after the last step, then on the autopilot [s].
+    speed_mps : float or None
+        Commanded airspeed of the recovery [m/s]; None for no change.
+    """
 
     name: str
     control: str
@@ -192,9 +227,7 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Plan:
-    """A flight: ``speed_mps`` to begin with, ``settle_s`` on the autopilot, then manoeuvres one
-    after the other.
-    """
+    """A flight: ``settle_s`` on the autopilot at ``speed_mps``, then the manoeuvres."""
 
     name: str
     purpose: str
@@ -204,7 +237,7 @@ class Plan:
 
     @property
     def end_s(self) -> float:
-        """When the script ends [s]."""
+        """Return the end time [s]."""
         return self.settle_s + sum(_length(m) for m in self.manoeuvres)
 
 
@@ -289,10 +322,12 @@ PLANS = (
 
 
 def _length(m: Manoeuvre) -> float:
+    """Return the duration of a manoeuvre with its recovery [s]."""
     return QUIET_S + m.unit_s * sum(units for units, _ in m.pattern) + m.rest_s + m.recovery_s
 
 
 def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
+    """Return an event of a run script at a time [s]."""
     # Half a step early, so that rounding of the clock cannot shift it by a frame.
     lines = "".join(f"\n      {text}" for text in sets)
     return (
@@ -302,8 +337,10 @@ def _event(time_s: float, name: str, sets: Sequence[str], step_s: float) -> str:
 
 
 def _events(plan: Plan, step_s: float) -> Iterator[str]:
+    """Yield the events of a plan."""
     time = plan.settle_s
     for number, m in enumerate(plan.manoeuvres, start=1):
+        # Hold the commands at the present positions, so that the open loop starts without a jump.
         hold = [
             f'<set name="{command}"><function> <sum> <property>{position}</property>'
             " <value>0</value> </sum> </function></set>"
@@ -333,11 +370,20 @@ def _events(plan: Plan, step_s: float) -> Iterator[str]:
 
 
 def _count(number: int) -> str:
+    """Return the element that sets the manoeuvre's number."""
     return f'<set name="{MANOEUVRE_PROPERTY}" value="{number}"/>'
 
 
 def script(plan: Plan, step_s: float = STEP_S) -> str:
-    """The run script of a plan as text, for a step of ``step_s`` (2 ms or more)."""
+    """Return the run script of a plan as text.
+
+    Parameters
+    ----------
+    plan : Plan
+        The flight.
+    step_s : float
+        Integration step [s], at least 2 ms.
+    """
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
   Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, change the plan there.
@@ -380,13 +426,9 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
 
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 EXCURSION_DEG = 4.0
-"""Greatest angle of incidence, sideslip, pitch or bank [deg] that a manoeuvre is to reach by the
-linear model; bank three times.
-"""
+"""Largest angle [deg] of incidence, sideslip or pitch by the linear model; three times for bank."""
 MAX_STEP_S = 0.0025
-"""Longest step [s] that these missions are flown with, which is that of the replays that they will
-be compared with.
-"""
+"""Longest step [s] of these missions, as that of the replays compared with them."""
 SETTLE_S, REST_S = 2.0, 4.0
 STEADY_S = 20.0
 _MODE = {"elevator": "short_period", "aileron": "roll", "rudder": "dutch_roll"}
@@ -406,8 +448,18 @@ _EULER = 1.0
 
 @dataclass(frozen=True)
 class Step:
-    """A manoeuvre of one control: (units, sign) pairs of ``unit_s`` seconds, ``size`` in the
-    control's own unit.
+    """A manoeuvre of one control.
+
+    Attributes
+    ----------
+    name, control : str
+        Name, and the control that moves.
+    size : float
+        Step size in the control's unit.
+    unit_s : float
+        Length of a unit [s].
+    pattern : tuple of (int, float)
+        (units, sign) of each step.
     """
 
     name: str
@@ -418,19 +470,39 @@ class Step:
 
     @property
     def length_s(self) -> float:
-        """From the first step to the return [s]."""
+        """Return the time from the first step to the return [s]."""
         return self.unit_s * sum(units for units, _ in self.pattern)
 
 
 def write_own_mission(
     aircraft: Aircraft, start: StartSection, kind: str, *, restarting: bool = False
 ) -> tuple[Path, list[Step]]:
-    """Trim the aircraft and write initial conditions and a run script into its folder: the script,
-    and its manoeuvres.
+    """Trim an aircraft and write initial conditions and a run script into its folder.
 
-    ``kind`` one of MISSIONS; ``restarting``: the flight is integrated by SECOND_ORDER, and begins
-    anew at every step of a control (`_restart`). Raises BadInputError where there is no trim, and
-    for an aircraft whose controls move nothing or command body rates."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft; its folder is written to.
+    start : StartSection
+        Flight condition.
+    kind : str
+        One of `MISSIONS`.
+    restarting : bool
+        Whether the flight is integrated by SECOND_ORDER, which is restarted at every step of a
+        control.
+
+    Returns
+    -------
+    path : Path
+        The run script.
+    steps : list of Step
+        Its manoeuvres.
+
+    Raises
+    ------
+    BadInputError
+        If there is no trim, no control turns the aircraft, or controls command body rates.
+    """
     if kind not in MISSIONS:
         raise BadInputError(f"mission '{kind}': allowed are {', '.join(MISSIONS)}")
     path = aircraft.folder / SCRIPT
@@ -463,8 +535,9 @@ def write_own_mission(
 
 
 def with_fine_step(aircraft: Aircraft) -> Aircraft:
-    """The aircraft with a step of at most FLOWN_S: at 10 ms JSBSim answers a command half a step
-    late.
+    """Return the aircraft with a step of at most MAX_STEP_S.
+
+    At 10 ms JSBSim responds to a command half a step late.
     """
     section = aircraft.card.aircraft
     fine = section.model_copy(update={"dt_s": min(section.dt_s, MAX_STEP_S)})
@@ -472,7 +545,7 @@ def with_fine_step(aircraft: Aircraft) -> Aircraft:
 
 
 def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
-    """Steps of every surface that turns the aircraft, sized for EXCURSION_DEG."""
+    """Return the steps of every surface that turns the aircraft, sized for EXCURSION_DEG."""
     frequency = {mode.name: mode.wn_radps for mode in modes(model)}
     coupled = frequency.get("other", 0.0)  # ailerons excite it where roll and spiral have joined
     steps = []
@@ -505,13 +578,12 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
 def _excursion_rad(
     model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
 ) -> float:
-    """Greatest angle [rad] that a unit of the control reaches during the steps, bank counted a
-    third.
-    """
+    """Return the largest angle [rad] per unit of the control, bank divided by three."""
     n = len(STATES)
     control_column = model.B[:, [model.controls.index(control)]]
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n:] = model.A, control_column
+    # Zero-order hold: exp of [[A, b], [0, 0]] dt gives transition matrix and input column.
     step: NDArray[np.float64] = expm(augmented * _DT_S)
     x, greatest = np.zeros(n), 0.0
     V = model.trim.condition.V_mps
@@ -525,6 +597,7 @@ def _excursion_rad(
 
 
 def _step_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str:
+    """Return the events of all steps."""
     events, time = [], SETTLE_S
     half = aircraft.dt_s / 2.0  # early, so that rounding of the clock cannot shift it by a frame
     for number, step in enumerate(steps, start=1):
@@ -545,11 +618,11 @@ def _step_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str
 
 
 def _restart(time_s: float, dt_s: float) -> str:
-    """Begin Adams and Bashforth's rule anew at a step of a control, by one frame of Euler's.
+    """Return events that restart the Adams-Bashforth rule by one frame of Euler's.
 
-    The rule extrapolates accelerations from the frame before. Across a jump of a surface that is
-    half a frame of a motion that no aircraft makes: the rates of all later rows answer half a frame
-    early, the row of the step itself does not."""
+    The rule extrapolates accelerations of the frame before. Across a jump of a surface that shifts
+    the rates of all later rows by half a frame.
+    """
     events = []
     for frames, rule, name in ((0.5, _EULER, "begin anew"), (1.5, None, "go on")):
         changes = "\n      ".join(
@@ -561,6 +634,7 @@ def _restart(time_s: float, dt_s: float) -> str:
 
 
 def _timed_event(time_s: float, name: str, change: str) -> str:
+    """Return an event of a generated mission."""
     return (
         f'    <event name="{name}">\n      <condition>simulation/sim-time-sec ge'
         f" {time_s:.5f}</condition>\n      {change}\n    </event>\n"

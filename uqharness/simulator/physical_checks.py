@@ -1,8 +1,9 @@
-"""What an aircraft's XML says that no aeroplane can have: geometry, inertia, and rotors.
+"""Checks of an aircraft before JSBSim flies it: geometry, inertia, rotors, and a trial load.
 
-JSBSim loads a wing without area or an inertia that no body has without a word, and then flies NaN
-or nonsense. The values are read from the XML, so that a message has the file and the line. What
-cannot be flown is refused; what JSBSim flies although no body or no trim of ours fits it is a note.
+JSBSim loads a wing without area, or an inertia that no body has, without a message and then
+computes NaN. Such values are refused with file and line; questionable ones are warned about. Some
+errors crash the interpreter, so that an unknown model is first loaded in a child process; the
+result is cached by content.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ _noted: set[tuple[str, str]] = set()
 
 @dataclass(frozen=True)
 class _Number:
-    """A number of the XML with its place, "file:line"."""
+    """A number of the XML and its place, "file:line"."""
 
     value: float
     place: str
 
 
 def check_physical(aircraft: HasFiles) -> None:
-    """Refuse sizes and inertia that no aircraft has; note rotors and inertia that no body has.
+    """Refuse sizes and inertia that no aircraft has; warn about rotors and unlikely inertia.
 
     Parameters
     ----------
@@ -66,8 +67,8 @@ def check_physical(aircraft: HasFiles) -> None:
     Raises
     ------
     BadInputError
-        For a wing area, span or chord that is not positive, and for moments of inertia that are
-        not positive or whose products make the tensor indefinite, with file and line.
+        For a wing area, span or chord that is not positive, and for moments of inertia that are not
+        positive or whose products make the tensor indefinite, with file and line.
     """
     files = model_files(aircraft)
     root = _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
@@ -81,7 +82,7 @@ def check_physical(aircraft: HasFiles) -> None:
 
 
 def rotor_place(aircraft: HasFiles) -> str:
-    """Where the XML has a rotor, as a sentence "file:line: ..."; empty for other aircraft."""
+    """Return where the XML has a rotor, as "file:line: ..."; empty for other aircraft."""
     files = model_files(aircraft)
     rotors = {
         PurePosixPath(name).name
@@ -106,7 +107,7 @@ class _Section:
     where: str
 
     def number(self, tag: str) -> _Number | None:
-        """The number of a child; None where there is none, or no number (JSBSim says so itself)."""
+        """Return the number of a child in SI; None if it is absent or no number."""
         child = self.element.find(tag)
         if child is None:
             return None
@@ -120,6 +121,7 @@ class _Section:
 
 
 def _root(aircraft: HasFiles, files: ModelFiles, name: str) -> _Section | None:
+    """Return the root element of a file of the aircraft."""
     if name not in files.local:
         return None
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
@@ -134,7 +136,7 @@ def _root(aircraft: HasFiles, files: ModelFiles, name: str) -> _Section | None:
 def _section(
     aircraft: HasFiles, files: ModelFiles, root: _Section | None, tag: str
 ) -> _Section | None:
-    """A section of the aircraft, from a file of its own where it names one."""
+    """Return a section of the aircraft, from its own file if it names one."""
     element = None if root is None else root.element.find(tag)
     if root is None or element is None:
         return None
@@ -144,6 +146,7 @@ def _section(
 
 
 def _check_sizes(metrics: _Section | None) -> None:
+    """Raise BadInputError for a reference size that is not positive."""
     for tag, words in _SIZES.items() if metrics is not None else ():
         number = metrics.number(tag)  # type: ignore[union-attr]
         if number is not None and not (number.value > 0.0 and math.isfinite(number.value)):
@@ -154,10 +157,11 @@ def _check_sizes(metrics: _Section | None) -> None:
 
 
 def _check_inertia(mass: _Section | None) -> None:
+    """Raise BadInputError for impossible inertia; warn if the triangle inequality fails."""
     if mass is None:
         return
     moments = [mass.number(tag) for tag in _MOMENTS]
-    # Point masses may carry all of the inertia; a moment below zero is wrong even then.
+    # Point masses may carry all inertia; a negative moment is wrong even then.
     has_points = mass.element.find("pointmass") is not None
     for tag, moment in zip(_MOMENTS, moments, strict=True):
         if moment is None or (has_points and moment.value == 0.0):
@@ -171,7 +175,7 @@ def _check_inertia(mass: _Section | None) -> None:
     if len(present) != 3:
         return
     products = [number.value if (number := mass.number(tag)) else 0.0 for tag in _PRODUCTS]
-    # JSBSim has two sign conventions for products; a tensor that is possible in one passes.
+    # JSBSim has two sign conventions of products; one possible tensor suffices.
     low, middle, high = max(_principal(present, products, sign) for sign in (1.0, -1.0))
     values = f"principal moments {low:.4g}, {middle:.4g} and {high:.4g} kg m^2"
     place = present[0].place
@@ -192,7 +196,7 @@ def _check_inertia(mass: _Section | None) -> None:
 def _principal(
     moments: list[_Number], products: list[float], sign: float
 ) -> tuple[float, float, float]:
-    """Principal moments of inertia [kg m2], rising."""
+    """Return the principal moments of inertia [kg m2] in rising order."""
     xy, xz, yz = (sign * value for value in products)
     xx, yy, zz = (moment.value for moment in moments)
     low, middle, high = np.linalg.eigvalsh([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
@@ -200,32 +204,36 @@ def _principal(
 
 
 def _note(place: str, text: str) -> None:
-    """Say it once per process, and not again of a copy that this process made of the aircraft."""
+    """Warn once per process, also about copies of the aircraft."""
     key = Path(place).name.rpartition(":")[0], text
     if key not in _noted:
         _noted.add(key)
         _LOG.warning("%s: %s", place, text)
 
 
-# Load an unknown model in a process of its own first: some mistakes in its XML end the
-# interpreter instead of raising.
-#
-# JSBSim 1.3.3 dies of a segmentation fault at an unknown function operation, and aborts when a
-# model that reads an undefined property is destroyed. The verdict on a model that loads is
-# remembered by its content, so the check costs half a second per changed aircraft and nothing
-# afterwards.
+# Trial load in a child process. JSBSim 1.3.3 has a segmentation fault at an unknown operation, and
+# aborts when a model that reads an undefined property is destroyed. The check takes 0.5 s for a
+# changed aircraft.
 
 TIMEOUT_S = 20.0
 MAX_BYTES = 1_500_000_000
-"""Of memory for one model: the largest that comes with JSBSim takes some 20 MB."""
+"""Memory limit of the trial load; JSBSim's largest aircraft takes about 20 MB."""
 _VERDICT_FORMAT = 2
 _checked: dict[str, tuple[Undefined, ...]] = {}
 
 
 @dataclass(frozen=True)
 class Undefined:
-    """A property that the model reads and nothing makes, where it is read ("u3.xml:21"), and the
-    most similar existing name.
+    """A property that the model reads and nothing defines.
+
+    Attributes
+    ----------
+    name : str
+        The property.
+    place : str
+        Where it is read, such as "u3.xml:21".
+    similar : str
+        The most similar existing name; empty without one.
     """
 
     name: str
@@ -234,13 +242,26 @@ class Undefined:
 
 
 def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]:
-    """Load the model in a child process; return the properties that it reads and nothing defines. A
-    known model costs nothing.
+    """Load the model in a child process, unless the result is known.
 
-    Raises BadInputError if the model cannot be loaded, or if initialising it kills or hangs the
-    child. What JSBSim refuses in an orderly way is not loaded a second time in this process: after
-    some such refusals (a propeller without its tables) JSBSim's memory is spoilt. ``content`` is
-    the hash of the model's files."""
+    Parameters
+    ----------
+    aircraft : NamedFiles
+        The aircraft.
+    content : str
+        Hash of its files.
+
+    Returns
+    -------
+    tuple of Undefined
+        Properties that it reads and nothing defines.
+
+    Raises
+    ------
+    BadInputError
+        If the model cannot be loaded, or the child crashes or hangs. A refused model is not loaded
+        again in this process: some refusals (a propeller without tables) corrupt JSBSim's memory.
+    """
     key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
     if key not in _checked:
         mark = _cache_folder() / key
@@ -253,7 +274,7 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]
 
 
 def undefined_message(undefined: tuple[Undefined, ...]) -> str:
-    """A sentence that names every undefined property with its place, and what to do."""
+    """Return a sentence that names every undefined property, its place, and what to do."""
     names = ", ".join(f"{u.name} ({u.place})" if u.place else u.name for u in undefined)
     one = len(undefined) == 1
     subject = "a property" if one else f"{len(undefined)} properties"
@@ -268,6 +289,7 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
 
 
 def _try_in_child(aircraft: NamedFiles) -> tuple[Undefined, ...]:
+    """Load the model in a child process and return its undefined properties."""
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
     child = run_module(__name__, *places, timeout_s=TIMEOUT_S)
@@ -288,11 +310,13 @@ def _try_in_child(aircraft: NamedFiles) -> tuple[Undefined, ...]:
 
 
 def _cache_folder() -> Path:
+    """Return the user's folder of cached results."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(base) / "uqharness" / "loadable"
 
 
 def _recall(mark: Path) -> tuple[Undefined, ...] | None:
+    """Return a cached result; None without a valid one."""
     try:
         return tuple(Undefined(*row) for row in json.loads(mark.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
@@ -300,7 +324,8 @@ def _recall(mark: Path) -> tuple[Undefined, ...] | None:
 
 
 def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
-    # Only a saving: where the cache cannot be written, the check is simply made again.
+    """Cache a result."""
+    # Without a writable cache the check is repeated.
     rows = [(u.name, u.place, u.similar) for u in undefined]
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)
@@ -311,7 +336,7 @@ def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
 
 @dataclass(frozen=True)
 class _Unread:
-    """An aircraft by its places alone, its card unread."""
+    """Places of an aircraft whose card is not read."""
 
     folder: Path
     xml: Path
@@ -324,6 +349,7 @@ class _Unread:
 
 
 def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
+    """Load the aircraft in this process and answer the parent."""
     engine.mirror_messages(sys.stdout.fileno())
     aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
     with MemoryLimit(MAX_BYTES):
@@ -344,6 +370,7 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
 
 
 def _locate(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
+    """Return a property's name, the place where it is read, and a similar name."""
     places = (
         f"{file.relative_to(home).as_posix()}:{line}"
         for file, home in _model_files(staging)
@@ -354,7 +381,7 @@ def _locate(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, 
 
 
 def _lines_that_name(name: str, file: Path) -> Iterator[int]:
-    """Lines of elements whose text is the property's name; # stands for the number of an engine."""
+    """Yield the lines of elements whose text is the property; # stands for an engine's number."""
     for element in _elements(file):
         text = (element.text or "").strip().lstrip("-")
         if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
@@ -362,15 +389,16 @@ def _lines_that_name(name: str, file: Path) -> Iterator[int]:
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
-    """(Name, file, line) of every property that a function or a table of the model reads; with an
-    engine's number (#), left out.
+    """Yield (name, file, line) of every property that a function or table of the model reads.
+
+    Names with an engine's number (#) are left out.
     """
     for file, _ in _model_files(staging):
         for element in _elements(file):
             if element.tag not in ("property", "p", "independentVar"):
                 continue
             functions = [e for e in element.iterancestors() if e.tag == "function"]
-            # The properties of a template function are its arguments' names.
+            # Properties of a template function are its arguments.
             if any(e.get("type") == "template" for e in functions):
                 continue
             name = (element.text or "").strip().lstrip("-")
@@ -379,17 +407,20 @@ def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:
 
 
 def _line(element: etree._Element) -> int:
+    """Return the line of an element; 0 if unknown."""
     return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
 def _elements(file: Path) -> Iterator[etree._Element]:
+    """Return all elements of a file."""
     parser = etree.XMLParser(resolve_entities=False, remove_comments=True)
     return etree.parse(str(file), parser).getroot().iter("*")
 
 
 def _model_files(staging: Staging) -> Iterator[tuple[Path, Path]]:
-    """(File, folder that its name is shown in) of the XML that JSBSim loads; a file of the aircraft
-    hides a shared one.
+    """Yield (file, folder it is shown in) of the XML that JSBSim loads.
+
+    A file of the aircraft hides a shared one of the same name.
     """
     local = [file for file in sorted(staging.folder.rglob("*.xml")) if file != staging.xml]
     yield staging.xml, staging.folder

@@ -1,5 +1,9 @@
-"""A private copy of what JSBSim opens of an aircraft: just those files, each through the gate, laid
-out as JSBSim wants them.
+"""Gate before JSBSim: a private copy of the files that it opens, each screened.
+
+JSBSim acts on XML as soon as it is loaded: ``<output>`` writes a file of any name, ``<input>``
+listens on the network, ``<child>`` loads another aircraft, and a ``file`` attribute may name any
+file. `screen_file` blanks or refuses such elements. `model_files` collects the files of an
+aircraft, `stage` writes them as a JSBSim root, and `identity` hashes what determines the flight.
 """
 
 from __future__ import annotations
@@ -22,31 +26,20 @@ from sysid.foreign.regular_files import read_regular, require_regular
 from uqharness.errors import BadInputError
 from uqharness.files import Scratch, scratch_folder
 
-# What a foreign XML file may ask of JSBSim: nothing but to be read. The one gate before JSBSim
-# opens a file.
-#
-# JSBSim does what an XML says as soon as it is loaded. ``<output>`` writes a file of any name,
-# ``<input>`` listens on the network, ``<child>`` loads another aircraft, and a ``file``
-# attribute may name any file of the machine. A file's bytes pass through here first: elements
-# of the first two kinds are blanked (line numbers stay), the rest is refused with file and
-# line. Reads and writes nothing.
+# Screening of one file. Blanked elements keep their line ends, so that line numbers are unchanged.
 
 REMOVED_ELEMENTS = frozenset({"output", "input"})
-"""Children of a file's root that are blanked: a host records and commands for itself."""
+"""Children of the root that are blanked; the host records and commands itself."""
 
 _MAX_NAME_BYTES = 250
 _TAG = re.compile(rb"""(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
 MAX_DEPTH = 200
-"""Levels of nesting that are read; aircraft have some fifteen, and JSBSim follows each with a call
-of its own.
-"""
+"""Deepest nesting; aircraft have about 15 levels, and JSBSim recurses for each."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A ``file`` attribute: the element that has it, the file named (``.xml`` added as JSBSim
-    does), and its line.
-    """
+    """A ``file`` attribute: tag, file (``.xml`` added as JSBSim does), and line."""
 
     tag: str
     name: str
@@ -55,9 +48,18 @@ class Reference:
 
 @dataclass(frozen=True)
 class ScreenedFile:
-    """A file that may be loaded.
+    """A file that JSBSim may load.
 
-    ``taken_out``: tag and line of each element that ``content`` no longer has.
+    Attributes
+    ----------
+    content : bytes
+        Its bytes, removed elements blanked.
+    root : str
+        Tag of its root.
+    references : tuple of Reference
+        Files that it names.
+    removed : tuple of (str, int)
+        Tag and line of each removed element.
     """
 
     content: bytes
@@ -68,9 +70,7 @@ class ScreenedFile:
 
 @dataclass
 class _Scan:
-    """One pass over the elements: what stands right below the root, and every ``file``
-    attribute.
-    """
+    """One pass over the elements: those below the root, and all ``file`` attributes."""
 
     raw: bytes
     where: str
@@ -82,6 +82,7 @@ class _Scan:
     _open: tuple[str, int, int] | None = None
 
     def run(self) -> _Scan:
+        """Parse the file. Raises BadInputError."""
         self.parser.StartElementHandler = self._opened
         self.parser.EndElementHandler = self._closed
         try:
@@ -95,6 +96,7 @@ class _Scan:
         return self
 
     def _opened(self, tag: str, attributes: dict[str, str]) -> None:
+        """Handle a start tag."""
         line = self.parser.CurrentLineNumber
         self.depth += 1
         if self.depth > MAX_DEPTH:
@@ -127,6 +129,7 @@ class _Scan:
             )
 
     def _closed(self, tag: str) -> None:
+        """Note the bytes of an element that is to be removed."""
         if self.depth == 2 and self._open is not None:
             tag, line, start = self._open
             end = tag_end(self.raw, start)
@@ -137,6 +140,7 @@ class _Scan:
         self.depth -= 1
 
     def _inside(self, tag: str, name: str, line: int) -> str:
+        """Return the name of a file within the aircraft; BadInputError if it leads out."""
         if leads_out(name):
             raise BadInputError(
                 f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must'
@@ -152,8 +156,12 @@ class _Scan:
 
 
 def leads_out(name: str) -> bool:
-    """Whether a file's name, read as this or as another system reads it, may lie outside the folder
-    that it is looked for in.
+    """Return whether a file's name may lie outside its folder, on this or another system.
+
+    Examples
+    --------
+    >>> leads_out("engines/a.xml"), leads_out("../a.xml"), leads_out("C:a.xml")
+    (False, True, True)
     """
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
@@ -168,10 +176,21 @@ def leads_out(name: str) -> bool:
 
 @lru_cache(maxsize=128)
 def screen_file(raw: bytes, where: str) -> ScreenedFile:
-    """A file's bytes as JSBSim may load them. ``where`` is the file's name in messages.
+    """Return a file's bytes as JSBSim may load them.
 
-    Raises BadInputError with file and line for what is not well formed, for a second aircraft, for
-    a file named outside the aircraft, and for an encoding in which elements cannot be taken out."""
+    Parameters
+    ----------
+    raw : bytes
+        Content of the file.
+    where : str
+        Its name in messages.
+
+    Raises
+    ------
+    BadInputError
+        With file and line, for malformed XML, a second aircraft, a file outside the aircraft, and
+        an encoding in which elements cannot be removed.
+    """
     scan = _Scan(raw, where).run()
     if not scan.spans:
         return ScreenedFile(raw, scan.root, tuple(scan.references), ())
@@ -180,6 +199,7 @@ def screen_file(raw: bytes, where: str) -> ScreenedFile:
         pieces += [raw[position:start], bytes(_blank(raw[start:end]))]
         position = end
     content = b"".join([*pieces, raw[position:]])
+    # A second pass proves that the removed elements are gone.
     rescanned = _Scan(content, where).run()
     if rescanned.spans or rescanned.references != scan.references:
         raise BadInputError(
@@ -195,45 +215,35 @@ def screen_file(raw: bytes, where: str) -> ScreenedFile:
 
 
 def _blank(text: bytes) -> Iterator[int]:
-    """Spaces for everything but line ends: messages keep their line numbers."""
+    """Return blanks for everything but line ends."""
     return (byte if byte in b"\r\n" else 0x20 for byte in text)
 
 
 def tag_end(raw: bytes, start: int) -> int:
-    """Byte behind the ``>`` of the tag at ``start``; a ``>`` in quotes does not count."""
+    """Return the byte behind the ``>`` of the tag at ``start``, ignoring ``>`` in quotes."""
     match = _TAG.match(raw, start)
     return len(raw) if match is None else match.end()
 
 
-# Which files an aircraft is made of: its own folder's, and what JSBSim opens beside it. Their
-# identity, and a safe copy.
-#
-# An aircraft's folder may come from anywhere. Only regular files in it are read. A link counts
-# as the file that it leads to if that lies in the folder, or with the other aircraft of a
-# JSBSim root (root/aircraft/NAME); other links and linked folders are refused.
+# Files of an aircraft. Only regular files of its folder are read. A link must lead into the folder,
+# or to another aircraft of the same JSBSim root (root/aircraft/NAME).
 
 MAX_FILE_BYTES = 16_000_000
-"""Of one XML file: the largest that comes with JSBSim has 2 MB."""
+"""Largest XML file; JSBSim's largest has 2 MB."""
 MAX_FILES = 20_000
-"""In an aircraft's folder: FlightGear's largest, with all their pictures and models, have some
-thousands.
-"""
+"""Most files in an aircraft's folder; FlightGear's largest have some thousands."""
 
 INSIDE = {
     "systems": ("", "Systems", "systems"),
     "engine": ("", "Engines", "engines", "Engine", "engine"),
 }
-"""Where JSBSim looks within the aircraft's own folder, in its order (FGFCS and
-FGPropulsion::FindFullPathName).
-"""
+"""Subfolders that JSBSim searches, in its order (FGFCS and FGPropulsion::FindFullPathName)."""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _SKIPPED = frozenset({".git"})
 
 
 class HasFiles(Protocol):
-    """Where an aircraft's files lie: its folder, its own XML there, and the shared folders of
-    engines and systems.
-    """
+    """Places of an aircraft's files."""
 
     @property
     def folder(self) -> Path:
@@ -247,22 +257,28 @@ class HasFiles(Protocol):
 
     @property
     def engine_path(self) -> Path:
-        """Where engines and propellers are looked for after the aircraft's folder."""
+        """Folder searched for engines and propellers after the aircraft's own."""
         ...
 
     @property
     def systems_path(self) -> Path:
-        """The same for systems."""
+        """Folder searched for systems after the aircraft's own."""
         ...
 
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Files that JSBSim may open for an aircraft, as the gate passed them.
+    """Screened files that JSBSim may open for an aircraft.
 
-    own      path within the aircraft's folder -> file: all that its XML refers to, and initial
-    conditions beside   "engine/..." or "systems/..." -> file, of the shared folders shared_paths  the
-    shared folders' files that were looked for, there or not"""
+    Attributes
+    ----------
+    local : dict
+        Path in the aircraft's folder to file: all that its XML names, and initial conditions.
+    shared : dict
+        "engine/..." or "systems/..." to file, from the shared folders.
+    shared_paths : tuple of Path
+        Files that were looked for in the shared folders, existing or not.
+    """
 
     local: dict[str, ScreenedFile]
     shared: dict[str, ScreenedFile]
@@ -270,14 +286,18 @@ class ModelFiles:
 
 
 def walk(folder: Path) -> Iterator[tuple[str, Path]]:
-    """(Path within the folder, file) of every file below ``folder``, sorted.
+    """Yield (path within the folder, file) of every file below ``folder``, sorted.
 
-    Raises BadInputError for a link that leads elsewhere, a linked folder, what is no regular file,
-    and too many files."""
+    Raises
+    ------
+    BadInputError
+        For a link that leads elsewhere, a linked folder, a file that is not regular, and too many
+        files.
+    """
     home = folder.resolve()
     collection = home.parent
     allowed = (home, collection) if collection.name == "aircraft" else (home,)
-    # By parts, as paths sort: the order is part of the identity.
+    # Sorted by parts, like paths: the order is part of the identity.
     files = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
     if len(files) > MAX_FILES:
         raise BadInputError(
@@ -296,6 +316,7 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
+    """Yield the files below a folder, hidden repositories left out."""
     try:
         entries = list(os.scandir(folder))
     except OSError as error:
@@ -315,6 +336,7 @@ def _below(folder: Path, prefix: str) -> Iterator[tuple[str, Path]]:
 
 
 def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
+    """Raise BadInputError for a link to a place outside the allowed folders."""
     try:
         target = path.resolve(strict=True)
     except (OSError, RuntimeError):
@@ -329,6 +351,7 @@ def _refuse_link(path: Path, allowed: tuple[Path, ...]) -> None:
 
 
 def _target(path: Path) -> str:
+    """Return what a link points to, for a message."""
     try:
         return os.readlink(path)
     except OSError:
@@ -336,8 +359,10 @@ def _target(path: Path) -> str:
 
 
 def read_xml(path: Path) -> bytes:
-    """An XML file's bytes. Raises BadInputError for what cannot be read, is no regular file, or is
-    too large.
+    """Return the bytes of an XML file.
+
+    Raises BadInputError if it cannot be read, is not regular, is too large, or is a Git LFS
+    pointer.
     """
     try:
         content = read_regular(path, MAX_FILE_BYTES)
@@ -352,11 +377,11 @@ def read_xml(path: Path) -> bytes:
 
 
 def model_files(aircraft: HasFiles) -> ModelFiles:
-    """What JSBSim may open for the aircraft, each file through the gate. Raises BadInputError with
-    file and line.
+    """Return the screened files that JSBSim may open for an aircraft.
 
-    Of a file that is named, every place in which JSBSim looks is taken, so that its own search
-    decides."""
+    Of a named file, all places that JSBSim searches are included, so that its own search decides.
+    Raises BadInputError with file and line.
+    """
     files = dict(walk(aircraft.folder))
     local: dict[str, ScreenedFile] = {}
     shared_files: dict[str, ScreenedFile] = {}
@@ -377,6 +402,7 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
             if path.is_file():
                 shared_files[key] = screen_file(_read_shared(path, shared), str(path))
                 pending += _new_references(shared_files[key], requested_names, files)
+    # Initial conditions are named by scripts, not by the aircraft.
     for name, path in files.items():
         if name not in local and name.endswith(".xml"):
             content = read_xml(path)
@@ -388,11 +414,9 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
 def _new_references(
     file: ScreenedFile, requested_names: set[str], files: dict[str, Path]
 ) -> Iterator[str]:
-    """Names to look up that ``file`` refers to and no file before it did, and where they are within
-    the aircraft's folder.
-    """
+    """Yield names that a file refers to for the first time, and their places in the folder."""
     for reference in file.references:
-        # "./a//b.xml" is "a/b.xml".
+        # Normalised: "./a//b.xml" is "a/b.xml".
         name = Path(reference.name).as_posix()
         if name not in requested_names:
             requested_names.add(name)
@@ -404,6 +428,7 @@ def _new_references(
 
 
 def _read_shared(path: Path, folder: Path) -> bytes:
+    """Read a file of a shared folder; BadInputError for a link that leads out of it."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise BadInputError(
             f"{path}: is a link to {path.resolve()}, outside {folder}; put a copy of the file there"
@@ -413,14 +438,16 @@ def _read_shared(path: Path, folder: Path) -> bytes:
 
 
 def identity(aircraft: HasFiles) -> str:
-    """SHA-256 over every file that decides how the aircraft flies, names included.
+    """Return the SHA-256 over all files that determine how the aircraft flies, with their names.
 
-    These are the XML and TOML files of its folder, and what its XML takes from the folders of
-    engines and systems beside it. Raises BadInputError."""
+    These are the XML and TOML files of its folder, and the engines and systems that its XML takes
+    from the shared folders. Raises BadInputError.
+    """
     return sha256_of_parts(_named_contents(aircraft))
 
 
 def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
+    """Yield names and contents for `identity`."""
     for name, path in walk(aircraft.folder):
         if path.suffix in {".xml", ".toml"}:
             yield name.encode(errors="surrogateescape") + b"\0"
@@ -432,11 +459,11 @@ def _named_contents(aircraft: HasFiles) -> Iterator[bytes]:
 
 
 FileState = tuple[int, int, int] | None
-"""Time of the last change [ns], size and number of a file; None where there is none."""
+"""Modification time [ns], size and inode of a file; None if it does not exist."""
 
 
 def state(path: Path) -> FileState:
-    """What changes when a file is edited, without reading it."""
+    """Return what changes when a file is edited, without reading it."""
     try:
         status = path.stat()
     except OSError:
@@ -445,16 +472,16 @@ def state(path: Path) -> FileState:
 
 
 def signature(folder: Path) -> tuple[tuple[str, FileState], ...]:
-    """The same for all files of a folder. Raises BadInputError as `walk` does."""
+    """Return the states of all files of a folder. Raises BadInputError as `walk`."""
     return tuple((name, state(path)) for name, path in walk(folder))
 
 
 def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
-    """Copy an aircraft's folder to ``target``, which must not exist: regular files, and what links
-    in it lead to.
+    """Copy an aircraft's folder to ``target``, which must not exist.
 
-    ``keep_links``: links stay links, for a copy that takes the folder's own place. Raises
-    BadInputError as `walk` does."""
+    Links become copies of what they lead to. ``keep_links`` keeps them, for a copy that replaces
+    the folder itself. Raises BadInputError as `walk`.
+    """
     target.mkdir(parents=True)
     for name, path in walk(source):
         place = target / name
@@ -467,11 +494,11 @@ def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
 
 
 def copy_shared_parts(aircraft: HasFiles, root: Path, stock: Path) -> None:
-    """Copy what the aircraft takes from engines and systems of its own, beside its folder, into
-    ``root``. Raises BadInputError.
+    """Copy engines and systems that an aircraft takes from its own root into ``root``.
 
-    stock: JSBSim's root, whose parts need no copy. A folder that is the aircraft's own is made even
-    if nothing of it is used: JSBSim's would be looked at instead."""
+    ``stock`` is JSBSim's root, whose parts need no copy. A shared folder of the aircraft's is made
+    even if nothing in it is used: otherwise JSBSim's own would be searched. Raises BadInputError.
+    """
     local_kinds = {
         kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind
     }
@@ -485,6 +512,7 @@ def copy_shared_parts(aircraft: HasFiles, root: Path, stock: Path) -> None:
 
 
 def _shared(aircraft: HasFiles, kind: str) -> Path:
+    """Return the shared folder of engines or systems."""
     return aircraft.engine_path if kind == "engine" else aircraft.systems_path
 
 
@@ -494,21 +522,25 @@ _reported: set[tuple[str, str]] = set()
 
 
 class NamedFiles(HasFiles, Protocol):
-    """An aircraft's files and its name, which JSBSim's folder and file must bear."""
+    """Places of an aircraft's files, and its name."""
 
     @property
     def name(self) -> str:
-        """Name of the aircraft's XML file without its suffix."""
+        """Name of the aircraft's XML file without suffix."""
         ...
 
 
 @dataclass(frozen=True)
 class Staging:
-    """A JSBSim root that holds one aircraft: root/aircraft/<name>, root/engine, root/systems. The
-    engine loads nothing else.
+    """A JSBSim root with one aircraft: root/aircraft/<name>, root/engine, root/systems.
 
-    ``shown`` are pairs of a folder in the root and the user's own folder that it stands for, for
-    messages."""
+    Attributes
+    ----------
+    root, name
+        Folder, and name of the aircraft.
+    user_folders : tuple of (Path, Path)
+        Folder in the root and the user's folder that it stands for, for messages.
+    """
 
     root: Path
     name: str
@@ -516,26 +548,25 @@ class Staging:
 
     @property
     def folder(self) -> Path:
-        """The aircraft's folder in the root."""
+        """Return the aircraft's folder in the root."""
         return self.root / "aircraft" / self.name
 
     @property
     def xml(self) -> Path:
-        """The aircraft's XML file in the root."""
+        """Return the aircraft's XML file in the root."""
         return self.folder / f"{self.name}.xml"
 
 
 def stage(aircraft: NamedFiles, root: Path) -> Staging:
-    """Write the aircraft's files into ``root``, which is made. Raises BadInputError as `opened`
-    does.
+    """Write the aircraft's screened files into ``root``, which is made.
 
-    What was taken out of a file is said once per process, to the logger "uqharness" at level INFO.
+    Removed elements are logged once per process (logger "uqharness", INFO). Raises BadInputError.
     """
     return write(model_files(aircraft), aircraft, root)
 
 
 def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
-    """The same for files that have passed the gate."""
+    """Write screened files into ``root`` as a staging."""
     staging = Staging(
         root,
         aircraft.name,
@@ -556,9 +587,7 @@ def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
 
 
 def copy_staging(staging: Staging, root: Path) -> Staging:
-    """A second root with the same files, to be edited; messages go on naming the user's own
-    folders.
-    """
+    """Copy a staging to a second root, to be edited; messages keep naming the user's folders."""
     for part in ("aircraft", "engine", "systems"):
         shutil.copytree(staging.root / part, root / part)
     return Staging(
@@ -569,11 +598,13 @@ def copy_staging(staging: Staging, root: Path) -> Staging:
 
 
 def _write_screened(path: Path, file: ScreenedFile) -> None:
+    """Write one screened file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(file.content)
 
 
 def _report_removed(path: str, file: ScreenedFile) -> None:
+    """Log the elements removed from a file, once per process."""
     if not file.removed:
         return
     counts = Counter(tag for tag, _ in file.removed)
@@ -593,9 +624,7 @@ def _report_removed(path: str, file: ScreenedFile) -> None:
 
 @dataclass(frozen=True)
 class _CachedStaging:
-    """A staging, the scratch folder that holds it, and the state that shared files had when it was
-    made.
-    """
+    """A staging, its folder, and the states of shared files when it was made."""
 
     staging: Staging
     scratch: Scratch
@@ -606,8 +635,9 @@ _stagings: OrderedDict[object, _CachedStaging] = OrderedDict()
 
 
 def staged(aircraft: NamedFiles) -> Staging:
-    """The aircraft staged in this process's scratch folder; made anew once a file of it has
-    changed. Raises BadInputError.
+    """Return the aircraft staged in this process's temporary folder.
+
+    It is staged again once a file has changed. Raises BadInputError.
     """
     key = (
         aircraft.folder,
@@ -625,15 +655,15 @@ def staged(aircraft: NamedFiles) -> Staging:
             write(files, aircraft, scratch.path), scratch, shared_states
         )
         while len(_stagings) > _MAX_STAGINGS:
-            # Whoever flies it has loaded it: JSBSim reads a file once.
+            # Instances have read their files already, so that old stagings can go.
             _stagings.popitem(last=False)[1].scratch.close()
     _stagings.move_to_end(key)
     return cached.staging
 
 
 def fingerprint(aircraft: NamedFiles) -> str:
-    """A text that changes when a file of the aircraft does; reads none where nothing has changed.
+    """Return a text that changes whenever a file of the aircraft does.
 
-    Raises BadInputError.
+    Files are read only after a change. Raises BadInputError.
     """
     return staged(aircraft).root.name

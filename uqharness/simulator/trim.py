@@ -1,9 +1,11 @@
-"""Steady flight: find attitude, controls and throttle at which nothing accelerates.
+"""Steady flight: attitude, controls and throttle at which no acceleration remains.
 
-JSBSim's own trim needs a <propulsion> engine for its throttle axis and fails on a thrust map in
-external_reactions. This one asks the model for its accelerations at a forced state, on a fresh
-instance each time (an instance that has run remembers its actuators), so it serves any aircraft
-whose card names the controls."""
+JSBSim's trim needs a <propulsion> engine and fails for a thrust map in external_reactions.
+`find_trim` instead solves for zero accelerations by bounded least squares. Each evaluation uses a
+new instance at the imposed state (`forced_state`), because an instance that has run remembers its
+actuators. It serves any winged aircraft with named controls, gliders included. If there is no trim,
+the result says which control saturates, or how much thrust is missing.
+"""
 
 from __future__ import annotations
 
@@ -32,18 +34,23 @@ from uqharness.simulator.forced_state import (
 )
 from uqharness.simulator.physical_checks import rotor_place
 
-# Why there is no steady flight where the thrust does not fit: by how much, and the nearest
-# speed at which it does.
+# Explanations of trims without enough, or with too much, thrust.
 
 SPEEDS = (0.9, 0.75, 0.6, 1.1, 1.35, 2.0)
-"""Shares of the speed asked for at which flight is tried, in this order on each side."""
+"""Shares of the requested speed at which flight is tried, in this order on each side."""
 _HALVINGS = 3
 
 
 @dataclass(frozen=True)
 class AtLimit:
-    """Steady flight with the throttle at one end: the path that it then takes [rad] and its thrust
-    [N], NaN where none is told.
+    """Steady flight with the throttle at one end.
+
+    Attributes
+    ----------
+    climb_rad : float
+        Flight-path angle [rad].
+    thrust_N : float
+        Thrust [N]; NaN if the model does not report it.
     """
 
     climb_rad: float
@@ -57,16 +64,28 @@ def thrust_reason(
     idle: Callable[[float], AtLimit | None],
     mass_kg: float,
 ) -> str:
-    """A sentence where full throttle is too little or idle too much for the path ``target_rad``;
-    empty where it is neither.
+    """Explain a path that full throttle cannot hold or idle cannot descend to.
 
-    ``full`` and ``idle`` give, of an airspeed [m/s], the steady flight with the throttle at that
-    end, None where there is none. ``mass_kg`` turns the acceleration into the thrust that is
-    missing, or too much."""
+    Parameters
+    ----------
+    V_mps, target_rad : float
+        True airspeed [m/s] and flight-path angle [rad].
+    full, idle : callable
+        Return the steady flight at an airspeed with the throttle at that end, or None.
+    mass_kg : float
+        Mass, which turns acceleration into thrust [kg].
+
+    Returns
+    -------
+    str
+        A sentence with the missing or excess thrust and the nearest speed that fits; empty if
+        thrust is not the cause.
+    """
     for throttle, fly_at_end, direction in (("full", full, -1.0), ("idle", idle, 1.0)):
         limit = fly_at_end(V_mps)
         if limit is None or direction * (limit.climb_rad - target_rad) <= 0.0:
             continue
+        # Along the path, thrust must balance drag and the weight's component m g sin(climb).
         change = G0_MPS2 * abs(math.sin(limit.climb_rad) - math.sin(target_rad))
         thrust = (
             f"{limit.thrust_N:.0f} N of thrust"
@@ -83,8 +102,9 @@ def thrust_reason(
 
 
 def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
-    """A sentence for engines whose thrust [N] is the same at both ends of the throttle;
-    ``unsettled`` says what else is known.
+    """Return a sentence for engines whose thrust does not depend on the throttle.
+
+    ``thrust_N`` is the thrust [N] at both ends; ``unsettled`` is added as a remark.
     """
     remark = f" ({unsettled})" if unsettled else ""
     return (
@@ -101,7 +121,7 @@ def _advice(
     direction: float,
     limit: AtLimit,
 ) -> str:
-    """The nearest speed that fits, slower first."""
+    """Return the nearest speed that fits, slower ones first, else the nearest path."""
 
     def fits(V: float) -> bool | None:
         limit_at_speed = fly_at_end(V)
@@ -119,7 +139,7 @@ def _advice(
             inside = share * V_mps
             fit = fits(inside)
             if fit is None:
-                # No steady flight at all there: beyond a stall or a control's limit there is none.
+                # No steady flight at all: beyond a stall or a control's limit.
                 break
             if not fit:
                 outside = inside
@@ -181,13 +201,24 @@ _RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it le
 
 @dataclass(frozen=True)
 class SteadyCondition:
-    """What is asked: true airspeed, altitude above sea level, flight-path angle, bank, heading and
-    a steady wind.
+    """A steady flight condition.
 
-    ``wind_ned_mps`` is the velocity of the air (north, east, down); trim is the same in any steady
-    wind, only the velocity over the ground differs. ``bank_rad`` not 0 asks for a coordinated turn
-    (no side force felt); a trim's own condition may have the bank of straight flight, with a turn
-    rate of 0."""
+    Attributes
+    ----------
+    V_mps : float
+        True airspeed [m/s].
+    altitude_m : float
+        Altitude above sea level [m].
+    climb_rad, heading_rad : float
+        Flight-path angle and heading [rad].
+    bank_rad : float
+        Bank [rad]. Other than 0 asks for a coordinated turn (no lateral specific force). The
+        condition of a trim may have a bank in straight flight, with a turn rate of 0.
+    wind_ned_mps : tuple of float
+        Velocity of the air (north, east, down) [m/s]; it changes only the ground velocity.
+    properties : mapping
+        Properties set before the trim.
+    """
 
     V_mps: float
     altitude_m: float = 0.0
@@ -200,13 +231,33 @@ class SteadyCondition:
 
 @dataclass(frozen=True)
 class Trim:
-    """What was found. ``converged`` False is a result too: ``reason`` says which control ran out or
-    what kept accelerating.
+    """Result of a trim.
 
-    Angles in rad, rates body axes rad/s, ``controls`` in each control's own unit, ``positions_deg``
-    of the surfaces that tell, ``thrust_N`` and ``rpm`` NaN where the model names none, ``residual``
-    (6,) accelerations left (m/s2 and rad/s2). ``rest`` how the control system was brought to rest
-    there, None where it rests from the first frame on."""
+    Attributes
+    ----------
+    condition : SteadyCondition
+        With the flight-path angle and bank found, if these were unknowns.
+    converged : bool
+        Whether all accelerations vanish.
+    reason : str
+        Which control is saturated or what keeps accelerating; empty if converged.
+    alpha_rad, beta_rad, theta_rad : float
+        Incidence, sideslip and pitch [rad].
+    turn_rate_radps, p_radps, q_radps, r_radps : float
+        Turn rate and body rates [rad/s].
+    controls : mapping
+        In each control's own unit.
+    positions_deg : mapping
+        Surface positions, where the model reports them.
+    thrust_N, rpm : float
+        NaN if the model does not report them.
+    residual : ndarray
+        Remaining accelerations (6,) [m/s2, rad/s2].
+    velocity_ned_mps : tuple of float
+        Ground velocity [m/s].
+    equilibrium : ControlEquilibrium or None
+        How the control system was brought to rest; None if it is at rest from the first frame.
+    """
 
     condition: SteadyCondition
     converged: bool
@@ -228,7 +279,7 @@ class Trim:
 
     @property
     def state(self) -> BodyState:
-        """The state that was found, at its heading."""
+        """Return the trimmed state at its heading."""
         u, v, w = body_velocity(self.condition.V_mps, self.alpha_rad, self.beta_rad)
         condition = self.condition
         rates = self.p_radps, self.q_radps, self.r_radps
@@ -240,8 +291,15 @@ class Trim:
 
 
 def pitch_for_climb(alpha: float, beta: float, phi: float, climb: float) -> float:
-    """Pitch angle [rad] that gives the flight-path angle ``climb`` at bank ``phi`` (Stevens &
-    Lewis, rate-of-climb constraint).
+    """Return the pitch angle [rad] for a flight-path angle at a bank.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation, rate-of-climb constraint. NaN if
+    there is none.
+
+    Examples
+    --------
+    >>> round(pitch_for_climb(0.05, 0.0, 0.0, 0.1), 12)
+    0.15
     """
     a = math.cos(alpha) * math.cos(beta)
     b = math.sin(phi) * math.sin(beta) + math.cos(phi) * math.sin(alpha) * math.cos(beta)
@@ -258,9 +316,11 @@ def force_near_trim(
     state: BodyState,
     controls: Mapping[str, float],
 ) -> NDArray[np.float64]:
-    """Accelerations (6,) [m/s2, rad/s2] at a state beside a trim whose control system was brought
-    to rest: it stands as it rested there, and what passes it without delay is felt. Raises
-    BadInputError."""
+    """Return accelerations (6,) [m/s2, rad/s2] at a state near a trim with settled controls.
+
+    The control system stays as it rested in the trim; only parts without delay respond. Raises
+    BadInputError.
+    """
     condition = trim.condition
     fdm, _ = open_forced(
         aircraft,
@@ -280,19 +340,36 @@ def force_near_trim(
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
-    """Trim by bounded least squares on (alpha, beta, controls[, turn rate]); never raises for a
-    condition that has no trim.
+    """Trim an aircraft by bounded least squares.
 
-    Unknowns: alpha, beta, elevator, aileron, rudder, throttle, and in a turn its rate; equations:
-    the six accelerations and, in a turn, no lateral specific force. Of an aircraft without thrust
-    to set (a glider, or rockets whose tanks are empty) the flight-path angle is unknown in place of
-    the throttle, and stands in the trim's ``condition``. Other engines that the throttle does not
-    move make no glider: that is not converged, with the reason, as are engines that never settle.
-    Where surfaces do not balance straight flight with wings level (a rudder that follows the
-    ailerons alone), bank is unknown in place of the rudder, up to 5 deg, and stands in the trim's
-    ``condition``. Where the control system moves at the state that was found, states are forced
-    with it brought to rest, body rates first held, then free. Raises BadInputError for a model that
-    does not load, and for a rotorcraft."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        An aircraft with wings.
+    condition : SteadyCondition
+        Flight condition.
+
+    Returns
+    -------
+    Trim
+        Not converged, with a reason, if there is no trim.
+
+    Raises
+    ------
+    BadInputError
+        If the model does not load, or is a rotorcraft.
+
+    Notes
+    -----
+    Unknowns are alpha, beta, elevator, aileron, rudder, throttle, and the rate of a turn. Equations
+    are the six accelerations and, in a turn, zero lateral specific force.
+
+    Without thrust to set (a glider, or rockets with empty tanks), the flight-path angle replaces
+    the throttle. Engines that do not respond to the throttle, or never settle, are a failure. If
+    surfaces alone do not balance straight flight (a rudder coupled to the ailerons), bank up to 5
+    deg replaces the rudder. If the control system moves at the trim, states are imposed with it at
+    rest, body rates first held, then free.
+    """
     if rotor := rotor_place(aircraft):
         raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
     equilibrium = _moving_from_the_start(aircraft, condition)
@@ -300,8 +377,7 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     if equilibrium is None and (equilibrium := _moving_at_trim(aircraft, result.trim)) is not None:
         result = _search(aircraft, condition, equilibrium)
     if equilibrium is not None and not result.trim.converged and result.problem.unsettled:
-        # A control law that integrates rests where the aircraft turns as commanded: body rates are
-        # left to it.
+        # A control law that integrates a rate error rests only at the commanded rate.
         free = _search(aircraft, condition, replace(equilibrium, free=True))
         result = free if free.trim.converged else result
     return result.explained()
@@ -309,8 +385,14 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
 
 @dataclass(frozen=True)
 class _SearchResult:
-    """Where a search ended, ``x`` its unknowns; ``wrong``: what says that it is no trim (empty:
-    nothing).
+    """End of a search.
+
+    Attributes
+    ----------
+    problem, trim, x
+        Problem, resulting trim, and scaled unknowns.
+    failure : str
+        Why it is no trim; empty if the search found none.
     """
 
     problem: _Problem
@@ -319,7 +401,7 @@ class _SearchResult:
     failure: str
 
     def explained(self) -> Trim:
-        """The trim; where there is none, with its cause."""
+        """Return the trim; without convergence, with its cause."""
         if self.trim.converged:
             return self.trim
         return replace(
@@ -327,9 +409,7 @@ class _SearchResult:
         )
 
     def _cause(self) -> str:
-        """Why there is no trim: what does not settle, thrust, a saturated control, or nothing of
-        these.
-        """
+        """Return why there is no trim: settling, thrust, a saturated control, or none of these."""
         if self.failure:
             return self.failure
         problem, residual = self.problem, self.trim.residual
@@ -373,7 +453,7 @@ class _SearchResult:
 def _search(
     aircraft: Aircraft, condition: SteadyCondition, equilibrium: ControlEquilibrium | None
 ) -> _SearchResult:
-    """A search with the control system as it is in the first frame, or brought to rest."""
+    """Search with the control system as in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
     names = [
@@ -398,8 +478,8 @@ def _search(
     if unstable or (equilibrium is not None and not equilibrium.free and problem.never_settles):
         return _SearchResult(problem, trim, x, dead or failure)
     if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
-        # A propeller that the wind drives and one that its engine drives are two steady states;
-        # thrust leaps between them.
+        # Windmilling and powered propellers are two steady states with a jump in thrust between
+        # them: try again from an open throttle.
         other_x = problem.solve(_OPEN_THROTTLE)
         other = _result(problem, other_x)
         x, trim = (other_x, other) if other.converged else (x, trim)
@@ -409,6 +489,7 @@ def _search(
         and not problem.turning
         and np.max(lateral) > _LATERAL_SHARE * np.max(np.abs(trim.residual))
     ):
+        # Lateral accelerations remain: let straight flight bank.
         banked = problem.banked()
         other = _result(banked, other_x := banked.solve())
         problem, x, trim = (banked, other_x, other) if other.converged else (problem, x, trim)
@@ -423,8 +504,9 @@ def _search(
 def _moving_from_the_start(
     aircraft: Aircraft, condition: SteadyCondition
 ) -> ControlEquilibrium | None:
-    """What has to come to rest where the control system moves at this speed, its commands off
-    centre; None where it does not.
+    """Return the equilibrium needed if the control system moves at this speed; else None.
+
+    Commands are off centre: a filter of a centred command may rest at zero.
     """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
@@ -441,7 +523,7 @@ def _moving_from_the_start(
 
 
 def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None:
-    """The same at a trim."""
+    """Return the equilibrium needed if the control system moves at a trim; else None."""
     return (
         _moving_at(aircraft, trim.condition, trim.state, trim.controls)
         if math.isfinite(trim.theta_rad)
@@ -452,6 +534,7 @@ def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None
 def _moving_at(
     aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]
 ) -> ControlEquilibrium | None:
+    """Return the equilibrium needed if the control system moves at a state; else None."""
     fdm, _ = open_forced(aircraft, state, controls, condition.altitude_m, condition.properties)
     equilibrium = forced_state.control_equilibrium(aircraft, fdm)
     return equilibrium if forced_state.moving_property(fdm, equilibrium) else None
@@ -463,9 +546,7 @@ def _throttle_acts(
     names: list[str],
     equilibrium: ControlEquilibrium | None,
 ) -> tuple[bool, str]:
-    """Whether the throttle moves a force or a moment at this speed, and what is wrong where engines
-    are there and it does not.
-    """
+    """Return whether the throttle changes a force or moment, and an error if engines ignore it."""
     if "throttle" not in names:
         return False, ""
     card = aircraft.card.inputs["throttle"]
@@ -494,9 +575,9 @@ def _throttle_acts(
 
 
 def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
-    """What does not settle at these unknowns, and whether the length of the step is the cause.
+    """Return what does not settle at the unknowns, and whether a shorter step would settle.
 
-    Where all settles at ``x`` but not in a good part of the search, what did not settle last.
+    If all settles there but failed in much of the search, the last failure counts.
     """
     condition = problem.condition
 
@@ -538,7 +619,7 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
 
 
 def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
-    """What does not settle at these unknowns."""
+    """Return what does not settle at these unknowns."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
     return open_forced(
@@ -552,13 +633,13 @@ def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
 
 
 def _with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
-    """The aircraft with another integration step [s]."""
+    """Return the aircraft with another integration step [s]."""
     section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
     return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
 
 
 def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
-    """The aircraft's mass."""
+    """Return the aircraft's mass [kg]."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
     _, out = force_state(
@@ -568,7 +649,7 @@ def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
 
 
 def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
-    """What the thrust at that end of the throttle has to do with it."""
+    """Return the explanation of `thrust_reason` for one end of the throttle."""
     aircraft, condition = problem.aircraft, problem.condition
     limits = aircraft.card.inputs["throttle"].limits
     free = tuple(name for name in problem.names if name != "throttle")
@@ -586,7 +667,7 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
         )
         unknowns = limited.solve(start=start, tolerance=_NEARLY_STEADY)
         result = _result(limited, unknowns)
-        # A governor hunts within its last digits; what is said of the thrust needs two.
+        # A governor hunts in its last digits; the sentence needs two.
         if not (result.converged or float(np.max(np.abs(result.residual))) < _NEARLY_STEADY):
             return None
         start = unknowns
@@ -600,9 +681,21 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
 
 
 class _Problem:
-    """Unknowns, bounds and equations of steady flight. Controls of ``held`` stay; with
-    ``free_climb`` the path is unknown, with ``free_bank`` the bank of straight flight; with
-    ``rest`` the control system is brought to rest at each state."""
+    """Unknowns, bounds and equations of steady flight.
+
+    Parameters
+    ----------
+    aircraft, condition
+        What is trimmed.
+    names : tuple of str
+        Controls that are unknown.
+    fixed : mapping
+        Controls that are not.
+    free_climb, free_bank : bool
+        Whether the path, or the bank of straight flight, is unknown.
+    equilibrium : ControlEquilibrium, optional
+        Brings the control system to rest at each state.
+    """
 
     def __init__(
         self,
@@ -644,11 +737,11 @@ class _Problem:
 
     @property
     def never_settles(self) -> bool:
-        """Whether engines or control system settled in less than a tenth of the evaluations."""
+        """Return whether engines or control system settled in less than a tenth of the evaluations."""
         return len(self.unsettled) > 0.9 * self.evaluations
 
     def banked(self) -> _Problem:
-        """The same with the bank unknown and the rudder neutral."""
+        """Return the same problem with unknown bank and neutral rudder."""
         neutral = {
             name: 0.5 * sum(self.aircraft.card.inputs[name].limits)
             for name in self.names
@@ -666,7 +759,7 @@ class _Problem:
         )
 
     def at_limits(self, x: NDArray[np.float64]) -> list[tuple[str, str]]:
-        """Which of alpha, beta and the controls are at their "lower" or "upper" limit."""
+        """Return which of alpha, beta and the controls are at their "lower" or "upper" limit."""
         out = []
         for name, value, low, high in zip(
             ["alpha", "beta", *self.names], x, self.lower, self.upper, strict=False
@@ -677,7 +770,7 @@ class _Problem:
         return out
 
     def limit_words(self, name: str, end: str) -> str:
-        """Name a saturated unknown with its limit in its own unit."""
+        """Return a saturated unknown and its limit, in its own unit, as text."""
         k = ["alpha", "beta", *self.names].index(name)
         value = float((self.lower if end == "lower" else self.upper)[k] * self.scale[k])
         if k < 2:
@@ -691,10 +784,16 @@ class _Problem:
         start: NDArray[np.float64] | None = None,
         tolerance: float = 0.0,
     ) -> NDArray[np.float64]:
-        """The unknowns that leave the least acceleration.
+        """Return the scaled unknowns with the smallest accelerations.
 
-        From that share of the throttle's travel, or from ``start``, on. Ends where three steps have
-        gained nothing, or where all accelerations are below ``tolerance`` [m/s2, rad/s2].
+        Parameters
+        ----------
+        throttle : float
+            Initial throttle as a share of its range.
+        start : ndarray, optional
+            Initial unknowns instead.
+        tolerance : float
+            Accelerations [m/s2, rad/s2] at which to stop; three steps without progress stop it too.
         """
         if start is None:
             start = self.guess / self.scale
@@ -729,7 +828,7 @@ class _Problem:
         return np.asarray(solution.x)
 
     def unpack(self, x: NDArray[np.float64]) -> tuple[BodyState, dict[str, float], float, float]:
-        """State, controls, turn rate [rad/s] and flight-path angle [rad]."""
+        """Return state, controls, turn rate [rad/s] and flight-path angle [rad] of the unknowns."""
         value = x * self.scale
         alpha, beta = float(value[0]), float(value[1])
         phi = float(value[-1]) if self.free_bank else self.condition.bank_rad
@@ -737,6 +836,7 @@ class _Problem:
             name: float(v)
             for name, v in zip(self.names, value[2 : 2 + len(self.names)], strict=True)
         } | dict(self.fixed)
+        # Steady turn: body rates are the turn rate about the vertical, resolved in body axes.
         rate = float(value[2 + len(self.names)]) if self.turning else 0.0
         climb = float(value[-1 - self.free_bank]) if self.free_climb else self.condition.climb_rad
         theta = pitch_for_climb(alpha, beta, phi, climb)
@@ -755,10 +855,10 @@ class _Problem:
         return state, controls, rate, climb
 
     def residual(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
+        """Return accelerations [m/s2, rad/s2], and in a turn the lateral specific force [m/s2].
 
-        Rates that are left to the control system count by how far they end from those of the state,
-        too."""
+        Free body rates also count by their distance from the state's.
+        """
         state, controls, _, _ = self.unpack(x)
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
@@ -784,6 +884,7 @@ class _Problem:
 
 
 def _condition_text(condition: SteadyCondition) -> str:
+    """Return the condition as the start of an error message."""
     return (
         f"no steady flight at {condition.V_mps:g} m/s, bank {math.degrees(condition.bank_rad):g}"
         f" deg, climb {math.degrees(condition.climb_rad):g} deg"
@@ -791,6 +892,7 @@ def _condition_text(condition: SteadyCondition) -> str:
 
 
 def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
+    """Return the trim at the unknowns."""
     aircraft, condition, names = problem.aircraft, problem.condition, problem.names
     state, controls, rate, climb = problem.unpack(x)
     residual = problem.residual(x)
@@ -841,6 +943,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
 
 
 def _velocity_ned(state: BodyState, wind: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the ground velocity (north, east, down) [m/s]."""
     from scipy.spatial.transform import Rotation
 
     body_to_ned = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])
