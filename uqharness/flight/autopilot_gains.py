@@ -1,14 +1,13 @@
-"""Gains of an autopilot of ArduPlane's structure from the parameters of an ArduPlane: what is
-taken, what is not and why. Pure.
+"""Gains of an ArduPlane-like autopilot from an ArduPilot parameter file.
 
-The autopilot (docs/autopilot.md) has ArduPlane's loops and names: a parameter NAME is the property
-``ap/NAME`` in the same unit, with the same law, so its value is taken unchanged. The tables below
-have the exceptions: older names, limits that 0 switches off, and two filters that the autopilot has
-as one. PX4's loops have other forms (torques of -1..1 in place of angles of 45 deg, another TECS,
-NPFG in place of L1), so its parameters have no equal here; its files are refused.
+The autopilot (docs/autopilot.md) has ArduPlane's loops and names: parameter NAME is the property
+``ap/NAME`` with the same unit and law, so that its value is used unchanged. The tables below hold
+the exceptions: older names, limits that 0 switches off, and two filters that the autopilot merges.
+PX4's loops differ (torques of -1..1, another TECS, NPFG), so its files are refused.
 
 Source: ArduPlane 4.7 (AP_L1_Control, AP_TECS, AP_RollController, AP_PitchController,
-AP_YawController) and its parameter documentation, ardupilot.org/plane/docs/parameters.html."""
+AP_YawController) and ardupilot.org/plane/docs/parameters.html.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +22,7 @@ from uqharness.errors import BadInputError
 
 PREFIX = "ap/"
 NO_LIMIT = 1000.0
-"""In place of a rate limit or a filter's band that 0 switches off [deg/s or Hz]: far beyond what an
-aeroplane does.
-"""
+"""Value of a rate limit [deg/s] or filter [Hz] that 0 switches off: far beyond any aeroplane."""
 _RENAMED: Mapping[str, tuple[str, float]] = {
     "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
     "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
@@ -34,7 +31,7 @@ _RENAMED: Mapping[str, tuple[str, float]] = {
     "LIM_PITCH_MAX": ("PTCH_LIM_MAX_DEG", 0.01),
     "LIM_PITCH_MIN": ("PTCH_LIM_MIN_DEG", 0.01),
 }
-"""Names before ArduPlane 4.5 -> today's, and the factor of the unit."""
+"""Names before ArduPlane 4.5 to current ones, with the factor of the unit."""
 _ZERO_IS_OFF = (
     "RLL2SRV_RMAX",
     "PTCH2SRV_RMAX_UP",
@@ -43,7 +40,7 @@ _ZERO_IS_OFF = (
     "PTCH_RATE_FLTT",
 )
 _PITCH_LIMIT_OF = {"TECS_PITCH_MAX": "PTCH_LIM_MAX_DEG", "TECS_PITCH_MIN": "PTCH_LIM_MIN_DEG"}
-"""Limits of TECS that, where they are 0, are those of the aircraft's pitch."""
+"""TECS limits that, if 0, are those of the aircraft's pitch."""
 _POSITIVE = (
     "NAVL1_PERIOD",
     "NAVL1_DAMPING",
@@ -101,8 +98,16 @@ _PX4 = (
 
 @dataclass(frozen=True)
 class Gain:
-    """A parameter that is taken: its ``name`` in the file, the property it sets, and the value in
-    that property's unit.
+    """A parameter that is used.
+
+    Attributes
+    ----------
+    name : str
+        Name in the file.
+    prop : str
+        Property that it sets.
+    value : float
+        Value in the property's unit.
     """
 
     name: str
@@ -112,10 +117,17 @@ class Gain:
 
 @dataclass(frozen=True)
 class AutopilotGains:
-    """What a parameter file gives to an autopilot.
+    """Gains from a parameter file.
 
-    taken    gains in the file's order              ignored  name -> reason, of parameters of these
-    loops others   number of parameters of other parts of the autopilot"""
+    Attributes
+    ----------
+    gains : tuple of Gain
+        In the order of the file.
+    ignored : mapping
+        Parameter of these loops to the reason why it is not used.
+    n_others : int
+        Number of parameters of other functions.
+    """
 
     gains: tuple[Gain, ...]
     ignored: Mapping[str, str]
@@ -123,9 +135,9 @@ class AutopilotGains:
 
     @property
     def properties(self) -> dict[str, float]:
-        """Property -> value, for a flight.
+        """Return property to value, for a flight.
 
-        The derivative terms are computed where one of their gains is not 0.
+        Derivative terms are switched on if one of their gains is not 0.
         """
         properties = {gain.prop: gain.value for gain in self.gains}
         if any(properties.get(f"{PREFIX}{axis}_RATE_D", 0.0) for axis in ("RLL", "PTCH")):
@@ -133,7 +145,7 @@ class AutopilotGains:
         return properties
 
     def lines(self) -> list[str]:
-        """What was taken, what was ignored and why, for a terminal."""
+        """Return what is used and what is ignored, as text."""
         values = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.gains)
         lines = [f"{len(self.gains)} gains taken: {values}"]
         by_reason: dict[str, list[str]] = {}
@@ -146,10 +158,21 @@ class AutopilotGains:
 
 
 def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]) -> AutopilotGains:
-    """The gains for an aircraft with these ``properties``.
+    """Return the gains for an aircraft with given properties.
 
-    Raises ValueError, its first word the parameter's name, for a value that no loop can have, and
-    without a name for PX4's parameters and for an aircraft or a file without any such gain."""
+    Parameters
+    ----------
+    parameters : mapping
+        Parameter to value.
+    properties : collection of str
+        Properties of the aircraft.
+
+    Raises
+    ------
+    ValueError
+        If a loop cannot have a value (the text begins with the parameter), for PX4's parameters,
+        and if aircraft or file have no such gain.
+    """
     if not any(name.startswith(PREFIX) for name in properties):
         raise ValueError(
             "the aircraft has no autopilot of ArduPlane's structure (properties ap/RLL_RATE_P and"
@@ -200,9 +223,7 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
 
 
 def _current_parameters(parameters: Mapping[str, float]) -> Iterator[tuple[str, float]]:
-    """Parameters under today's names, in today's units; where both names are there the newer one
-    counts.
-    """
+    """Yield parameters under current names and units; a current name replaces an old one."""
     for name, value in parameters.items():
         current_name, factor = _RENAMED.get(name, (name, 1.0))
         if name == current_name or current_name not in parameters:
@@ -210,6 +231,7 @@ def _current_parameters(parameters: Mapping[str, float]) -> Iterator[tuple[str, 
 
 
 def _property_value(name: str, value: float, current: Mapping[str, float]) -> float:
+    """Return a parameter's value as the autopilot uses it."""
     if name in _POSITIVE:
         return _checked(name, value, lambda x: x > 0.0, "above 0")
     if name in _ZERO_IS_OFF:
@@ -222,12 +244,14 @@ def _property_value(name: str, value: float, current: Mapping[str, float]) -> fl
 
 
 def _checked(name: str, value: float, allowed: Callable[[float], bool], words: str) -> float:
+    """Return a finite, allowed value; ValueError otherwise."""
     if not (math.isfinite(value) and allowed(value)):
         raise ValueError(f"{name} {value:g}: allowed is a number {words}")
     return value
 
 
 def _check_order(current: Mapping[str, float]) -> None:
+    """Raise ValueError if a lower limit exceeds its upper one."""
     for low, high in (("AIRSPEED_MIN", "AIRSPEED_MAX"), ("THR_MIN", "THR_MAX")):
         if current.get(low, -math.inf) >= current.get(high, math.inf):
             raise ValueError(
@@ -235,27 +259,31 @@ def _check_order(current: Mapping[str, float]) -> None:
             )
 
 
-# Reads the gains of an autopilot from ArduPilot's parameter file, as ground stations and
-# MAVProxy save it.
+# Parameter files, as ground stations and MAVProxy save them.
 
 _MAX_BYTES = 10_000_000
 
 
 def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
-    """Gains in a .parm or .param file for an aircraft with these properties.
+    """Return the gains in a .parm or .param file.
 
     Parameters
     ----------
-    path
-        Text, a parameter's name and value a line.
-    properties
-        Names of the aircraft's properties; gains are those under ``ap/``.
+    path : Path
+        Text with a parameter's name and value per line.
+    properties : collection of str
+        Properties of the aircraft; gains are those under ``ap/``.
+
+    Returns
+    -------
+    AutopilotGains
+        Gains, and what is ignored.
 
     Raises
     ------
     BadInputError
         With file and line: no such file, a line that is no parameter, a value that a loop cannot
-        have, PX4's parameters, and an aircraft or a file without such gains.
+        have, PX4's parameters, an aircraft or file without such gains.
     """
     try:
         with open_regular(path) as file:
@@ -276,9 +304,7 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
 
 
 def _line_of(text: str, message: str) -> str:
-    """'line 3: ' of the parameter whose name begins the message; the last line counts, as it does
-    in reading.
-    """
+    """Return "line 3: " of the parameter that begins the message; the last one counts."""
     name = message.split()[0]
     numbers = [
         n

@@ -1,9 +1,10 @@
-"""Where an aircraft's aerodynamic forces are written down: the file, the axis elements, and the
-axes they are meant in.
+"""The aerodynamics section of an aircraft: its axes, and functions added to it.
 
-JSBSim 1.3.3 (FGAerodynamics) takes the axes from the first force axis it meets and, if others
-follow, goes on with a warning that nobody sees; of two elements for the same axis the later one
-replaces the earlier. Both are met here before anything is written."""
+`read_section` finds the file, the axis elements and the axes they are meant in. `add_deltas` adds
+coefficient increments in body axes to whatever axes the author uses. JSBSim 1.3.3 (FGAerodynamics)
+takes its axes from the first force axis and only warns about others, and of two elements for one
+axis the later replaces the earlier; both are detected before anything is written.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +33,7 @@ from uqharness.xml.document import (
     read_document,
 )
 
-# Arithmetic as JSBSim XML: a small expression tree, polynomials in Horner's form, and lines of
-# text.
+# Arithmetic as JSBSim XML: an expression tree, polynomials in Horner form, and lines of text.
 
 Powers = tuple[int, ...]
 _WIDTH = 110
@@ -41,10 +41,18 @@ _WIDTH = 110
 
 @dataclass(frozen=True)
 class Expression:
-    """``tag`` is a JSBSim operation, ``property`` or ``value``; a leaf has ``text``, an operation
-    arguments.
+    """A JSBSim expression.
 
-    ``tight``: without blanks between its tags and its arguments.
+    Attributes
+    ----------
+    tag : str
+        An operation, ``property`` or ``value``.
+    text : str
+        Content of a leaf.
+    arguments : tuple of Expression
+        Arguments of an operation.
+    tight : bool
+        Whether to write no blanks between tags and arguments.
     """
 
     tag: str
@@ -53,16 +61,14 @@ class Expression:
     tight: bool = False
 
     def line(self) -> str:
-        """All of it on one line."""
+        """Return the expression on one line."""
         if not self.arguments:
             return f"<{self.tag}>{escape(self.text)}</{self.tag}>"
         gap = "" if self.tight else " "
         return f"<{self.tag}>{gap}{' '.join(a.line() for a in self.arguments)}{gap}</{self.tag}>"
 
     def lines(self) -> list[str]:
-        """On one line where that is short, else arguments on lines of their own, two spaces
-        deeper.
-        """
+        """Return the expression on one line if it is short, else with arguments on indented lines."""
         line = self.line()
         if len(line) <= _WIDTH or not self.arguments:
             return [line]
@@ -71,20 +77,30 @@ class Expression:
 
 
 def value(number: float, form: str = "") -> Expression:
-    """A constant in a format such as ".8g"; without one, in the shortest digits that give the same
-    double again.
+    """Return a constant, by default with the shortest digits that give the same double.
+
+    Examples
+    --------
+    >>> value(0.1).line(), value(1 / 3, ".4g").line()
+    ('<value>0.1</value>', '<value>0.3333</value>')
     """
     return Expression("value", format(number, form) if form else repr(float(number)))
 
 
 def property_value(name: str) -> Expression:
-    """The value of a JSBSim property."""
+    """Return the value of a JSBSim property."""
     return Expression("property", name)
 
 
 def call(tag: str, *arguments: Expression) -> Expression:
-    """An operation; a sum or product of one argument is that argument (JSBSim would warn and drop
-    the operation itself).
+    """Return an operation.
+
+    A sum or product of one argument is that argument: JSBSim would warn and drop the operation.
+
+    Examples
+    --------
+    >>> call("sum", value(1.0), property_value("aero/alpha-rad")).line()
+    '<sum> <value>1.0</value> <property>aero/alpha-rad</property> </sum>'
     """
     if tag in ("sum", "product", "min", "max") and len(arguments) == 1:
         return arguments[0]
@@ -94,7 +110,19 @@ def call(tag: str, *arguments: Expression) -> Expression:
 def function_lines(
     name: str, tag: str, lines: Sequence[str], at_cg: bool = False, remark: str = ""
 ) -> list[str]:
-    """A ``<function>`` of one operation, whose arguments are given as lines."""
+    """Return the lines of a ``<function>`` of one operation.
+
+    Parameters
+    ----------
+    name, tag : str
+        Name of the function, and its operation.
+    lines : sequence of str
+        Arguments of the operation.
+    at_cg : bool
+        Whether the force acts at the CG.
+    remark : str
+        Comment on the first line.
+    """
     attributes = ' apply_at_cg="true"' if at_cg else ""
     return [
         f"<function name={quoteattr(name)}{attributes}>",
@@ -107,20 +135,32 @@ def function_lines(
 
 
 def horner(coefficients: Mapping[Powers, float], names: Sequence[str]) -> Expression:
-    """The polynomial sum of c * prod(names[k] ** powers[k]) in a multivariate Horner form.
+    """Return the polynomial sum of c prod(names[k] ** powers[k]) in multivariate Horner form.
 
-    The variable that occurs in most monomials is taken out first (Ceberio and Kreinovich, "Greedy
-    algorithms for optimizing multivariate Horner schemes", 2004)."""
+    Parameters
+    ----------
+    coefficients : mapping
+        Powers of each variable to coefficient.
+    names : sequence of str
+        Properties of the variables.
+
+    References
+    ----------
+    M. Ceberio and V. Kreinovich, Greedy algorithms for optimizing multivariate Horner schemes, 2004:
+    the variable in the most monomials is factored out first.
+    """
     return _horner({p: c for p, c in coefficients.items() if c != 0.0}, names)
 
 
 def _horner(terms: dict[Powers, float], names: Sequence[str]) -> Expression:
+    """Return the Horner form of nonzero terms."""
     summands: list[Expression] = []
     while terms:
         use = Counter(k for powers in terms for k, n in enumerate(powers) if n)
         if not use:
             summands.append(value(next(iter(terms.values()))))
             break
+        # The most frequent variable; the first one of several.
         k = min(use, key=lambda index: (-use[index], index))
         inside = {_lower_power(powers, k): c for powers, c in terms.items() if powers[k]}
         terms = {powers: c for powers, c in terms.items() if not powers[k]}
@@ -134,41 +174,40 @@ def _horner(terms: dict[Powers, float], names: Sequence[str]) -> Expression:
 
 
 def _lower_power(powers: Powers, k: int) -> Powers:
+    """Return powers with one factor of variable ``k`` removed."""
     return (*powers[:k], powers[k] - 1, *powers[k + 1 :])
 
 
 BODY, AXIAL, WIND, STABILITY = "body", "axial", "wind", "stability"
-"""Axes of forces: X forward, Y right, Z down; AXIAL aft, SIDE right, NORMAL up; DRAG, SIDE, LIFT;
-the same turned by alpha alone.
+"""Axes of forces. BODY: X forward, Y right, Z down. AXIAL: aft, SIDE right, NORMAL up. WIND: DRAG,
+SIDE, LIFT. STABILITY: body axes turned by alpha alone.
 
-Of moments only ``body``, ``wind`` and ``stability`` (ROLL, PITCH, YAW about those axes).
+Moments have ``body``, ``wind`` and ``stability`` axes (ROLL, PITCH, YAW about them).
 """
 
 _FORCE_SLOT = {"X": 0, "DRAG": 0, "AXIAL": 0, "Y": 1, "SIDE": 1, "Z": 2, "LIFT": 2, "NORMAL": 2}
 _MOMENT_SLOT = {"ROLL": 3, "PITCH": 4, "YAW": 5}
 SLOT: Mapping[str, int] = {**_FORCE_SLOT, **_MOMENT_SLOT}
-"""JSBSim's six places: what is written under one name lands in the place of the others of the same
-number.
-"""
+"""JSBSim's six places: names with the same number share a place."""
 
 _FRAMES = {"": BODY, "BODY": BODY, "WIND": WIND, "STABILITY": STABILITY}
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An ``<axis>`` that counts, and the file it stands in."""
+    """An ``<axis>`` element in use, and the file that holds it."""
 
     document: Document
     node: Node
 
     @property
     def name(self) -> str:
-        """The axis as the author named it: X, LIFT, ROLL ..."""
+        """Return the author's name of the axis: X, LIFT, ROLL ..."""
         return attribute(self.node, "name")
 
     @property
     def functions(self) -> list[Node]:
-        """The axis' functions, in the author's order."""
+        """Return the axis' functions in the author's order."""
         return self.node.all("function")
 
 
@@ -176,11 +215,20 @@ class Axis:
 class AeroSection:
     """The ``<aerodynamics>`` of an aircraft.
 
-    main      the aircraft's XML; ``document`` the file that holds the section (main, or the one it
-    includes), ``node`` its element
-    force     body, axial, wind or stability;  ``moment`` body, wind or stability
-    axes      JSBSim's place (0..5: x y z forces, roll pitch yaw) to the axis element that counts
-    there overridden  axis elements that a later one of the same place replaces: JSBSim ignores them
+    Attributes
+    ----------
+    folder : Path
+        Folder of the aircraft.
+    main, document : Document
+        The aircraft's XML, and the file with the section (main, or one that it includes).
+    node : Node
+        Element of the section.
+    force, moment : str
+        Axes of forces and of moments.
+    axes : mapping
+        Place (0 to 5: x, y, z forces, roll, pitch, yaw) to the axis element in use.
+    overridden : tuple of Axis
+        Axis elements that JSBSim ignores because a later one has the same place.
     """
 
     folder: Path
@@ -194,14 +242,18 @@ class AeroSection:
 
     @property
     def documents(self) -> list[Document]:
-        """The files involved, each once."""
+        """Return the files involved, each once."""
         return [self.main] if self.document is self.main else [self.main, self.document]
 
 
 def read_section(folder: Path, xml: str) -> AeroSection:
-    """The aerodynamics of the aircraft ``folder/xml``.
+    """Read the aerodynamics of the aircraft ``folder/xml``.
 
-    Raises BadInputError with file and line for what cannot be instrumented.
+    Raises
+    ------
+    BadInputError
+        With file and line: no aerodynamics, unknown or mixed axes, an included file outside the
+        folder.
     """
     main = read_document(folder / xml)
     if main.root.tag != "fdm_config":
@@ -235,8 +287,9 @@ def read_section(folder: Path, xml: str) -> AeroSection:
 
 
 def included(folder: Path, document: Document, node: Node) -> tuple[Document, Node]:
-    """The file and element that ``node`` stands for: itself, or the root of what its ``file``
-    attribute names.
+    """Return the file and element that ``node`` stands for.
+
+    These are its own, or the root of the file that its ``file`` attribute names.
     """
     name = attribute(node, "file")
     if not name:
@@ -259,8 +312,9 @@ def included(folder: Path, document: Document, node: Node) -> tuple[Document, No
 
 
 def _force_axes(axes: list[Axis]) -> str:
-    """The force axes in use, by JSBSim's rules (FGAerodynamics::DetermineAxisSystem); BadInputError
-    where they are mixed.
+    """Return the force axes in use, by JSBSim's rules (FGAerodynamics::DetermineAxisSystem).
+
+    Raises BadInputError for mixed axes.
     """
     if not axes:
         return BODY
@@ -272,15 +326,17 @@ def _force_axes(axes: list[Axis]) -> str:
             kinds.append((WIND, axis))
         elif axis.name in ("AXIAL", "NORMAL"):
             kinds.append((AXIAL, axis))
-    # SIDE alone decides nothing; without any other axis JSBSim takes wind axes.
+    # SIDE alone does not decide; without other axes JSBSim takes wind axes.
     return _require_same(kinds, "force") or WIND
 
 
 def _common_frame(axes: list[Axis], kind_of_axes: str) -> str | None:
+    """Return the frame that all axes share; None without any."""
     return _require_same([(_frame(axis), axis) for axis in axes], kind_of_axes)
 
 
 def _require_same(kinds: list[tuple[str, Axis]], kind_of_axes: str) -> str | None:
+    """Return the common kind; BadInputError if kinds differ."""
     if not kinds:
         return None
     first, axis = kinds[0]
@@ -297,6 +353,7 @@ def _require_same(kinds: list[tuple[str, Axis]], kind_of_axes: str) -> str | Non
 
 
 def _frame(axis: Axis) -> str:
+    """Return the axes named by an element's frame attribute."""
     frame = attribute(axis.node, "frame")
     if frame not in _FRAMES:
         raise BadInputError(
@@ -311,10 +368,11 @@ _AREAS = {"": 1.0, **{f"{unit}2": factor**2 for unit, factor in _UNITS.items() i
 
 
 def read_reference(section: AeroSection) -> tuple[float, float, float]:
-    """Wing area [ft2], span and chord [ft] as written in <metrics>; NaN for what is not there.
+    """Return wing area [ft2], span and chord [ft] of <metrics>; NaN for missing ones.
 
-    JSBSim's own conversions have ten digits, so compare, but compute with its metrics/...
-    properties. Raises BadInputError."""
+    JSBSim's conversions have ten digits: compare with these values, but compute with its metrics
+    properties. Raises BadInputError.
+    """
     document, metrics, outer = _metrics(section)
     out = []
     for name, units in (("wingarea", _AREAS), ("wingspan", _UNITS), ("chord", _UNITS)):
@@ -333,9 +391,7 @@ def read_reference(section: AeroSection) -> tuple[float, float, float]:
 
 
 def require_reference(section: AeroSection) -> None:
-    """BadInputError with file and line unless <metrics> gives a wing area, span and chord above
-    zero.
-    """
+    """Raise BadInputError unless <metrics> gives a positive wing area, span and chord."""
     document, metrics, outer = _metrics(section)
     for name, size in zip(("wingarea", "wingspan", "chord"), read_reference(section), strict=True):
         if not size > 0.0:
@@ -349,7 +405,7 @@ def require_reference(section: AeroSection) -> None:
 
 
 def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
-    """File and element that hold the metrics, and the element in the aircraft's XML."""
+    """Return the file and element of the metrics, and the element in the aircraft's XML."""
     outer = section.main.root.find("metrics")
     if outer is None:
         raise BadInputError(
@@ -359,20 +415,15 @@ def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
     return document, metrics, outer
 
 
-# Add body-axis coefficients to whatever aerodynamics an aircraft has.
-#
-# Six coefficient increments, each the sum of some properties, act as a force q S (dCX, dCY,
-# dCZ) at the centre of gravity and a moment q S (b dCl, c dCm, b dCn) about it, + forward,
-# right and down, whatever axes the author wrote in. They are turned into those axes with the
-# alpha and beta of the same frame, by the transposes of the matrices that JSBSim turns them
-# back with (FGAuxiliary, after Stevens and Lewis):
-#
-# body to wind ca cb sb sa cb body to stability ca 0 sa -ca sb cb -sa sb 0 1 0 -sa 0 ca -sa 0 ca
-#
-# DRAG, LIFT, AXIAL and NORMAL, and X and Z in wind or stability axes, count aft and up.
+# Coefficient increments in body axes. Six increments act as a force q S (dCX, dCY, dCZ) at the CG
+# and a moment q S (b dCl, c dCm, b dCn) about it, + forward, right and down. They are turned into
+# the author's axes by the transposes of JSBSim's matrices (FGAuxiliary, after Stevens and Lewis),
+# with the alpha and beta of the same frame. With ca = cos(alpha) etc., the rows are: body to wind
+# (ca cb, sb, sa cb), (-ca sb, cb, -sa sb), (-sa, 0, ca); body to stability (ca, 0, sa), (0, 1, 0),
+# (-sa, 0, ca). DRAG, LIFT, AXIAL and NORMAL, and X and Z in wind or stability axes, count aft and
+# up.
 
-# One term of a row: sign, trigonometric factors, index of the coefficient in its triple (x, y, z or
-# roll, pitch, yaw).
+# A term of a row: sign, trigonometric factors, index of the coefficient in its triple.
 Term = tuple[int, str, int]
 _TO_BODY: tuple[tuple[Term, ...], ...] = (((1, "", 0),), ((1, "", 1),), ((1, "", 2),))
 _TO_STABILITY: tuple[tuple[Term, ...], ...] = (
@@ -403,9 +454,7 @@ _MINUS = value(-1, "g")
 
 @dataclass(frozen=True)
 class Reference:
-    """What coefficients are multiplied by: wing area [ft2], span and chord [ft]; None takes
-    JSBSim's own metrics/...
-    """
+    """Reference values of coefficients: area [ft2], span and chord [ft]; None for JSBSim's metrics."""
 
     S_sqft: float | None = None
     b_ft: float | None = None
@@ -413,37 +462,34 @@ class Reference:
 
     @property
     def area(self) -> Expression:
-        """Reference area [ft2], or the property that holds it."""
+        """Return the reference area [ft2], or the property that holds it."""
         return _value(self.S_sqft, "metrics/Sw-sqft")
 
     @property
     def lengths(self) -> tuple[Expression, Expression, Expression]:
-        """Reference lengths [ft] of roll, pitch and yaw, likewise."""
+        """Return the reference lengths [ft] of roll, pitch and yaw, or their properties."""
         span = _value(self.b_ft, "metrics/bw-ft")
         return span, _value(self.c_ft, "metrics/cbarw-ft"), span
 
 
 def _value(number: float | None, name: str) -> Expression:
+    """Return a constant, or the property if the constant is None."""
     return property_value(name) if number is None else value(number, ".17g")
 
 
 @dataclass(frozen=True)
 class SectionEdit:
-    """Insertions into the files of an aircraft's aerodynamics: collect them, then ``files`` gives
-    the new bytes.
-    """
+    """Insertions into the files of an aircraft's aerodynamics; immutable."""
 
     section: AeroSection
     insertions: tuple[tuple[Document, Insertion], ...] = ()
 
     def plus(self, document: Document, insertion: Insertion) -> SectionEdit:
-        """The same with one more."""
+        """Return the edit with one more insertion."""
         return SectionEdit(self.section, (*self.insertions, (document, insertion)))
 
     def files(self) -> dict[Path, bytes]:
-        """Path (inside the aircraft's folder as it was read) to the file's new content, for every
-        file that changes.
-        """
+        """Return path to new content of every file that changes."""
         return {
             document.path: apply(document, mine)
             for document in self.section.documents
@@ -451,16 +497,14 @@ class SectionEdit:
         }
 
     def made_in(self, document: Document) -> list[Insertion]:
-        """The insertions into one file, in its order."""
+        """Return the insertions into one file, in its order."""
         return merge_insertions(
             [insertion for owner, insertion in self.insertions if owner is document]
         )
 
 
 def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
-    """``<system file="name"/>`` in the aircraft's XML: after the last system, else before what
-    JSBSim runs after the systems.
-    """
+    """Add ``<system file="name"/>`` after the last system, or before what follows systems."""
     main = edit.section.main
     line = f'<system file="{name}"/>' + (f"  <!-- {remark} -->" if remark else "")
     systems = main.root.all("system")
@@ -474,9 +518,7 @@ def add_system(edit: SectionEdit, name: str, remark: str = "") -> SectionEdit:
 
 
 def add_functions(edit: SectionEdit, lines: Sequence[str]) -> SectionEdit:
-    """Properties and functions at the end of the aerodynamics section; JSBSim computes them before
-    any axis, in their order.
-    """
+    """Add lines at the end of the section; JSBSim evaluates them before any axis, in order."""
     return edit.plus(
         edit.section.document, append_child(edit.section.document, edit.section.node, list(lines))
     )
@@ -491,10 +533,24 @@ def add_deltas(
 ) -> SectionEdit:
     """Add coefficient increments in body axes.
 
-    ``summands`` maps CX CY CZ Cl Cm Cn to the properties whose sum is the increment; a coefficient
-    that is left out gets none. The functions are called ``<prefix>/force/<axis>`` and
-    ``<prefix>/moment/<axis>``; a name that the aircraft has already is refused with file and line,
-    as is an unknown coefficient."""
+    Parameters
+    ----------
+    edit : SectionEdit
+        Edit to extend.
+    summands : mapping
+        CX, CY, CZ, Cl, Cm, Cn to the properties whose sum is the increment.
+    prefix : str
+        Functions are named ``<prefix>/force/<axis>`` and ``<prefix>/moment/<axis>``.
+    reference : Reference, optional
+        Reference area and lengths; JSBSim's metrics by default.
+    remark : str
+        Comment in each function.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown coefficient, and with file and line for a name that is taken.
+    """
     for name in summands:
         if name not in COEFFICIENTS:
             raise BadInputError(
@@ -523,16 +579,14 @@ def add_deltas(
 
 
 def axis_name(section: AeroSection, slot: int) -> str:
-    """The name under which the place ``slot`` (0..5) is or would be written in this aircraft."""
+    """Return the name under which a place (0 to 5) is, or would be, written."""
     if slot in section.axes:
         return section.axes[slot].name
     return _NAMES[section.force][slot] if slot < 3 else _MOMENT_NAMES[slot - 3]
 
 
 def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
-    """Add lines at the end of the axis element of that place, which is made where the author has
-    none.
-    """
+    """Add lines at the end of the axis element of a place, which is made if absent."""
     section = edit.section
     if slot in section.axes:
         axis = section.axes[slot]
@@ -540,7 +594,7 @@ def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
     frame = {WIND: "WIND", STABILITY: "STABILITY"}.get(
         section.moment if slot >= 3 else section.force, ""
     )
-    # LIFT, DRAG and their like carry their axes in the name.
+    # LIFT, DRAG and the like imply their axes.
     frame = "" if slot < 3 and section.force != STABILITY else frame
     name = axis_name(section, slot)
     opening = f'<axis name="{name}" frame="{frame}">' if frame else f'<axis name="{name}">'
@@ -550,7 +604,7 @@ def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
 def _sum(
     terms: Sequence[Term], triple: Sequence[Sequence[str]], lengths: Sequence[Expression] | None
 ) -> list[str]:
-    """XML of the sum over the row's terms; empty where no coefficient of the row has a summand."""
+    """Return the XML lines of a row's sum; empty if no coefficient of the row has a summand."""
     pieces = []
     for sign, trig, index in terms:
         if not triple[index]:
@@ -570,8 +624,9 @@ def _sum(
 
 
 def refuse_names(section: AeroSection, names: Sequence[str]) -> None:
-    """BadInputError with file and line if a function of the aerodynamics is called so already:
-    JSBSim ends at the second one.
+    """Raise BadInputError if a function of the section has one of the names.
+
+    JSBSim stops at the second function of a name.
     """
     for document in section.documents:
         for node in document.root.walk():
@@ -583,7 +638,7 @@ def refuse_names(section: AeroSection, names: Sequence[str]) -> None:
 
 
 def functions(section: AeroSection) -> list[tuple[int, Document, Node]]:
-    """(place, file, element) of every force and moment function that JSBSim adds up."""
+    """Return (place, file, element) of every force and moment function in use."""
     return [
         (slot, axis.document, node)
         for slot, axis in sorted(section.axes.items())

@@ -1,9 +1,10 @@
-"""What stands between commands and a property of the control system: the components that make it,
-and nothing else of the aircraft.
+"""The components between commands and a property of the control system, as an aircraft of their
+own.
 
-Where a surface stands follows from its command by way of filters, servos and selectors. As long as
-none of these reads anything of the aircraft's motion, the same commands move the surface alike in
-every aircraft that has these components, and they can be flown alone."""
+A surface follows its command through filters, servos and selectors. If none of these reads the
+aircraft's motion, the same commands move the surface equally in every aircraft with these
+components, and they can be simulated alone and shared.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +35,10 @@ _KINDS = frozenset(
         "actuator",
     }
 )
-"""Components that read what their elements name, and write their name's property and their
-outputs.
+"""Components that read what their elements name, and write the property of their name and outputs.
 """
 _SENSORS = frozenset({"sensor", "gyro", "accelerometer", "magnetometer"})
-"""Components that write no more than that, but read more."""
+"""Components that write the same, but read more."""
 _SILENT = frozenset({"description", "documentation", "limitation", "note", "reference", "property"})
 _DRAWS = frozenset({"random", "urandom"})
 _NAME = re.compile(r"[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
@@ -63,8 +63,9 @@ _JSBSIM_FOLDERS = (
     "simulation",
     "velocities",
 )
-"""Where JSBSim keeps what it computes itself, whether an XML declares it or not. Elsewhere nothing
-moves but by a component, a function or somebody's hand, engines' levers apart."""
+"""Property folders that JSBSim computes itself. Elsewhere, properties change only by a component, a
+function, the host, or the levers of engines.
+"""
 _LEVERS = re.compile(r"fcs/(?:throttle|mixture|advance|feather)-(?:cmd|pos)-norm(?:\[\d+\])?")
 _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 
@@ -73,8 +74,13 @@ _THROTTLE = re.compile(r"fcs/throttle-pos-norm((?:\[\d+\])?)")
 class ControlChain:
     """Components between commands and positions.
 
-    ``xml`` is an aircraft of these components alone, the same text for aircraft that have the same
-    ones; ``reads`` what enters them: commands, constants."""
+    Attributes
+    ----------
+    xml : str
+        An aircraft of these components; equal for aircraft with equal components.
+    reads : frozenset of str
+        Its inputs: commands and constants.
+    """
 
     xml: str
     reads: frozenset[str]
@@ -82,9 +88,17 @@ class ControlChain:
 
 @dataclass(frozen=True)
 class ControlFiles:
-    """An aircraft's XML: its systems' roots in JSBSim's order of execution, and every document of
-    its. ``engines``: whether <propulsion> has any, whose throttles JSBSim moves with their
-    commands."""
+    """An aircraft's XML.
+
+    Attributes
+    ----------
+    systems : sequence of Node
+        Roots of its systems in JSBSim's order of execution.
+    documents : sequence of Document
+        All its files.
+    engines : bool
+        Whether <propulsion> has engines, whose throttles JSBSim moves with their commands.
+    """
 
     systems: Sequence[Node]
     documents: Sequence[Document]
@@ -93,7 +107,7 @@ class ControlFiles:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A component, the number of its channel and its own in the channel."""
+    """A component, the index of its channel, and its index in the channel."""
 
     channel: int
     number: int
@@ -103,8 +117,22 @@ class _Placed:
 def control_chain(
     files: ControlFiles, targets: Iterable[str], free_inputs: Collection[str]
 ) -> ControlChain | None:
-    """What makes the properties ``targets``; None where that reads, or may read, more than the
-    properties ``free_inputs`` and what nothing in the aircraft changes."""
+    """Return the components that produce the target properties.
+
+    Parameters
+    ----------
+    files : ControlFiles
+        The aircraft.
+    targets : iterable of str
+        Properties to produce.
+    free_inputs : collection of str
+        Properties that may vary.
+
+    Returns
+    -------
+    ControlChain or None
+        None if the components read, or may read, other properties that change.
+    """
     channels = [node for system in files.systems for node in system.all("channel")]
     writers, computed = _writers(channels), _computed(files.documents, channels)
     values: dict[str, set[str]] = defaultdict(set)
@@ -147,26 +175,23 @@ def control_chain(
     constants = {
         name: next(iter(values[name])) for name in sorted(visited - levers) if name in values
     }
-    # What nothing makes, and a branch that is never taken names, must be there: JSBSim ends the
-    # interpreter over it.
+    # Properties that nothing creates must exist: JSBSim aborts over one in a branch never taken.
     constants |= dict.fromkeys(sorted(entering - values.keys()), "0")
     return ControlChain(_aircraft(channels, components, constants, sorted(levers)), entering)
 
 
 def without_index(name: str) -> str:
-    """A property's name as it is looked up: the first of several needs no number."""
+    """Return a property's name without the index of the first of several."""
     return name.strip().removesuffix("[0]")
 
 
 def _surface(name: str) -> str:
-    """A surface's position without its unit: JSBSim keeps it in all of them, whichever is
-    written.
-    """
+    """Return a position's name without its unit: JSBSim keeps a surface's position in all units."""
     return _UNIT.sub("-pos", name)
 
 
 def _writers(channels: Sequence[Node]) -> dict[str, list[_Placed]]:
-    """Components by what they write, positions without their units."""
+    """Return property to the components that write it, positions without their units."""
     writers: dict[str, list[_Placed]] = defaultdict(list)
     for channel_index, channel in enumerate(channels):
         for number, node in enumerate(channel.children):
@@ -177,6 +202,7 @@ def _writers(channels: Sequence[Node]) -> dict[str, list[_Placed]]:
 
 
 def _outputs(node: Node) -> Iterator[str]:
+    """Yield the properties that a component writes."""
     if name := attribute(node, "name"):
         yield without_index(name if "/" in name else "fcs/" + re.sub(r"\s", "-", name).lower())
     yield from (without_index(output.text) for output in node.all("output"))
@@ -186,14 +212,12 @@ def _outputs(node: Node) -> Iterator[str]:
         if inner.tag == "function" and attribute(inner, "name")
     )
     if node.tag not in _KINDS | _SENSORS:
-        # What a distributor or another component writes may stand anywhere in it.
+        # Other components, such as a distributor, may name outputs anywhere.
         yield from (without_index(token) for token in _tokens(node))
 
 
 def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[str]:
-    """Properties that functions outside the channels make, those that functions copy to, and those
-    of tables' names.
-    """
+    """Return the properties that functions outside the channels and tables compute."""
     inside = {id(node) for channel in channels for node in channel.walk()}
     names = set()
     for document in documents:
@@ -208,7 +232,7 @@ def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[st
 
 
 def _read(node: Node, existing: Collection[str]) -> list[str] | None:
-    """Properties that a component reads; None for one of which that cannot be told."""
+    """Return the properties that a component reads; None if that is not certain."""
     if node.tag not in _KINDS or any(inner.tag in _DRAWS for inner in node.walk()):
         return None
     outputs, inputs = set(_outputs(node)), []
@@ -222,7 +246,7 @@ def _read(node: Node, existing: Collection[str]) -> list[str] | None:
 
 
 def _tokens(node: Node) -> Iterator[str]:
-    """Words of an element's texts and attributes, numbers among them."""
+    """Yield the words of an element's texts and attributes."""
     pending = [node]
     while pending:
         one = pending.pop()
@@ -241,6 +265,7 @@ def _aircraft(
     constants: dict[str, str],
     levers: Sequence[str],
 ) -> str:
+    """Return the XML of an aircraft with these components only."""
     lines = [
         '<?xml version="1.0"?>',
         '<fdm_config name="controls" version="2.0">',
@@ -277,11 +302,12 @@ def _aircraft(
 
 
 def _start_tag(node: Node) -> str:
+    """Return an element's start tag with sorted attributes."""
     return f"<{node.tag}{''.join(f' {name}={quoteattr(text)}' for name, text in sorted(node.attributes.items()))}>"
 
 
 def _text(node: Node) -> str:
-    """An element without remarks and blank lines: conditions and tables stand in lines."""
+    """Return an element without comments and blank lines; conditions and tables keep their lines."""
     content = "\n".join(line.strip() for line in node.text.splitlines() if line.strip())
     inside = "".join(
         _text(child) for child in node.children if child.tag not in _SILENT - {"property"}
