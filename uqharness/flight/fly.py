@@ -1,6 +1,8 @@
 """Fly one mission: conditions and seeds in, recorded signals and scores out.
 
-The campaign's hot loop is here.
+`record_mission` sets conditions, initialises, and records; `score` computes medians, means, maxima,
+excursions and loss of control, from a commanded path or from the start. `GroundWatch` ends airborne
+flights that touch the ground. A campaign spends most of its time here.
 """
 
 from __future__ import annotations
@@ -43,8 +45,9 @@ from uqharness.simulator import (
     refuse_conflicts,
 )
 
-# What a flight is scored by: errors from a commanded path, or, where nothing is commanded,
-# deviations from the start.
+# Scores. An excursion is counted when the distance from the path first exceeds the radius, and
+# re-arms ``rearm_m`` inside it. Loss of control is |bank| > 80 deg, |alpha| > 25 deg, altitude
+# error > 60 m, or a state that is not finite.
 
 # Scores of a flight along a commanded path: medians, means, maxima, excursions, loss of
 # control.
@@ -59,7 +62,13 @@ ALTITUDE_LIMIT_M = 60.0
 
 
 def absolute_statistics(error: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Median, mean and maximum of ``|error|`` (n,); NaN for no sample at all."""
+    """Return median, mean and maximum of ``|error|`` (n,); NaN without samples.
+
+    Examples
+    --------
+    >>> absolute_statistics(np.array([-1.0, 2.0, 6.0]))
+    (2.0, 3.0, 6.0)
+    """
     if error.size == 0:
         return float("nan"), float("nan"), float("nan")
     magnitude = np.abs(error)
@@ -67,10 +76,25 @@ def absolute_statistics(error: NDArray[np.float64]) -> tuple[float, float, float
 
 
 def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: float) -> int:
-    """Number of excursions of ``|distance|`` (n,) [m] beyond ``radius_m``, re-armed at ``radius_m -
-    rearm_m``.
+    """Return the number of excursions beyond a radius.
 
-    A flight that begins outside counts one. ValueError unless 0 <= rearm_m < radius_m.
+    Parameters
+    ----------
+    distance : ndarray
+        Distance from the path (n,) [m], of either sign.
+    radius_m, rearm_m : float
+        An excursion starts beyond ``radius_m`` and ends inside ``radius_m - rearm_m`` [m]. A flight
+        that starts outside counts one.
+
+    Raises
+    ------
+    ValueError
+        Unless 0 <= rearm_m < radius_m.
+
+    Examples
+    --------
+    >>> count_excursions(np.array([0.0, 11.0, 9.5, 11.0, 0.0, -12.0]), 10.0, 1.0)
+    2
     """
     if not 0.0 <= rearm_m < radius_m:
         raise ValueError(
@@ -80,7 +104,7 @@ def count_excursions(distance: NDArray[np.float64], radius_m: float, rearm_m: fl
     magnitude = np.abs(distance)
     outside = magnitude > radius_m
     inside = magnitude < radius_m - rearm_m
-    # Only samples that decide matter: between the two radii the counter keeps its state.
+    # Between the two radii the counter keeps its state: drop these samples.
     decided = outside[outside | inside]
     if decided.size == 0:
         return 0
@@ -92,7 +116,13 @@ def lost_control(
     alpha_rad: NDArray[np.float64],
     altitude_error_m: NDArray[np.float64],
 ) -> bool:
-    """Whether a flight lost control at any sample; a sample that is not finite counts as lost."""
+    """Return whether a flight lost control at any sample; samples that are not finite count.
+
+    Parameters
+    ----------
+    phi_rad, alpha_rad, altitude_error_m : ndarray
+        Bank and incidence [rad] and altitude error [m], each (n,).
+    """
     finite = np.isfinite(phi_rad) & np.isfinite(alpha_rad) & np.isfinite(altitude_error_m)
     exceeded = (
         (np.abs(phi_rad) > BANK_LIMIT_RAD)
@@ -108,7 +138,17 @@ LOAD_FACTOR = "load_factor_max"
 
 
 class Recorded:
-    """Signals of one flight as flown so far, and how it ended."""
+    """Signals of a flight, and how it ended.
+
+    Attributes
+    ----------
+    status, reason : str
+        One of STATUSES, and the reason if it is not ok.
+    flown_s : float
+        Time at the end [s].
+    signals : dict
+        Signal to (n,).
+    """
 
     def __init__(
         self,
@@ -127,7 +167,7 @@ class Recorded:
 
 
 def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
-    """The card's error signals, true and measured."""
+    """Return the card's error signals, true and measured."""
     signals = {key: Source(card.true) for key, card in aircraft.card.metrics.items()}
     return signals | {
         f"{key}_measured": Source(card.measured)
@@ -137,9 +177,9 @@ def commanded_signals(aircraft: Aircraft) -> dict[str, Source]:
 
 
 def from_start_signals(flies_straight: bool) -> dict[str, Source]:
-    """What deviations from the start are made of; any JSBSim aircraft has it.
+    """Return the signals of deviations from the start; every JSBSim aircraft has them.
 
-    ``flies_straight``: the flight is to go straight on.
+    ``flies_straight`` adds position and ground velocity, for the distance from a line.
     """
     names = {"height_m": "h_m", "V_mps": "V_mps", "psi_rad": "psi_rad"}
     table = {ours: STANDARD[theirs] for ours, theirs in names.items()} | {
@@ -155,7 +195,7 @@ def from_start_signals(flies_straight: bool) -> dict[str, Source]:
 
 
 def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """Errors from the commanded path, height and speed, excursions, loss of control."""
+    """Score errors from the commanded path, altitude and airspeed, excursions, loss of control."""
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok"
@@ -183,19 +223,17 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
                     f"the card names no {key} under [metrics]",
                 )
             else:
-                # What was flown counts, however the flight ended: a campaign bounds the rest from
-                # above.
+                # Excursions before an early end count; a campaign bounds the remainder from above.
                 metrics[name] = float(count_excursions(values, radius, spec.rearm_m))
     return _result(recorded, metrics, undefined, recorded.signals.get("altitude", np.zeros(0)))
 
 
 def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """Deviations of height, speed and heading from where scoring begins, and the largest load
-    factor.
+    """Score deviations of altitude, airspeed and heading from the start, and the load factor.
 
-    A flight that is to go straight on has a path, the line on which scoring began; any other has
-    none, and its cross-track errors and excursions are undefined. Loss of control is judged by bank
-    and incidence."""
+    In a straight flight the path is the line on which scoring starts. Other flights have no path;
+    their cross-track errors and excursions are undefined. Loss of control uses bank and incidence.
+    """
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok" and recorded.signals["height_m"].size > 0
@@ -221,7 +259,7 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
         names = [f"{key}_{kind}_{unit}" for kind in _STATISTICS]
         statistics = absolute_statistics(values - values[:1]) if complete else (math.nan,) * 3
         metrics |= dict(zip(names, statistics, strict=True))
-    # 1 in level flight.
+    # The load factor is 1 in level flight.
     metrics[LOAD_FACTOR] = float(np.max(recorded.signals["load_factor"])) if complete else math.nan
     if not complete:
         undefined |= dict.fromkeys((*deviations, LOAD_FACTOR), recorded.reason)
@@ -229,9 +267,7 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
 
 
 def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
-    """(n,) [m] distance from the line on which scoring began, + to the right; None where the flight
-    is not to go straight on.
-    """
+    """Return the distance (n,) [m] from the initial line, + to the right; None without one."""
     if "north_m" not in recorded.signals:
         return None
     north, east, vn, ve = (
@@ -239,7 +275,7 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
     )
     if north.size == 0:
         return north
-    # Roots and products have the same bits on every processor; a C library's hypot need not.
+    # sqrt is bit-identical on all processors; a C library's hypot is not.
     speed = math.sqrt(vn[0] * vn[0] + ve[0] * ve[0])
     track: NDArray[np.float64] = ((east - east[0]) * vn[0] - (north - north[0]) * ve[0]) / speed
     return track
@@ -251,6 +287,7 @@ def _result(
     undefined: dict[str, str],
     altitude: NDArray[np.float64],
 ) -> FlightResult:
+    """Return the result with loss of control and the share of extrapolated samples."""
     bank = recorded.signals["phi_rad"]
     error = altitude if altitude.size else np.zeros_like(bank)
     control_lost = recorded.status != "ok" or lost_control(
@@ -268,20 +305,29 @@ def _result(
     )
 
 
-# Contact with the ground: an airborne mission ends where the gear, the structure or, without
-# contact points, the CG touches it.
+# Ground contact: an airborne flight ends when gear, structure or, without contact points, the CG
+# touches the ground.
 
 _MARGIN_FT = 1.0
-# Ten g towards the ground for as long as nobody looks.
+# Ten g downwards between two checks.
 _MAX_SINK_ACCELERATION_FPS2 = 320.0
 
 
 class GroundWatch:
-    """Runs an initialised flight block by block and sees every step in which a contact point
-    touches the ground.
+    """Runs a flight in blocks and detects the first step with ground contact.
 
-    A flight that starts on its contact points is not airborne, and may touch the ground, until the
-    first step without contact. ``block_s`` is the time between two calls of `advance`."""
+    A flight that starts on its contact points may touch the ground until the first step without
+    contact.
+
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        Initialised instance.
+    aircraft : Aircraft
+        Its XML names the contact points.
+    block_s : float
+        Time between two calls of `advance` [s].
+    """
 
     def __init__(self, fdm: Any, aircraft: Aircraft, block_s: float) -> None:
         units = _units(fdm)
@@ -297,9 +343,7 @@ class GroundWatch:
         self._airborne = not self._touching()
 
     def advance(self, advance_steps: Callable[[int], None], steps: int) -> str:
-        """Run ``steps`` steps, or up to the first contact of an airborne flight; what touched,
-        empty where nothing did.
-        """
+        """Run ``steps`` steps, or up to ground contact; return what touched, or an empty text."""
         if not self._is_near_ground():
             advance_steps(steps)
             self._airborne = True
@@ -313,9 +357,9 @@ class GroundWatch:
         return "the centre of gravity" if self._height() <= 0.0 else ""
 
     def _is_near_ground(self) -> bool:
-        """Whether a contact point could reach the ground within a block.
+        """Return whether a contact point could reach the ground within a block.
 
-        Each step is looked at only then: it costs time.
+        Single steps are checked only then, because that takes time.
         """
         fall_ft = (
             2.0 * abs(self._climb()) * self._block_s
@@ -324,14 +368,22 @@ class GroundWatch:
         return bool(self._points) and self._height() < self._reach_ft + fall_ft
 
     def _touching(self) -> str:
+        """Return the name of a contact point on the ground; empty if there is none."""
         return next((name for wow, name in self._points if wow()), "")
 
 
 @dataclass(frozen=True)
 class ContactPoint:
-    """A gear or structure contact point; ``at_in`` [in] in the structural frame.
+    """A gear or structure contact point.
 
-    ``retracts``: it counts while the gear is down.
+    Attributes
+    ----------
+    name : str
+        Name in the XML.
+    at_in : tuple of float
+        Position in the structural frame [in].
+    retracts : bool
+        Whether it counts only with the gear down.
     """
 
     name: str
@@ -340,7 +392,10 @@ class ContactPoint:
 
 
 def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
-    """Those of a loaded aircraft. Raises BadInputError where JSBSim does not say where they are."""
+    """Return the contact points of a loaded aircraft.
+
+    Raises BadInputError if JSBSim does not report their positions.
+    """
     units = _units(fdm)
     points = []
     for unit, name in zip(units, _names(aircraft, len(units)), strict=True):
@@ -354,9 +409,7 @@ def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
 
 
 def _units(fdm: Any) -> list[str]:
-    """Contact points as property folders, in the order of the XML: gear and structure are counted
-    together.
-    """
+    """Return the property folders of the contact points; gear and structure share one numbering."""
     exists = fdm.get_property_manager().hasNode
     units = []
     for number in range(int(fdm["gear/num-units"])):
@@ -369,7 +422,7 @@ def _units(fdm: Any) -> list[str]:
 
 
 def _names(aircraft: Aircraft, count: int) -> list[str]:
-    """What the XML calls the contact points; their numbers where it is not to be had."""
+    """Return the XML's names of the contact points, or their numbers."""
     try:
         xml_names = [
             item.get("name", "")
@@ -382,7 +435,7 @@ def _names(aircraft: Aircraft, count: int) -> list[str]:
 
 
 def _distance_ft(fdm: Any, unit: str) -> float:
-    """From the CG, the same whatever the attitude."""
+    """Return the distance of a contact point from the CG [ft]; infinite if unknown."""
     exists = fdm.get_property_manager().hasNode
     if not all(exists(f"{unit}/{axis}-position") for axis in "xyz"):
         return math.inf
@@ -416,27 +469,38 @@ _RESERVED = {
     "atmosphere/randomseed": "give a seed (--seed, seed)",
     "simulation/dt": "the step belongs to the aircraft's card ([aircraft] dt_s)",
 }
-# JSBSim's generator maps seed 0 onto seed 1 and takes 31 bits.
+# JSBSim's generator takes 31 bits and maps seed 0 to seed 1.
 _MAX_SEED = 2**31 - 2
 
 
 def fly(spec: FlightSpec) -> FlightResult:
     """Fly one mission and score it.
 
-    A flight that goes wrong (not finite, into the ground, an exception in flight) is a FlightResult
-    with its status and reason. Raises BadInputError for what cannot start: unknown aircraft, script
-    or property, impossible values."""
+    Parameters
+    ----------
+    spec : FlightSpec
+        The flight.
+
+    Returns
+    -------
+    FlightResult
+        Also of a flight that diverges, hits the ground or crashes, with status and reason.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start: unknown aircraft, script or property, impossible values.
+    """
     return _fly_and_score(spec, one_ulp_off=False)
 
 
 def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
-    """The same flight from a velocity over the ground that is one unit in the last place larger:
-    what rounding alone may change.
-    """
+    """Fly from a ground velocity one unit in the last place larger: the effect of rounding."""
     return _fly_and_score(spec, one_ulp_off=True)
 
 
 def _fly_and_score(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
+    """Fly and score a spec."""
     mission = staged_mission(spec)
     recorded = record_mission(
         mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off
@@ -445,7 +509,7 @@ def _fly_and_score(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
 
 
 def scored_signals(mission: StagedMission) -> dict[str, Source]:
-    """What a flight of the mission is scored by."""
+    """Return the signals that a mission is scored by."""
     signals = (
         from_start_signals(_steady(mission))
         if _from_start(mission)
@@ -457,11 +521,11 @@ def scored_signals(mission: StagedMission) -> dict[str, Source]:
 OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType(
     {"extrapolated": Source("uq/extrapolated")}
 )
-"""What is scored where the aircraft has it."""
+"""Signals scored where the aircraft has them."""
 
 
 def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> FlightResult:
-    """The scores of what was recorded of a flight."""
+    """Return the scores of a recorded flight."""
     return (
         score_from_start(spec, recorded)
         if _from_start(mission)
@@ -470,15 +534,17 @@ def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> Fligh
 
 
 def _steady(mission: StagedMission) -> bool:
+    """Return whether the mission starts from steady flight."""
     return MARK in mission.script.run_properties
 
 
 def _from_start(mission: StagedMission) -> bool:
+    """Return whether deviations count from the start, for lack of a commanded path."""
     return _steady(mission) or not mission.aircraft.card.metrics
 
 
 def staged_mission(spec: FlightSpec) -> StagedMission:
-    """The mission of a flight, staged once for as long as aircraft and script stay what they are.
+    """Return the staged mission of a flight, reused while aircraft and script are unchanged.
 
     Raises BadInputError.
     """
@@ -486,14 +552,15 @@ def staged_mission(spec: FlightSpec) -> StagedMission:
 
 
 def _fingerprint(spec: FlightSpec) -> str:
-    # A worker that lives for days must notice that somebody edited the aircraft: the staged copy is
-    # keyed by what it was made from.
+    """Return a text that changes with the files of aircraft and script."""
+    # A long-lived worker must notice edits, so that the cache is keyed by file states.
     script = find_script(spec.script)
     return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
 
 
 @lru_cache(maxsize=8)
 def _staged(aircraft: str, script: str, fingerprint: str) -> StagedMission:
+    """Stage a mission; the fingerprint is part of the key."""
     mission = StagedMission(find_aircraft(aircraft), find_script(script))
     atexit.register(mission.close)
     return mission
@@ -508,13 +575,38 @@ def record_mission(
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
 ) -> Recorded:
-    """Fly ``spec`` and record ``signals`` (and those of ``optional`` that exist) at
-    ``spec.record_rate_hz``.
+    """Fly a spec and record signals.
 
-    Rows are taken after a step, so the accelerations of a row have seen the command of that row.
-    ``one_ulp_off``: from a velocity over the ground that is one unit in the last place larger.
-    ``splits``: where the flight branches; ValueError unless its gusts are the host's and nothing
-    transient moves. Raises BadInputError."""
+    Rows are taken after a step, so that the accelerations of a row include its commands.
+
+    Parameters
+    ----------
+    mission : StagedMission
+        Aircraft and script.
+    spec : FlightSpec
+        Conditions, seeds and durations.
+    signals, optional : mapping
+        Signals to record, and signals recorded if they exist.
+    keep_burn_in : bool
+        Whether to record the burn-in too.
+    one_ulp_off : bool
+        Whether the ground velocity starts one unit in the last place larger.
+    splits : sequence of Split
+        Frames behind which the flight branches.
+
+    Returns
+    -------
+    Recorded
+        Rows at ``spec.record_rate_hz``, and how the flight ended.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start.
+    ValueError
+        For splits of a flight with JSBSim's own turbulence or transient model error.
+    """
+    # Mass properties are set through the XML, others after loading.
     changed = {name: value for name, value in spec.properties.items() if name in CHANGEABLE}
     fdm = mission.open(changed=changed)
     dt_s = fdm.get_delta_t()
@@ -545,6 +637,7 @@ def record_mission(
     values = array("d")
     height = engine.handle(fdm, "position/h-agl-ft").get_double_value
     speed = engine.handle(fdm, "velocities/vt-fps").get_double_value
+    # Step in blocks of one row; the host feeds gusts and levels before each step.
     watch = GroundWatch(fdm, mission.aircraft, stride * dt_s)
     status, reason = "ok", ""
     if burn_in_rows == 0:
@@ -570,9 +663,7 @@ def record_mission(
 
 
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
-    """Rows of ``row_s`` seconds that are flown before recording begins, and rows that are
-    recorded.
-    """
+    """Return the numbers of burn-in rows and of recorded rows, each of ``row_s`` [s]."""
     burn = 0 if keep_burn_in else math.ceil(round(spec.burn_in_s / row_s, 9))
     return burn, math.ceil(
         round((spec.duration_s + (spec.burn_in_s if keep_burn_in else 0.0)) / row_s, 9)
@@ -580,11 +671,14 @@ def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tu
 
 
 def _clock(fdm: Any) -> str:
+    """Return the simulation time as text."""
     return f"{fdm.get_sim_time():.1f} s"
 
 
 def record_stride(spec: FlightSpec, dt_s: float) -> int:
-    """Steps from one recorded row to the next. Raises BadInputError."""
+    """Return the steps per recorded row. Raises BadInputError if the rate does not divide the
+    step's.
+    """
     stride = round(1.0 / (spec.record_rate_hz * dt_s))
     if stride < 1 or abs(stride * spec.record_rate_hz * dt_s - 1.0) > 1e-6:
         raise BadInputError(
@@ -595,6 +689,7 @@ def record_stride(spec: FlightSpec, dt_s: float) -> int:
 
 
 def _exists(fdm: Any, source: Source) -> bool:
+    """Return whether a source's properties exist."""
     manager = fdm.get_property_manager()
     return bool(
         manager.hasNode(source.property) and (source.over is None or manager.hasNode(source.over))
@@ -602,7 +697,7 @@ def _exists(fdm: Any, source: Source) -> bool:
 
 
 def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]:
-    """Of each source's property, then of each divisor's."""
+    """Return the getters of all properties, then of all divisors."""
     names = [s.property for s in table.values()] + [
         s.over for s in table.values() if s.over is not None
     ]
@@ -611,8 +706,9 @@ def _getters(fdm: Any, table: Mapping[str, Source]) -> list[Callable[[], float]]
 
 
 def to_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
-    """Signals (n, len(table)) from what the getters gave (n, len(getters)); NaN or infinite where a
-    divisor is zero.
+    """Return signals (n, m) from the values of the getters (n, m + divisors).
+
+    NaN or infinite where a divisor is zero.
     """
     rows = np.empty((len(read), len(table)))
     divisor = len(table)
@@ -626,9 +722,22 @@ def to_signals(read: FloatArray, table: Mapping[str, Source]) -> FloatArray:
 
 
 def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
-    """Set seeds, wind, turbulence, noise and properties of ``spec`` on a mission just opened.
+    """Set seeds, wind, turbulence, noise and properties on a mission before initialisation.
 
-    Raises BadInputError.
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        Instance just opened.
+    mission : StagedMission
+        Aircraft and script.
+    spec : FlightSpec
+        Conditions.
+
+    Raises
+    ------
+    BadInputError
+        For values out of range, properties that events set, and conditions that need a system which
+        the aircraft does not have.
     """
     if spec.turbulence not in TURBULENCE_W20_KT:
         raise BadInputError(
@@ -646,8 +755,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name in spec.properties:
         if name in _RESERVED:
             raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
-    # A script may leave the integrators of a recorded flight for some frames: at a jump a multistep
-    # rule has to begin anew.
+    # A script may change the integrators for some frames, to restart a multistep rule at a jump.
     chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
@@ -676,20 +784,21 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     for name, value in without_missing_switches(fdm, spec.properties).items():
         if name not in CHANGEABLE:
             engine.set_property(fdm, name, value)
-    # The script's start is an airspeed; over the ground the aircraft moves with the wind as well.
+    # Initial conditions are an airspeed; the ground velocity includes the wind.
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]
         fdm["ic/vn-fps"] = north + spec.wind_mps * math.cos(toward) / FT_M
         fdm["ic/ve-fps"] = east + spec.wind_mps * math.sin(toward) / FT_M
         if not with_air:
-            # Set after the velocity over the ground, which it then leaves alone; JSBSim's direction
-            # is where the wind blows to.
+            # Set last, when it no longer changes the ground velocity. JSBSim's direction is the one
+            # that the wind blows to.
             fdm["ic/vw-dir-deg"] = math.degrees(toward)
             fdm["ic/vw-mag-fps"] = spec.wind_mps / FT_M
 
 
 def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
+    """Raise BadInputError if a transient model error cannot act on the aircraft."""
     if spec.transient is None:
         return
     exists = fdm.get_property_manager().hasNode
@@ -705,8 +814,9 @@ def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> No
 
 
 def without_missing_switches(fdm: Any, properties: Mapping[str, float]) -> dict[str, float]:
-    """``properties`` with bounds of zero in place of a switch uq/<C>/active 0 that the aircraft's
-    plugin does not have.
+    """Return properties with zero bounds in place of a switch that the aircraft does not have.
+
+    The switch is uq/<C>/active = 0; older plugins lack it.
     """
     exists = fdm.get_property_manager().hasNode
     result: dict[str, float] = {}
@@ -720,8 +830,9 @@ def without_missing_switches(fdm: Any, properties: Mapping[str, float]) -> dict[
 
 
 def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
-    """Blow the steady wind through JSBSim's own properties where no air system does; initialising
-    would have undone it.
+    """Set the steady wind in an aircraft without the air system, after initialisation.
+
+    Initialisation would reset it.
     """
     if has_air(fdm):
         return
@@ -732,8 +843,9 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
 
 
 def _require_settings_hold(fdm: Any, properties: Mapping[str, float]) -> None:
-    """BadInputError for a setting that initialising has overwritten: it would have no effect and no
-    message.
+    """Raise BadInputError for a property that initialisation has overwritten.
+
+    It would have no effect, without a message.
     """
     for name, value in properties.items():
         actual = fdm[name]

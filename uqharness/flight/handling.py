@@ -1,7 +1,9 @@
 """Flying-quality levels of MIL-F-8785C for the modes of a linear model.
 
-The numbers are the specification's tables; levels are 1, 2, 3, or 4 for worse than Level 3. They
-were written for piloted aircraft: for a small unmanned one they are a yardstick, not a requirement.
+`assess` rates every mode that has a requirement; levels are 1, 2, 3, or 4 for worse than Level 3.
+`level_edges` and `root_limits` draw the limits in the complex plane, and `root_locus` follows the
+modes over airspeed. The specification is for piloted aircraft: for small unmanned ones it is a
+yardstick, not a requirement.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ CAP = {
 }
 # 3.2.1.2: least damping at Levels 1 and 2, shortest time to double amplitude [s] at Level 3.
 PHUGOID_DAMPING, PHUGOID_DOUBLE_S = (0.04, 0.0), 55.0
-# 3.2.1.1: airspeed must not diverge without oscillation at Levels 1 and 2; shortest time to double
-# amplitude [s] at Level 3.
+# 3.2.1.1: no divergence of airspeed at Levels 1 and 2; shortest time to double amplitude [s] at
+# Level 3.
 DIVERGENCE, DIVERGENCE_DOUBLE_S = "3.2.1.1", 6.0
 # 3.3.1.4: least zeta wn [rad/s] of a coupled roll-spiral oscillation at Levels 1, 2 and 3 in
 # categories B and C; category A permits none.
@@ -53,8 +55,18 @@ ROLL_SPIRAL_RADPS = (0.5, 0.3, 0.15)
 
 @dataclass(frozen=True)
 class Assessment:
-    """One requirement met or not: the criterion, its value and unit, the level reached (1..4), the
-    paragraph.
+    """One requirement and the level reached.
+
+    Attributes
+    ----------
+    mode, criterion : str
+        Mode and what is rated.
+    value, unit : float, str
+        Value; NaN if it is undefined.
+    level : int
+        1 to 3, or 4 for worse than Level 3.
+    paragraph : str
+        Paragraph of MIL-F-8785C.
     """
 
     mode: str
@@ -68,7 +80,24 @@ class Assessment:
 def assess(
     model: LinearModel, all_modes: Sequence[Mode], category: str = "B", aircraft_class: str = "I"
 ) -> list[Assessment]:
-    """Levels of every mode that has a requirement. ValueError for an unknown category or class."""
+    """Return the levels of all modes that have a requirement.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Linear model about a trim.
+    all_modes : sequence of Mode
+        Its modes.
+    category : str
+        Flight phase category A, B or C.
+    aircraft_class : str
+        Class I to IV, with II-L and II-C.
+
+    Raises
+    ------
+    ValueError
+        For an unknown category or class.
+    """
     if category not in CATEGORIES or aircraft_class not in CLASSES:
         raise ValueError(
             f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)}"
@@ -88,17 +117,17 @@ def assess(
 
 
 def load_factor_per_alpha(model: LinearModel) -> float:
-    """n/alpha [g/rad] = -Z_w V / g, from the linear model's Z_w."""
+    """Return n/alpha = -Z_w V/g [g/rad] of a linear model."""
     return -float(model.A[2, 2]) * model.trim.condition.V_mps / G0_MPS2
 
 
 def _short_period(
     roots: list[Mode], third: list[Mode], model: LinearModel, category: str
 ) -> list[Assessment]:
-    """Judge the short period, or the pair that takes its place.
+    """Rate the short period, or the pair that replaces it.
 
-    Beside a third oscillatory mode the short period is one real root. The pitch response to a
-    control then oscillates with the pair, which is judged instead of it.
+    Next to a third oscillatory mode, the short period is a real root. The pitch response oscillates
+    with the pair, which is then rated.
     """
     pair = third or roots
     name = pair[0].name
@@ -134,7 +163,7 @@ def _short_period(
 
 
 def _damping_and_frequency(pair: list[Mode]) -> tuple[float, float]:
-    """Return zeta and wn [rad/s] of a pair, or of two real roots of one sign as a pair."""
+    """Return zeta and wn [rad/s] of a pair, or of two real roots of equal sign."""
     if len(pair) == 1:
         return pair[0].zeta, pair[0].wn_radps
     wn = math.sqrt(pair[0].real * pair[1].real)
@@ -142,13 +171,14 @@ def _damping_and_frequency(pair: list[Mode]) -> tuple[float, float]:
 
 
 def _divergence(root: Mode) -> Assessment:
-    """Judge an unstable real root of the longitudinal motion."""
+    """Rate an unstable real root of the longitudinal motion."""
     double = math.log(2.0) / root.real
     level = 3 if double >= DIVERGENCE_DOUBLE_S else 4
     return Assessment(root.name, "divergence, time to double", double, "s", level, DIVERGENCE)
 
 
 def _phugoid(pair: list[Mode]) -> list[Assessment]:
+    """Rate the phugoid (3.2.1.2), or divergences in its place."""
     unstable = [root for root in pair if root.imag == 0 and root.real > 0]
     if unstable:
         return [_divergence(root) for root in unstable]
@@ -164,7 +194,7 @@ def _phugoid(pair: list[Mode]) -> list[Assessment]:
 
 
 def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, float, float], ...]:
-    """Least zeta, zeta wn [rad/s] and wn [rad/s] at Levels 1, 2 and 3 (3.3.1.1, Table VI)."""
+    """Return the least zeta, zeta wn [rad/s] and wn [rad/s] at Levels 1 to 3 (3.3.1.1, Table VI)."""
     light = aircraft_class in ("I", "IV")
     if category == "A":
         one = (0.19, 0.35, 1.0 if light else 0.4)
@@ -176,17 +206,24 @@ def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, 
 
 
 def roll_limits_s(category: str, aircraft_class: str) -> tuple[float, float, float]:
-    """Longest roll time constant [s] at Levels 1, 2 and 3 (3.3.1.2, Table VII)."""
+    """Return the longest roll time constant [s] at Levels 1 to 3 (3.3.1.2, Table VII).
+
+    Examples
+    --------
+    >>> roll_limits_s("B", "I")
+    (1.4, 3.0, 10.0)
+    """
     quick = aircraft_class in ("I", "IV") or (category == "C" and aircraft_class == "II-C")
     return (1.0, 1.4, 10.0) if quick and category != "B" else (1.4, 3.0, 10.0)
 
 
 def spiral_limits_s(category: str) -> tuple[float, float, float]:
-    """Shortest time to double amplitude [s] at Levels 1, 2 and 3 (3.3.1.3, Table VIII)."""
+    """Return the shortest time to double amplitude [s] at Levels 1 to 3 (3.3.1.3, Table VIII)."""
     return (20.0 if category == "B" else 12.0, 8.0, 4.0)
 
 
 def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    """Rate the Dutch roll (3.3.1.1)."""
     if len(pair) == 2 and max(root.real for root in pair) >= 0:
         return [Assessment("dutch_roll", "damping", float("nan"), "1", 4, "3.3.1.1")]
     zeta, wn = _damping_and_frequency(pair)
@@ -199,7 +236,7 @@ def _dutch_roll(pair: list[Mode], category: str, aircraft_class: str) -> list[As
 
 
 def _roll_spiral(coupled_modes: list[Mode], category: str) -> list[Assessment]:
-    """Judge a coupled roll-spiral oscillation (lateral phugoid)."""
+    """Rate a coupled roll-spiral oscillation (3.3.1.4)."""
     return [
         Assessment(
             mode.name,
@@ -216,6 +253,7 @@ def _roll_spiral(coupled_modes: list[Mode], category: str) -> list[Assessment]:
 
 
 def _roll(roots: list[Mode], category: str, aircraft_class: str) -> list[Assessment]:
+    """Rate the roll mode (3.3.1.2)."""
     if not roots:
         return []
     real = roots[0].real
@@ -227,6 +265,7 @@ def _roll(roots: list[Mode], category: str, aircraft_class: str) -> list[Assessm
 
 
 def _spiral(roots: list[Mode], category: str) -> list[Assessment]:
+    """Rate the spiral mode (3.3.1.3)."""
     if not roots:
         return []
     real = roots[0].real
@@ -238,29 +277,40 @@ def _spiral(roots: list[Mode], category: str) -> list[Assessment]:
 
 
 def _best_level(limits_met: Iterable[bool]) -> int:
-    """The best Level whose limit is met, 4 for none."""
+    """Return the best level whose limit is met, 4 for none."""
     return next((level for level, yes in enumerate(limits_met, start=1) if yes), 4)
 
 
 def _is_within(value: float, limits: tuple[float, float]) -> bool:
+    """Return whether a value lies within limits."""
     return limits[0] <= value <= limits[1]
 
 
-# Where the Levels of MIL-F-8785C begin in the complex plane of eigenvalues: the limits of
-# `handling` as lines.
+# Limits of the levels as lines in the complex plane of eigenvalues.
 
 OSCILLATORY = ("short_period", "phugoid", "dutch_roll")
-"""Modes whose Levels are areas of the plane; those of roll and spiral are limits of a real root."""
+"""Modes whose levels are areas of the plane; roll and spiral have limits of a real root."""
 
 
 def level_edges(
     mode: str, category: str, aircraft_class: str, imag: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,), at imaginary parts
-    ``imag`` (n,) [rad/s] above 0.
+    """Return the largest real part [1/s] of a pair at Levels 1, 2 and 3, each (n,).
 
-    Short period: by its damping alone; that it may be too large (a pair of real roots) has no edge
-    here. ValueError for a mode that is not of `OSCILLATORY`."""
+    Parameters
+    ----------
+    mode : str
+        One of `OSCILLATORY`. For the short period only damping counts, without its upper limit.
+    category, aircraft_class : str
+        As of `assess`.
+    imag : ndarray
+        Imaginary parts (n,) [rad/s], positive.
+
+    Raises
+    ------
+    ValueError
+        For another mode.
+    """
     if mode == "short_period":
         (one, _), (two, _), three = SHORT_PERIOD_DAMPING[category]
         return _real_part(one, imag), _real_part(two, imag), _real_part(three, imag)
@@ -277,9 +327,9 @@ def level_edges(
 
 
 def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, float, float]:
-    """Largest real root [1/s] of roll or spiral at Levels 1, 2 and 3.
+    """Return the largest real root [1/s] of roll or spiral at Levels 1, 2 and 3.
 
-    ValueError for another mode.
+    Raises ValueError for another mode.
     """
     if mode == "roll":
         one, two, three = (-1.0 / constant for constant in roll_limits_s(category, aircraft_class))
@@ -291,27 +341,25 @@ def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, f
 
 
 def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Smallest and largest CAP [1/(g s^2)] at Levels 1 and 2; the smallest of Level 2 is that of
-    Level 3 too.
-    """
+    """Return the limits of CAP [1/(g s^2)] at Levels 1 and 2; Level 3 has the lower one of Level 2."""
     return CAP[category]
 
 
 def _real_part(zeta: float, imag: FloatArray) -> FloatArray:
-    """Real part of a pair of that damping, below 1."""
+    """Return the real part of a pair with a damping below 1."""
     return np.asarray(-zeta / math.sqrt(1.0 - zeta**2) * imag)
 
 
-# How the modes move with airspeed: a trim and a linear model at each of several speeds.
+# Modes over airspeed: a trim and a linear model at each speed.
 
 SLOWEST, FASTEST, STEPS = 0.7, 1.6, 12
-"""Range of the usual speeds as shares of the speed asked for, and the number of steps in it."""
+"""Default speeds: range as shares of the requested speed, and number of steps."""
 _MAX_FAILURES = 2
 
 
 @dataclass(frozen=True)
 class LocusPoint:
-    """Modes and Levels at one true airspeed [m/s], and n/alpha [g/rad] there."""
+    """Modes and levels at one true airspeed [m/s], with n/alpha [g/rad]."""
 
     V_mps: float
     modes: tuple[Mode, ...]
@@ -321,7 +369,7 @@ class LocusPoint:
 
 @dataclass(frozen=True)
 class Locus:
-    """Points by rising speed, and the speeds [m/s] without a trim, each with its reason."""
+    """Points by rising speed, and the speeds [m/s] without a trim with their reasons."""
 
     points: tuple[LocusPoint, ...]
     refused: tuple[tuple[float, str], ...]
@@ -330,15 +378,13 @@ class Locus:
 def usual_speeds(
     V_mps: float, low: float | None = None, high: float | None = None
 ) -> tuple[float, ...]:
-    """Speeds [m/s] in even steps from ``low`` to ``high``; without them from 0.7 to 1.6 times
-    ``V_mps``.
-    """
+    """Return evenly spaced speeds [m/s] from ``low`` to ``high``, by default .7 to 1.6 times V."""
     first, last = SLOWEST * V_mps if low is None else low, FASTEST * V_mps if high is None else high
     return tuple(float(v) for v in np.linspace(first, last, STEPS + 1))
 
 
 def point_at(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
-    """Modes and Levels of a linear model."""
+    """Return modes and levels of a linear model."""
     all_modes = modes(model)
     levels = assess(model, all_modes, category, aircraft_class)
     return LocusPoint(
@@ -355,11 +401,29 @@ def root_locus(
     first: LocusPoint | None = None,
     callback: Callable[[int, int], None] = lambda done, total: None,
 ) -> Locus:
-    """Modes at each of ``speeds`` [m/s], all else as in ``condition``.
+    """Return the modes at several airspeeds.
 
-    Speeds are tried from the condition's own outwards. A trim that does not exist costs ten times
-    as much as one that does, so behind two speeds in a row without one the others on that side are
-    listed as not tried. first: the point at the condition's own speed, where it is known."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    condition : SteadyCondition
+        Flight condition; only its airspeed is varied.
+    speeds : sequence of float
+        True airspeeds [m/s].
+    category, aircraft_class : str
+        As of `assess`.
+    first : LocusPoint, optional
+        The point at the condition's own speed, if known.
+    callback : callable
+        Called with the numbers of finished and of all speeds.
+
+    Notes
+    -----
+    Speeds are tried outwards from the condition's own. A trim that does not exist takes ten times
+    as long as one that does: after two failures in a row, the remaining speeds of that side are not
+    tried.
+    """
     centre = condition.V_mps
     points = {} if first is None else {first.V_mps: first}
     refused: dict[float, str] = {}

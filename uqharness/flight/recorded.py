@@ -1,4 +1,8 @@
-"""A flight flown and written as a flight record: signals, sensor noise, names of manoeuvres."""
+"""Simulated flights as flight records: flying, sensor noise, files, and FlightGear playback.
+
+`recorded_flight` flies a script in a worker process and returns the record as a table.
+`write_record` writes CSV, Parquet or DataFlash, and `playback_rows` converts to FlightGear.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +49,30 @@ _OPTIONAL = {
 def recorded_flight(
     aircraft: Aircraft, script: Script, spec: FlightSpec
 ) -> tuple[pd.DataFrame, Recorded]:
-    """Fly ``spec`` from its start on, in a worker process: the flight record, and how the flight
-    ended.
+    """Fly a spec from its start in a worker process and return the flight record.
 
-    A flight that ends its process is flown again up to the last row before: the same seeds give the
-    same rows. Raises BadInputError."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    script : Script
+        Its script names the manoeuvres.
+    spec : FlightSpec
+        Conditions, seeds and duration.
+
+    Returns
+    -------
+    frame : DataFrame
+        The flight record. A flight that crashes its process is flown again up to the row before;
+        equal seeds give equal rows.
+    recorded : Recorded
+        Signals without noise, and how the flight ended.
+
+    Raises
+    ------
+    BadInputError
+        If the flight cannot start.
+    """
     try:
         recorded = run_isolated(_record_in_worker, aircraft, script, spec)
     except ProcessEndedError as error:
@@ -64,6 +87,7 @@ def recorded_flight(
 
 
 def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
+    """Fly and record all signals of a record."""
     with StagedMission(aircraft, script.path) as mission:
         table = {
             name: source
@@ -72,23 +96,31 @@ def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> R
         }
         optional = dict(_OPTIONAL)
         if not aircraft.has_card:
-            # What a card would have promised is only hoped for: a glider has no throttle.
+            # Without a card, controls may not exist: a glider has no throttle.
             controls = set(table) - set(properties.STANDARD)
             optional |= {
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
-        # Without a sensors system nothing in the aircraft is told of noise; the record has it all
-        # the same.
+        # Without a sensors system nothing in the aircraft needs noise; the record gets it anyway.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
         flight = spec if has_sensors else replace(spec, sensor_noise=False)
         return record_mission(mission, flight, table, optional, keep_burn_in=True)
 
 
 def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:
-    """A flight as a person asks for it: both streams from one ``seed``, turbulence filters of
-    second order.
+    """Return a spec with both streams from one seed and second-order integrators.
 
-    Raises BadInputError for a duration, wind, direction, rate or seed that cannot be flown.
+    Parameters
+    ----------
+    spec : FlightSpec
+        The flight as requested.
+    seed : int
+        Seed of turbulence and noise, at least 0.
+
+    Raises
+    ------
+    BadInputError
+        For a duration, wind, direction, rate or seed out of range.
     """
     for name, value, minimum, maximum in (
         ("duration_s", spec.duration_s, 0.0, 1e6),
@@ -114,14 +146,12 @@ def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:
 
 
 def start_position(recorded: Recorded) -> dict[str, float]:
-    """Where a recorded flight began, as a log says it: latitude, longitude [deg] and altitude above
-    sea level [m].
-    """
+    """Return latitude, longitude [deg] and altitude above sea level [m] of the start."""
     return {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
 
 
 def two_seeds(seed: int) -> tuple[int, int]:
-    """Seeds of turbulence and of noise: two streams from one number."""
+    """Return seeds of turbulence and of noise from one number."""
     turbulence, noise = (
         int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2)
     )
@@ -135,23 +165,33 @@ def to_record(
     manoeuvre: str,
     manoeuvre_names: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
-    """The flight record of a recorded flight: heights from the start, headings within 0..2 pi,
-    noise where asked for.
+    """Return the flight record of recorded signals.
 
-    The column ``manoeuvre`` follows the script's count of ``manoeuvre_names`` manoeuvres, empty in between;
-    without any it is ``manoeuvre``."""
-    # Imported here: a second of loading that no other command should pay.
+    Parameters
+    ----------
+    recorded : Recorded
+        Signals; heights become relative to the start, headings 0 to 2 pi.
+    aircraft : Aircraft
+        Its card gives the noise.
+    spec : FlightSpec
+        Whether to add noise, and its seed.
+    manoeuvre : str
+        Name of the flight if it has no numbered manoeuvres.
+    manoeuvre_names : mapping, optional
+        Number to name; the column ``manoeuvre`` is empty between manoeuvres.
+    """
+    # Imported here, because loading pandas takes a second.
     import pandas as pd
 
     columns = dict(recorded.signals)
     columns["h_m"] = columns["h_m"] - columns["h_m"][0]
-    # A script may name manoeuvres and never declare the property that counts them.
+    # A script may name manoeuvres without declaring the property that counts them.
     number = columns.pop(_NUMBER, None)
     if spec.sensor_noise:
         for name, std in (aircraft.card.sensors.noise_std or MEMS_NOISE_STD).items():
             if name in columns:
-                # One stream a channel, named by the channel: adding a sensor changes no other's
-                # noise.
+                # One stream per channel, so that adding a sensor does not change the noise of
+                # others.
                 stream = np.random.SeedSequence([spec.seed_noise, zlib.crc32(name.encode())])
                 columns[name] = columns[name] + std * draw_normals(stream, columns[name].size)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * np.pi)
@@ -164,7 +204,7 @@ def to_record(
     return frame
 
 
-# Write a flight record to CSV, Parquet or DataFlash, whole or not at all.
+# Files of flight records, written atomically.
 
 FORMATS = (".csv", ".parquet", ".bin")
 
@@ -175,11 +215,29 @@ def write_record(
     aircraft: Aircraft | None = None,
     start: Mapping[str, float] | None = None,
 ) -> tuple[str, ...]:
-    """Write ``table`` by the path's suffix; the columns that the format has no place for.
+    """Write a flight record in the format of the path's suffix.
 
-    ``aircraft``, whose card turns surface angles into servo pulses, and ``start`` (lat_deg,
-    lon_deg, alt_m) serve DataFlash alone. Raises BadInputError for another suffix, a folder that
-    cannot be written, or a card without servo tables."""
+    Parameters
+    ----------
+    table : DataFrame
+        The record.
+    path : Path
+        File with a suffix of `FORMATS`.
+    aircraft : Aircraft, optional
+        For DataFlash: its card turns surface angles into servo pulses.
+    start : mapping, optional
+        For DataFlash: lat_deg, lon_deg [deg] and alt_m [m] of the start.
+
+    Returns
+    -------
+    tuple of str
+        Columns that the format cannot hold.
+
+    Raises
+    ------
+    BadInputError
+        For another suffix, a path that cannot be written, or a card without servo tables.
+    """
     if path.suffix not in FORMATS:
         raise BadInputError(
             f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received"
@@ -188,7 +246,7 @@ def write_record(
     if path.suffix == ".bin":
         return _write_dataflash(table, path, aircraft, start or {})
     if path.suffix == ".csv":
-        # repr round trip: 17 digits bring every double back.
+        # 17 digits restore every double.
         write_atomically(
             path,
             lambda target: table.to_csv(
@@ -203,6 +261,7 @@ def write_record(
 def _write_dataflash(
     table: pd.DataFrame, path: Path, aircraft: Aircraft | None, start: Mapping[str, float]
 ) -> tuple[str, ...]:
+    """Write a DataFlash log; return the columns that it cannot hold."""
     from sysid.errors import LogError
     from sysid.logs import read_card, write_dataflash
     from sysid.record import FlightRecord, Metadata
@@ -226,30 +285,29 @@ def _write_dataflash(
     return tuple(left_out)
 
 
-# A flight record as the lines of a FlightGear playback: position on the ellipsoid, attitude,
-# airspeed, at a constant rate.
+# FlightGear playback: position on the ellipsoid, attitude and airspeed at a constant rate.
 
 PLAYBACK_COLUMNS = ("north_m", "east_m", "h_m", "phi_rad", "theta_rad", "psi_rad", "V_mps")
 _RADIUS_M, _ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
-"""Of the WGS 84 ellipsoid: equatorial radius [m] and first eccentricity squared [-]."""
+"""Equatorial radius [m] and first eccentricity squared of the WGS 84 ellipsoid."""
 
 
 def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: float) -> FloatArray:
-    """Rows (n, 7) of the fields of `uqharness.xml.document.FIELDS`.
+    """Return the rows (n, 7) of the fields of `uqharness.xml.document.FIELDS`.
 
     Parameters
     ----------
-    record
-        The flight; ``h_m`` is height above its start.
-    start
-        lat_deg, lon_deg [deg] and alt_m above sea level [m] of the start point.
-    rate_hz
-        Rows per second [1/s]; each row is the nearest sample, and a dropout holds the last value.
+    record : FlightRecord
+        The flight; ``h_m`` is the height above its start.
+    start : mapping
+        lat_deg, lon_deg [deg] and alt_m above sea level [m] of the start.
+    rate_hz : float
+        Rows per second [Hz]; each row is the nearest sample, and gaps hold the last value.
 
     Raises
     ------
     BadInputError
-        For a record without one of ``NEEDED``, or with nothing known in it.
+        For a record without one of ``PLAYBACK_COLUMNS``, or without any value of it.
     """
     missing = [name for name in PLAYBACK_COLUMNS if name not in record]
     if missing:
@@ -275,8 +333,14 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
 def geodetic(
     north_m: FloatArray, east_m: FloatArray, lat_deg: float, lon_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Latitude and longitude (n,) [deg] of points on the local plane of a start point, from its two
-    radii of curvature.
+    """Return latitude and longitude (n,) [deg] of points on the local plane of a start point.
+
+    Parameters
+    ----------
+    north_m, east_m : ndarray
+        Distances from the start (n,) [m].
+    lat_deg, lon_deg : float
+        Start point [deg]; its two radii of curvature are used.
     """
     lat0 = math.radians(lat_deg)
     w = 1.0 - _ECCENTRICITY_2 * math.sin(lat0) ** 2
@@ -286,6 +350,7 @@ def geodetic(
 
 
 def _fill_gaps(name: str, values: FloatArray) -> FloatArray:
+    """Return values with NaN replaced by the last finite value, or the first at the start."""
     finite = np.isfinite(values)
     if not finite.any():
         raise BadInputError(f"FlightGear needs {name}, and the record has no value of it")

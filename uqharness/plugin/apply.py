@@ -1,4 +1,9 @@
-"""Instrument an aircraft: plan, write the folder, fly it beside the untouched aircraft."""
+"""Instrument an aircraft: plan, write the folder, and fly it against the untouched aircraft.
+
+`instrument_aircraft` adds the plugin to a copy, `undo` removes it to the byte, and `with_card`
+gives an aircraft without airframe.toml a temporary copy with one. Mass properties can be changed on
+the way, and `write_estimates` writes identified values into the XML, keeping its formatting.
+"""
 
 from __future__ import annotations
 
@@ -58,13 +63,11 @@ from uqharness.xml import (
     replace_attribute,
 )
 
-# Engines, propellers and systems that an aircraft takes from beside its folder: a copy that
-# goes elsewhere has to carry them.
+# Engines, propellers and systems outside the aircraft's folder, which a copy must contain.
 
 
 def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
-    """Files to put into ``out`` (name within it to content): those that JSBSim would not find from
-    there, or find others of.
+    """Return name to content of files that ``out`` needs and JSBSim would not find from there.
 
     Empty for a stock aircraft, whose parts every JSBSim has. Raises BadInputError.
     """
@@ -90,16 +93,26 @@ def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
     return files
 
 
-# An instrumented aircraft's folder, whole or not at all: the copy with a plan carried out, and
-# the way back.
+# Writing an instrumented folder atomically, and undoing it.
 
 
 def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
-    """Copy the aircraft's folder to ``out`` with the plan carried out, and the record beside it;
-    whole or not at all.
+    """Copy the aircraft's folder to ``out`` with the plan carried out, atomically.
 
-    ``out`` may be the aircraft's own folder; any other folder that exists has to be empty or an
-    earlier result. Raises BadInputError."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    planned : Plan
+        Files to write, and the record of changes.
+    out : Path
+        The aircraft's own folder, a new or empty one, or an earlier result.
+
+    Raises
+    ------
+    BadInputError
+        If ``out`` holds anything else, or an earlier instrumentation must be undone first.
+    """
     in_place = out.exists() and out.resolve() == aircraft.folder
     if (
         out.exists()
@@ -127,11 +140,23 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
 
 
 def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
-    """Write to ``out`` what ``folder`` was before it was instrumented; (file, what became of it).
-    ``out`` may be ``folder``.
+    """Write to ``out`` what ``folder`` was before it was instrumented.
 
-    Raises BadInputError where a file changed since in a way that leaves no clean way back; nothing
-    is written then."""
+    Parameters
+    ----------
+    folder, out : Path
+        Instrumented folder, and result; they may be the same.
+
+    Returns
+    -------
+    list of (str, str)
+        File, and what became of it.
+
+    Raises
+    ------
+    BadInputError
+        If a file has changed so that the plugin cannot be removed; nothing is written then.
+    """
     changes = read_record(folder)
     done = []
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:
@@ -177,17 +202,18 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
 
 
 def _write_file(path: Path, content: bytes) -> None:
+    """Write a file; never through a link."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Written through a link, the file of another aircraft would change.
+    # Through a link, another aircraft's file would change.
     if path.is_symlink():
         path.unlink()
     path.write_bytes(content)
 
 
 def _swap(new: Path, out: Path, old: Path) -> None:
-    """Put ``new`` in the place of ``out``; whatever fails, ``out`` is one of the two."""
+    """Put ``new`` in the place of ``out``; if anything fails, ``out`` is one of the two."""
     if (out / ".git").exists():
-        # A working copy's own data are not ours to copy: they go over.
+        # A repository's data are moved, not copied.
         os.rename(out / ".git", new / ".git")
     if out.exists():
         out.rename(old)
@@ -200,9 +226,7 @@ def _swap(new: Path, out: Path, old: Path) -> None:
 
 
 def _merge_records(old: Mapping[str, Change], new: Mapping[str, Change]) -> dict[str, Change]:
-    """The record of both: what an earlier instrumentation changed goes on being undone to the
-    author's own bytes.
-    """
+    """Return the record of both instrumentations, so that undo restores the author's bytes."""
     merged = dict(old)
     for name, change in new.items():
         first = old.get(name)
@@ -215,12 +239,10 @@ def _merge_records(old: Mapping[str, Change], new: Mapping[str, Change]) -> dict
     return merged
 
 
-# Mass, inertia and centre of gravity given as numbers, and the aircraft's <mass_balance> edited
-# so that it has them.
+# Mass, inertia and CG given as numbers, set by editing <mass_balance>.
 
 _STEP = re.compile(r"(\w+)(?:\[@name='(\w+)'\])?")
-# Factor from the option's unit to the property's; JSBSim's inertia/ixz-slugs_ft2 is minus the
-# product of inertia.
+# Factor from the option's unit to the property's; JSBSim's ixz is minus the product of inertia.
 _PROPERTIES: Mapping[str, tuple[str, float]] = {
     "mass_kg": ("inertia/mass-slugs", 1.0 / (SLUG_LB * LB_KG)),
     "ixx_kgm2": ("inertia/ixx-slugs_ft2", 1.0 / SLUG_FT2_KGM2),
@@ -235,12 +257,19 @@ _PROPERTIES: Mapping[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class MassProperties:
-    """What is known of the aircraft as it flew, fuel and loads on board included; None: as the XML
-    has it.
+    """Mass properties of the aircraft as flown, with fuel and loads; None keeps the XML's value.
 
-    ``mass_kg``; moments of inertia about the centre of gravity in body axes [kg m2], ``ixz_kgm2``
-    the product, the integral of x z over the mass; ``cg_x_m`` ... in the XML's own structural frame
-    [m], x aft, y right, z up."""
+    Attributes
+    ----------
+    mass_kg : float or None
+        Mass [kg].
+    ixx_kgm2, iyy_kgm2, izz_kgm2 : float or None
+        Moments of inertia about the CG in body axes [kg m2].
+    ixz_kgm2 : float or None
+        Product of inertia, the integral of x z over the mass [kg m2].
+    cg_x_m, cg_y_m, cg_z_m : float or None
+        CG in the XML's structural frame [m]: x aft, y right, z up.
+    """
 
     mass_kg: float | None = None
     ixx_kgm2: float | None = None
@@ -252,7 +281,7 @@ class MassProperties:
     cg_z_m: float | None = None
 
     def specified(self) -> dict[str, float]:
-        """Those that are given, by name."""
+        """Return the values that are not None, by name."""
         values = ((item.name, getattr(self, item.name)) for item in fields(self))
         return {name: float(value) for name, value in values if value is not None}
 
@@ -260,11 +289,24 @@ class MassProperties:
 def mass_insertions(
     aircraft: Aircraft, document: Document, mass: MassProperties
 ) -> tuple[Insertion, ...]:
-    """The edits of ``document``, the aircraft's XML, after which JSBSim computes those mass
-    properties. Empty for none.
+    """Return the edits of the aircraft's XML after which JSBSim computes the mass properties.
 
-    The other inertias stay as JSBSim computes them. Raises BadInputError for values that no body
-    has, and where a number is not in this file."""
+    Other inertias keep their values.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    document : Document
+        Its XML.
+    mass : MassProperties
+        Target values.
+
+    Raises
+    ------
+    BadInputError
+        For impossible values, and if a number is not in this file.
+    """
     values = mass.specified()
     if not values:
         return ()
@@ -286,7 +328,7 @@ def mass_insertions(
 
 
 def _edit(document: Document, path: str, text: str) -> Insertion:
-    """The element at ``path`` with that number, made where there is none."""
+    """Return the edit that writes a number into the element at ``path``, made if absent."""
     node = document.root
     steps = path.split("/")
     for step in steps[:-1]:
@@ -304,6 +346,7 @@ def _edit(document: Document, path: str, text: str) -> Insertion:
 
 
 def _child(document: Document, node: Node, step: str) -> Node:
+    """Return the child that a step of a path names. Raises BadInputError."""
     match = _STEP.fullmatch(step)
     assert match is not None
     for child in node.all(match[1]):
@@ -316,16 +359,25 @@ def _child(document: Document, node: Node, step: str) -> Node:
 
 
 CHECK_S = 1.0
-"""Flight time [s] of the comparison with the untouched aircraft."""
+"""Flight time of the comparison with the untouched aircraft [s]."""
 
 
 @dataclass(frozen=True)
 class Instrumented:
-    """What was done to an aircraft.
+    """Result of instrumenting an aircraft.
 
-    planned  files, axes and places of the deltas        notes  what to know of the result
-    verdict  the comparison with the untouched aircraft; None where none was flown
-    unmeasured  control -> why it could not be measured, so that its part of the card is assumed
+    Attributes
+    ----------
+    folder : Path
+        Folder of the copy.
+    planned : Plan
+        Files, axes and places of the deltas.
+    notes : tuple of str
+        Remarks for the user.
+    verdict : Verdict or None
+        Comparison with the untouched aircraft; None if it was not flown.
+    unmeasured : mapping
+        Control to the reason why it could not be measured and is assumed.
     """
 
     folder: Path
@@ -351,13 +403,37 @@ def instrument_aircraft(
     dry_run: bool = False,
     mass: MassProperties | None = None,
 ) -> Instrumented:
-    """Copy the aircraft to ``out`` with the plugin in it. ``check``: fly it beside the untouched
-    one; ``dry_run``: write nothing; ``mass``: properties that the copy is to have, and with which
-    it is then flown beside the untouched one.
+    """Copy an aircraft to ``out`` with the plugin added.
 
-    Raises BadInputError for an aircraft that cannot be instrumented and for a folder that cannot be
-    written."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    bounds : Bounds
+        Error bounds.
+    out : Path
+        Folder of the copy.
+    air : bool
+        Whether to add the air system (wind and turbulence).
+    check : bool
+        Whether to fly the copy against the untouched aircraft.
+    dry_run : bool
+        Whether to write nothing.
+    mass : MassProperties, optional
+        Mass properties of the copy, and of the aircraft that it is compared with.
+
+    Returns
+    -------
+    Instrumented
+        What was done.
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft cannot be instrumented or the folder cannot be written.
+    """
     undefined_properties(aircraft)
+    # A first plan refuses what cannot be instrumented before the aircraft is measured.
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
     if not aircraft.has_card:
@@ -393,7 +469,7 @@ def instrument_aircraft(
 
 
 def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Verdict:
-    """The comparison with the aircraft that differs from its author's by ``edits`` alone."""
+    """Return the comparison with the aircraft that only differs from the author's by ``edits``."""
     if not edits:
         return check_in_child(aircraft.folder, out, CHECK_S)
     with scratch_folder("mass") as scratch:
@@ -405,19 +481,18 @@ def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Ver
         return check_in_child(folder, out, CHECK_S)
 
 
-# An aircraft that comes without airframe.toml, given one: an instrumented copy that lasts as
-# long as the process.
+# Temporary copies with a card, for aircraft without airframe.toml.
 
 _LOG = logging.getLogger("uqharness")
 _instrumented: dict[str, tuple[Scratch, Aircraft]] = {}
 
 
 def with_card(aircraft: Aircraft) -> Aircraft:
-    """``aircraft`` itself where it has a card, else a copy as ``instrument`` writes it, with bounds
-    of zero: it flies the same.
+    """Return the aircraft if it has a card, else an instrumented copy with zero bounds.
 
-    Made once a process for the same files. Raises BadInputError for an aircraft that does not fly
-    or cannot be instrumented."""
+    The copy flies identically, lasts as long as the process, and is made once for the same files.
+    Raises BadInputError if the aircraft does not fly or cannot be instrumented.
+    """
     if aircraft.has_card:
         return aircraft
     key = content_hash(aircraft)
@@ -437,8 +512,7 @@ def with_card(aircraft: Aircraft) -> Aircraft:
     return _instrumented[key][1]
 
 
-# Write numbers into an aircraft's XML as a hand would: the value changes, formatting and
-# comments stay, a remark says why.
+# Identified values written into XML: only the number and a comment change.
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
@@ -446,20 +520,34 @@ _REMARK = re.compile(rb"[ \t]*<!-- identified [^>]*?-->")
 
 @dataclass(frozen=True)
 class Estimate:
-    """New value of a property and the remark that stands behind it in the XML (no double
-    hyphen).
-    """
+    """New value of a property, and the comment behind it in the XML (no double hyphen)."""
 
     value: float
     remark: str
 
 
 def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: Path) -> list[str]:
-    """Copy the aircraft's folder to ``out`` with the estimates in its XML; names that no XML file
-    declares are returned.
+    """Copy an aircraft's folder to ``out`` with estimates written into its XML, atomically.
 
-    The copy appears whole or not at all; an existing ``out`` is replaced only if it is an
-    aircraft's folder. Raises BadInputError."""
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    estimates : mapping
+        Property to estimate.
+    out : Path
+        New folder, or an aircraft's folder to replace.
+
+    Returns
+    -------
+    list of str
+        Properties that no XML file declares.
+
+    Raises
+    ------
+    BadInputError
+        If ``out`` holds anything but an aircraft.
+    """
     if out.exists() and not (out / "airframe.toml").is_file() and any(out.iterdir()):
         raise BadInputError(
             f"{out}: exists and is no aircraft folder of an earlier run; remove it or choose"
@@ -477,21 +565,20 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
 
 
 def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
-    """The file with another number in ``<property value="...">name</property>``; None where it does
-    not declare the property.
+    """Return a file with another value of a declared property; None if it does not declare it.
 
-    An earlier remark of ours is replaced as well; the author's comments are not.
+    An earlier comment of this program is replaced, the author's comments are kept.
     """
     node = declaration(document, name)
     return None if node is None else apply(document, _edits(document, node, estimate))
 
 
 def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
+    """Return the edits of a declaration: its value, and the comment on its line."""
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
     other_text = _REMARK.sub(b"", old).rstrip(b" \t")
-    # A remark inside a comment that runs over lines would end it early; such a line keeps its
-    # number alone.
+    # A comment cannot be added where another comment continues on the next line.
     runs_on = b"<!--" in _COMMENT.sub(b"", other_text)
     remark = b"" if runs_on else document.encoded(f"  {comment(f'identified {estimate.remark}')}")
     number = replace_attribute(document, node, "value", f"{estimate.value:.8g}")
@@ -499,8 +586,9 @@ def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion
 
 
 def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
-    """Write values of properties into the XML files of a folder, in place; names that no file
-    declares are returned.
+    """Write values of properties into the XML files of a folder, in place.
+
+    Returns the names that no file declares.
     """
     remaining = dict(values)
     for document in folder_documents(folder):
@@ -513,9 +601,7 @@ def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
 
 
 def _edits_by_line(document: Document, remaining: dict[str, Estimate]) -> list[Insertion]:
-    """Edits of the declarations of a file's properties ``remaining``, one to a line; the properties are
-    taken out of ``remaining``.
-    """
+    """Return edits of declarations, one per line; their properties are removed from ``remaining``."""
     edits: list[Insertion] = []
     until = -1
     for name, node in declarations(document):

@@ -1,5 +1,8 @@
-"""airframe.toml for an aircraft that came without one: what JSBSim and a short flight of the
-aircraft could tell.
+"""airframe.toml and systems for an aircraft without a card, and scales of its functions.
+
+`card_text` writes a card from measured facts. `add_scales` adds a scale and a bias to each force
+and moment function of an aircraft without coefficient properties, and `bake_scales` later writes
+scales into the author's numbers.
 """
 
 from __future__ import annotations
@@ -40,24 +43,20 @@ from uqharness.xml import (
     value,
 )
 
-# What an aircraft made for FlightGear reads of it, passed on in JSBSim alone: a system that
-# copies properties.
-#
-# FlightGear's interface to JSBSim writes commands and engine readings into its own property
-# tree in every frame, and some aircraft read them there: the p51d takes its throttle from
-# /controls/engines/engine/throttle, and governs it by /engines/engine/mp-inhg. Without the host
-# these stay at zero.
+# FlightGear's properties in JSBSim alone. FlightGear's interface writes commands and engine
+# readings into its own property tree, and some aircraft read them there: the p51d takes its
+# throttle from /controls/engines/engine/throttle. Without the host they stay zero; a system copies
+# them.
 
 HOST_SYSTEM = "flightgear-host"
 SWITCH = "host/flightgear"
-"""Property that is 1 where copying is on: 0 in the XML, where the aircraft flies as its author's;
-the card's open loop sets it.
-"""
+"""Property that is 1 while copying is on; 0 in the XML, set by the card's open-loop mode."""
 
 
 def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
-    """The system's XML for pairs of FlightGear's property and JSBSim's own, which is copied to it
-    in every frame.
+    """Return the system that copies JSBSim's properties to FlightGear's in every frame.
+
+    ``pairs`` are (FlightGear's property, JSBSim's).
     """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
@@ -80,13 +79,10 @@ def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
     return "\n".join([*lines, "  </channel>", "</system>", ""]).encode()
 
 
-# Scale and bias properties for every force and moment function of an aircraft that has no
-# coefficient properties.
-#
-# The author's functions stay as they are. Behind them in each axis comes one function that adds
-# what scales other than 1 and biases other than 0 change: (scale - 1) times each function's
-# value of this frame, and q S (b, c) times the biases, which are coefficients in the author's
-# own axes. At scale 1 and bias 0 it adds zero, so the flight is bit-identical.
+# Scales and biases. The author's functions are unchanged. In each axis one function follows that
+# adds (scale - 1) times each function's value, and q S (b, c) times the biases, which are
+# coefficients in the author's axes. At scale 1 and bias 0 it adds zero: the flight is
+# bit-identical.
 
 COEFFICIENT_PROPERTY = re.compile(r"aero/(CX|CY|CZ|Cl|Cm|Cn)_\w+")
 SYSTEM_NAME = "scale-bias"
@@ -96,7 +92,17 @@ _IDENTIFIED = re.compile(rb"[ \t]*<!-- identified ([^>]*?)-->")
 
 @dataclass(frozen=True)
 class Scaled:
-    """One function: its property, where it stands, and the names of its scale and bias."""
+    """A function with its scale and bias.
+
+    Attributes
+    ----------
+    axis, function : str
+        Axis, and the function's property.
+    file, line
+        Where it is written.
+    scale, bias : str
+        Properties.
+    """
 
     axis: str
     function: str
@@ -107,9 +113,7 @@ class Scaled:
 
 
 def coefficient_properties(documents: list[Document]) -> list[str]:
-    """Names ``aero/<C>_<term>`` that the files declare: such an aircraft is identified by them and
-    needs no scales.
-    """
+    """Return the properties ``aero/<C>_<term>`` that files declare; they replace scales."""
     return [
         name
         for document in documents
@@ -119,9 +123,9 @@ def coefficient_properties(documents: list[Document]) -> list[str]:
 
 
 def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
-    """Add the functions ``uq/scaled/<axis>``; the properties are declared by `scale_system`.
+    """Add the functions ``uq/scaled/<axis>``; return the edit and the scaled functions in order.
 
-    What was scaled, in order.
+    The properties are declared by `scale_system`.
     """
     section = edit.section
     names, edit = _names(edit)
@@ -156,7 +160,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
 
 
 def scale_system(rows: list[Scaled]) -> bytes:
-    """The system file that declares scales (1) and biases (0), with where each belongs."""
+    """Return the system that declares scales (1) and biases (0) with comments."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<!--",
@@ -199,20 +203,20 @@ class BakedScales:
 def bake_scales(folder: Path) -> BakedScales:
     """Write the scales of an instrumented aircraft into the author's numbers, in place.
 
-    A function that is a product with a number as a factor gets that number times its scale, and the
-    scale is 1 again; the model stays the same to rounding (eight digits). Biases, and scales of
-    functions without such a number, stay as they are.
+    In a product with a constant factor, that factor is multiplied by the scale, and the scale
+    becomes 1; the model is unchanged to rounding (eight digits). Biases, and scales of functions
+    without such a factor, are kept.
 
     Parameters
     ----------
     folder : Path
-        Folder of the instrumented aircraft. Its XML files are edited as a hand would: other bytes
-        stay, and a remark gives the old number and the estimate.
+        Folder of the instrumented aircraft. Other bytes of its XML are unchanged; a comment gives
+        the old number and the estimate.
 
     Returns
     -------
     BakedScales
-        The numbers that changed, and the scales that were kept.
+        The changed numbers, and the scales that remain.
     """
     documents = list(folder_documents(folder))
     functions = _scaled_functions(documents)
@@ -233,6 +237,7 @@ def bake_scales(folder: Path) -> BakedScales:
             owner, node = place
             before = number(node, f"<{node.tag}>", owner)
             changed[name] = (before, before * scale)
+            # The comment of the estimate moves from the scale to the number.
             remark = f"was {node.text.strip()}, times {name} = {scale:.8g}"
             note = _IDENTIFIED.search(_behind(document, declared))
             if note:
@@ -258,7 +263,7 @@ def _behind(document: Document, node: Node) -> bytes:
 
 
 def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
-    """Map each scale property to the name of the function that it multiplies."""
+    """Return scale property to the name of the function that it multiplies."""
     functions = {}
     for document in documents:
         for product in document.root.walk():
@@ -274,7 +279,7 @@ def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
 
 
 def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document, Node] | None:
-    """Return the number that multiplies the whole function of that name; None without one."""
+    """Return the constant factor of a function, with its file; None without one."""
     for document in documents:
         for node in document.root.walk():
             if node.tag != "function" or re.sub(r"\s", "-", attribute(node, "name")) != name:
@@ -284,12 +289,13 @@ def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document
                 return None
             factors = body[0].children if body[0].tag == "product" else body
             constants = [child for child in factors if child.tag in ("value", "v")]
-            # The last number is the coefficient; numbers before it are conversions of units.
+            # The last constant is the coefficient; earlier ones convert units.
             return (document, constants[-1]) if constants else None
     return None
 
 
 def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:
+    """Return the lines of the function that adds scales and biases of an axis."""
     slot = SLOT[axis.name]
     lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
     scaled = [
@@ -312,9 +318,7 @@ def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference)
 
 
 def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
-    """Property of each function; one without a name is given one, because nothing else can refer to
-    it.
-    """
+    """Return the property of each function; functions without a name get one."""
     names: dict[int, str] = {}
     for axis in edit.section.axes.values():
         for k, node in enumerate(axis.functions, 1):
@@ -325,16 +329,13 @@ def _names(edit: SectionEdit) -> tuple[dict[int, str], SectionEdit]:
                     axis.document,
                     Insertion(node.start + len("<function"), f' name="{name}"'.encode("ascii")),
                 )
-            # JSBSim turns white space within a name into hyphens
-            # (FGPropertyManager::mkPropertyName).
+            # JSBSim turns white space in a name into hyphens (FGPropertyManager::mkPropertyName).
             names[id(node)] = re.sub(r"\s", "-", name)
     return names, edit
 
 
 def _short_names(section: AeroSection, names: dict[int, str]) -> dict[int, str]:
-    """The last part of each function's name where that is enough to distinguish them, else all of
-    it with hyphens.
-    """
+    """Return the last part of each function's name if it is unique, else all of it with hyphens."""
     nodes: list[tuple[Axis, Node]] = [
         (axis, node) for axis in section.axes.values() for node in axis.functions
     ]
@@ -349,6 +350,7 @@ def _short_names(section: AeroSection, names: dict[int, str]) -> dict[int, str]:
 
 
 def _leaf(name: str) -> str:
+    """Return the last part of a name."""
     return name.rstrip("/").rsplit("/", 1)[-1]
 
 
@@ -366,8 +368,18 @@ _POSITIVE = {
 def card_text(
     name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool
 ) -> str:
-    """The card's TOML. ``errors``: the system path-errors goes with it, and missions are scored by
-    its properties.
+    """Return airframe.toml for an aircraft without one.
+
+    Parameters
+    ----------
+    name, xml : str
+        Name and XML file of the aircraft.
+    facts : AircraftFacts
+        Measured facts.
+    scaled : sequence of Scaled
+        Scales, which become parameters.
+    errors : bool
+        Whether the system path-errors is added, whose properties score missions.
     """
     plain_name = as_toml(name)[1:-1]
     lines = [
@@ -454,13 +466,14 @@ def card_text(
 
 
 def _where(facts: AircraftFacts) -> str:
+    """Return speed and altitude of the measurement as text."""
     if not math.isfinite(facts.V_mps):
         return ""
     return f" at {facts.V_mps:.0f} m/s, {ALTITUDE_M:.0f} m"
 
 
 def _remark(facts: ControlFacts) -> str:
-    """What the card says of a control behind its heading; empty where its keys say all."""
+    """Return the comment behind a control's heading; empty if its keys say everything."""
     if facts.unmeasured:
         return f"# not measured, so sense and throw are assumed: {facts.unmeasured}"
     if not facts.sense:
@@ -472,7 +485,7 @@ def _remark(facts: ControlFacts) -> str:
 
 
 def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:
-    """Servo pulses [us] and what they mean: degrees as a record counts, percent of a throttle."""
+    """Return servo pulses [us] and their meaning: degrees of a surface, percent of a throttle."""
     if control == "throttle" or throw_deg is None:
         return [[1000, 0], [2000, 100]]
     reach = float(f"{abs(throw_deg):.6g}")
@@ -480,11 +493,12 @@ def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:
 
 
 def scale_entry(row: Scaled) -> dict[str, Any]:
-    """What [parameters] says of a factor."""
+    """Return the entry of a scale in [parameters]."""
     return {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": f"factor on {row.function}"}
 
 
 def _inline(entry: Mapping[str, Any]) -> str:
+    """Return an inline table of TOML."""
     return "{ " + ", ".join(f"{key} = {as_toml(value)}" for key, value in entry.items()) + " }"
 
 

@@ -1,13 +1,9 @@
-"""Does the plugin do what it says, and nothing else? An instrumented aircraft flown beside the
-untouched one.
+"""Check of the plugin: an instrumented aircraft flown against the untouched one.
 
-Both fly the same ten seconds from a start in the middle of the envelope, engines running and
-controls moving, and every property that the untouched aircraft has is compared. Then one
-coefficient at a time is switched on for a single frame, in which the state is still that of the
-idle flight: body force and moment have to change by q S dC, q S b dC, q S c dC about the centre of
-gravity.
-
-An aircraft from anywhere may end its interpreter, so `check_in_child` is the way in.
+Both fly the same ten seconds in mid-envelope with engines running and controls moving, and all
+common properties must be identical. Then one coefficient at a time is switched on for one frame:
+body force and moment must change by q S dC, q S b dC or q S c dC about the CG. `check_in_child`
+runs this in a child process, because an aircraft may crash the interpreter.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ DELTA = 0.02
 DURATION_S = 10.0
 SAMPLE_EVERY = 20
 SWITCHED_AFTER = 60
-"""Frames flown idle before a coefficient is switched on for one."""
+"""Frames flown before a coefficient is switched on for one."""
 
 _MAY_CHANGE = re.compile(
     r"uq/|forces/(fb[xyz]-(aero|total)-lbs|f[ws][xyz]-aero-lbs|lod-norm|hold-down|load-factor)|"
@@ -42,8 +38,7 @@ _MAY_CHANGE = re.compile(
 _UNINITIALISED = re.compile(
     r"gear/unit(\[\d+\])?/side_friction_coeff|propulsion/engine(\[\d+\])?/engtemp-c"
 )
-"""JSBSim 1.3.3 begins with what was in the memory: FGLGear::FCoeff until the wheel touches ground,
-FGTurboProp::Eng_Temperature.
+"""Properties that JSBSim 1.3.3 does not initialise: FGLGear::FCoeff, FGTurboProp::Eng_Temperature.
 """
 _AIR_OWNS = re.compile(r"atmosphere/(turb-type|severity|windspeed_at_20ft.*|psiw-rad|wind-mag-fps)")
 _FORCES = tuple(f"forces/fb{axis}-{kind}-lbs" for kind in ("aero", "total") for axis in "xyz")
@@ -52,12 +47,21 @@ _MOMENTS = tuple(f"moments/{axis}-{kind}-lbsft" for kind in ("aero", "total") fo
 
 @dataclass(frozen=True)
 class Verdict:
-    """status: works, wrong (the plugin does not keep its word), fails (untouched: does not load or
-    fly).
+    """Result of the check.
 
-    properties  how many were compared; ``unsteady`` those that differ between two flights of the
-    untouched aircraft, left out
-    worst       largest relative error of a force or moment increment
+    Attributes
+    ----------
+    status : str
+        ``works``; ``wrong`` (the plugin is at fault); ``fails`` (the untouched aircraft does not
+        load or fly).
+    reason : str
+        Why it does not work.
+    properties, unsteady : int
+        Compared properties, and those that differ between two flights of the untouched aircraft.
+    worst : float
+        Largest relative error of a force or moment increment.
+    dt_s : float
+        Step of the flights [s].
     """
 
     status: str
@@ -69,11 +73,11 @@ class Verdict:
 
 
 def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURATION_S) -> Verdict:
-    """Fly both. BadInputError from the untouched aircraft is a verdict; from the instrumented one,
-    too (wrong).
+    """Fly both aircraft and compare.
 
-    An aircraft that was given the air system on the way may differ in that system's own settings of
-    the atmosphere."""
+    A BadInputError from either aircraft is a verdict too. If the air system was added, its settings
+    of the atmosphere may differ.
+    """
     steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
     try:
         names, first = _fly(untouched, steps, None)
@@ -117,7 +121,7 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
 
 
 def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, Any]) -> Verdict:
-    """Each coefficient on its own, on for one frame."""
+    """Switch each coefficient on for one frame and check the increments."""
     all_names = [*names, *(n for n in (*_FORCES, *_MOMENTS) if n not in names)]
     idle = _frame(aircraft, all_names, None)[0]
     at = {name: k for k, name in enumerate(all_names)}
@@ -135,7 +139,7 @@ def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, An
             before, after = (np.array([row[at[key]] for key in keys]) for row in (idle, moved))
             error = np.abs(after - before - expected).max()
             worst = max(worst, float(error / abs(expected[index])))
-            # The last digits of two large sums may exceed the share allowed of a small difference.
+            # Rounding of two large sums may exceed the share of a small difference.
             digits = 8.0 * np.finfo(float).eps * np.abs(before).max()
             if not error <= max(1e-9 * abs(expected[index]), digits):
                 return Verdict(
@@ -164,8 +168,8 @@ def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, An
 def _frame(
     aircraft: Aircraft, names: Sequence[str], coefficient: str | None
 ) -> tuple[NDArray[np.float64], float, list[float]]:
-    """Properties of the frame after SWITCHED_AFTER idle ones, with one coefficient on; its delta,
-    and force or moment per unit.
+    """Return properties after SWITCHED_AFTER frames with one coefficient on, its delta, and force
+    or moment per unit.
     """
     fdm, step = open_mid_envelope(aircraft)
     for k in range(SWITCHED_AFTER):
@@ -191,7 +195,7 @@ def _frame(
 def _fly(
     aircraft: Aircraft, steps: int, names: Sequence[str] | None
 ) -> tuple[list[str], NDArray[np.float64]]:
-    """Rows of properties (all that the aircraft has, or ``names``) every SAMPLE_EVERY frames."""
+    """Return names and rows of properties, recorded every SAMPLE_EVERY frames."""
     fdm, step = open_mid_envelope(aircraft)
     recorded_names = list(names) if names is not None else _readable(fdm)
     rows = []
@@ -203,6 +207,7 @@ def _fly(
 
 
 def _has_air(aircraft: Aircraft) -> bool:
+    """Return whether the aircraft has the air system."""
     return bool(
         engine.open_fdm(staged(aircraft), aircraft.dt_s)
         .get_property_manager()
@@ -211,20 +216,23 @@ def _has_air(aircraft: Aircraft) -> bool:
 
 
 def _readable(fdm: Any) -> list[str]:
+    """Return the properties that can be compared."""
     manager = fdm.get_property_manager()
     names = dict.fromkeys(engine.catalog(fdm))
     return [name for name in names if manager.hasNode(name) and not _UNINITIALISED.fullmatch(name)]
 
 
 def _get(fdm: Any, name: str) -> float:
+    """Return the value of a property."""
     return float(fdm.get_property_value(name))
 
 
 def check_in_child(
     untouched: Path, instrumented: Path, duration_s: float = DURATION_S, timeout_s: float = 300.0
 ) -> Verdict:
-    """The same in a process of its own; its death is a verdict: fails if the untouched aircraft
-    dies alone as well, else wrong.
+    """Check in a child process.
+
+    If the child dies or takes longer than ``timeout_s`` [s], the verdict is ``fails``.
     """
     ended = run_module(__name__, untouched, instrumented, repr(duration_s), timeout_s=timeout_s)
     if ended.code is None:
@@ -237,6 +245,7 @@ def check_in_child(
 
 
 def _main(untouched: str, instrumented: str, duration_s: str) -> None:
+    """Check and answer the parent."""
     give_answer(
         asdict(check(find_aircraft(untouched), find_aircraft(instrumented), float(duration_s)))
     )

@@ -1,9 +1,9 @@
-"""Add the model-form plugin to any JSBSim aircraft: a copy of its folder with delta coefficients,
-bounds, and a record for undo.
+"""Plan of an instrumentation: delta coefficients, bounds, and a record for undo.
 
-The aerodynamics gain six functions, the aircraft's XML a line per system;
-``Systems/model-form.xml`` holds bounds and levels. An aircraft that carries the plugin already
-(E-SPAARO, or an earlier copy) gets new bounds and nothing else."""
+The aerodynamics gain six functions, the aircraft's XML one line per system, and
+``Systems/model-form.xml`` holds bounds and levels. An aircraft that already has the plugin only
+gets new bounds. `plan` touches nothing; `uqharness.plugin.apply` carries it out.
+"""
 
 from __future__ import annotations
 
@@ -57,12 +57,8 @@ from uqharness.xml import (
     require_reference,
 )
 
-# What an instrumentation did to a folder, kept beside it, so that it can be taken back to the
-# byte.
-#
-# An edited file is recorded by its insertions: undoing takes these out again and leaves alone
-# what an author has changed since elsewhere in the file. A file that was added is removed, one
-# that was replaced comes back as it was.
+# Record of an instrumentation. An edited file is recorded by its insertions: undo removes them and
+# keeps later changes of the author. Added files are removed, replaced ones restored.
 
 FILE_NAME = "uq-instrument.json"
 FORMAT = "instrument 1"
@@ -70,8 +66,16 @@ FORMAT = "instrument 1"
 
 @dataclass(frozen=True)
 class Change:
-    """One file: SHA-256 before and after; insertions (at bytes of the file as it was), or its old
-    content (None: a new file).
+    """Change of one file.
+
+    Attributes
+    ----------
+    before, after : str
+        SHA-256; ``before`` is empty for a new file.
+    insertions : tuple of Insertion
+        Insertions into an edited file, at bytes of the original.
+    content : bytes or None
+        Original content of a replaced file.
     """
 
     before: str
@@ -81,12 +85,12 @@ class Change:
 
     @property
     def edited(self) -> bool:
-        """Whether an author's own file was changed, not only one added."""
+        """Return whether an author's file was edited."""
         return bool(self.insertions)
 
 
 def make_change(before: bytes | None, after: bytes, insertions: Sequence[Insertion] = ()) -> Change:
-    """The change from ``before`` (None: the file is new) to ``after``."""
+    """Return the change from ``before`` (None for a new file) to ``after``."""
     old = "" if before is None else sha256_hex(before)
     old_content = None if insertions else before
     return Change(
@@ -95,7 +99,7 @@ def make_change(before: bytes | None, after: bytes, insertions: Sequence[Inserti
 
 
 def to_json(changes: Mapping[str, Change]) -> bytes:
-    """The record's file; bytes of XML as Latin-1 text, replaced files in base 64."""
+    """Return the record as JSON: bytes of XML as Latin-1 text, replaced files in base 64."""
     files: dict[str, Any] = {}
     for name, change in sorted(changes.items()):
         row: dict[str, Any] = {"before": change.before, "after": change.after}
@@ -111,7 +115,7 @@ def to_json(changes: Mapping[str, Change]) -> bytes:
 
 
 def read_record(folder: Path) -> dict[str, Change]:
-    """The changes made to ``folder``. BadInputError if there is no record, or it is not one."""
+    """Return the recorded changes of a folder. Raises BadInputError without a valid record."""
     path = folder / FILE_NAME
     try:
         document = parse_json(read_regular(path))
@@ -133,8 +137,9 @@ def read_record(folder: Path) -> dict[str, Change]:
 
 
 def _inside(name: str) -> str:
-    """The name, if it can only be that of a file inside the folder: undoing writes and removes what
-    is named. Raises ValueError.
+    """Return a name of a file inside the folder; ValueError for any other.
+
+    Undo writes and removes the named files.
     """
     parts = name.split("/")
     hidden = any(part in ("", "..") or part.startswith(".") or len(part) > 100 for part in parts)
@@ -144,6 +149,7 @@ def _inside(name: str) -> str:
 
 
 def _change(row: Mapping[str, Any]) -> Change:
+    """Return a change from its JSON. Raises ValueError."""
     insertions = tuple(
         Insertion(int(at), text.encode("latin-1"), removed.encode("latin-1"))
         for at, text, removed in row.get("insertions", ())
@@ -158,11 +164,10 @@ def _change(row: Mapping[str, Any]) -> Change:
 
 
 def restore(path: Path, change: Change, content: bytes) -> bytes | None:
-    """The content of an edited or replaced file without the instrumentation; None: the file is to
-    be removed.
+    """Return a file's content without the instrumentation; None if the file is to be removed.
 
-    Raises BadInputError if an edited file no longer holds the inserted text as it was written,
-    once."""
+    Raises BadInputError unless each inserted text still occurs exactly once.
+    """
     if not change.edited:
         return change.content
     if sha256_hex(content) == change.after:
@@ -179,6 +184,7 @@ def restore(path: Path, change: Change, content: bytes) -> bytes | None:
 
 
 def _undo_insertions(path: Path, change: Change, content: bytes) -> bytes:
+    """Return the original content of an unchanged file, checked by its digest."""
     pieces, position, shift = [], 0, 0
     for insertion in change.insertions:
         begin = insertion.at + shift
@@ -203,9 +209,7 @@ _PLUGIN_NAME = re.compile(r"uq/[\w./\-]+")
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where bounds come from: a model form, or constant (lower, upper) per coefficient; neither:
-    all zero, to be written later.
-    """
+    """Source of bounds: a model form, or constant (lower, upper) per coefficient; else all zero."""
 
     form: ModelForm | None = None
     constant: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -213,10 +217,24 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Plan:
-    """Files to write (relative name to content), what the record has to keep, and what to tell the
-    reader.
+    """What an instrumentation would write.
 
-    had_plugin  the aircraft's aerodynamics read uq/<C>/delta already
+    Attributes
+    ----------
+    section : AeroSection
+        The aircraft's aerodynamics.
+    files : mapping
+        Relative name to content.
+    changes : mapping
+        Relative name to its record.
+    scaled : tuple of Scaled
+        Functions with scale and bias.
+    had_plugin : bool
+        Whether the aerodynamics read uq/<C>/delta before.
+    notes : tuple of str
+        Remarks for the user.
+    rows : tuple of (str, str, str)
+        Coefficient, axis, and ``file:line`` of each delta.
     """
 
     section: AeroSection
@@ -235,14 +253,27 @@ def plan(
     air: bool = False,
     mass: Sequence[Insertion] = (),
 ) -> Plan:
-    """What instrumenting the aircraft's folder would write. Nothing is touched.
+    """Plan the instrumentation of an aircraft; nothing is written.
 
-    ``facts`` of an aircraft without a card: it is given one, and the errors that a mission is
-    scored by. ``air``: it is given this project's wind and turbulence as well (Systems/air.xml),
-    unless it has them. ``mass``: edits of its XML (see mass_insertions).
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    bounds : Bounds
+        Error bounds.
+    facts : AircraftFacts, optional
+        Facts for a card, if the aircraft has none.
+    air : bool
+        Whether to add the air system (Systems/air.xml).
+    mass : sequence of Insertion
+        Edits of its XML (`mass_insertions`).
 
-    Raises BadInputError with file and line for what cannot be done: mixed axes, no reference, names
-    that are taken, bounds on a control that the card does not give."""
+    Raises
+    ------
+    BadInputError
+        With file and line: mixed axes, no reference, names that are taken, bounds on a control that
+        the card does not give.
+    """
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
     reference = coefficient_reference(aircraft, section)
@@ -315,9 +346,7 @@ def _add_card(
     files: dict[str, bytes],
     notes: list[str],
 ) -> SectionEdit:
-    """A card for an aircraft that has none, and the systems that it speaks of, in ``files``; what
-    is to be known in ``notes``.
-    """
+    """Add a card and its systems to ``files`` and remarks to ``notes``; return the edit."""
     errors = not folder_names(aircraft.folder, "nav/")
     if errors:
         files[_system_file(aircraft, ERRORS_SYSTEM)] = ERRORS_XML
@@ -340,7 +369,7 @@ def _add_card(
 
 
 def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
-    """model-form.xml for these bounds. Raises BadInputError."""
+    """Return model-form.xml for bounds. Raises BadInputError."""
     if bounds.form is not None:
         try:
             return model_form_xml(bounds.form, aircraft)
@@ -355,10 +384,10 @@ def bounds_xml(aircraft: Aircraft, bounds: Bounds) -> bytes:
 
 
 def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference:
-    """Return area and lengths that coefficients are multiplied by, for the aircraft's XML.
+    """Return the reference area and lengths of coefficients in the aircraft's XML.
 
-    JSBSim's own ``metrics/...`` properties serve where the card agrees with them to 1e-6; a card
-    with other numbers gets these.
+    JSBSim's own ``metrics/...`` are used where the card agrees with them to 1e-6, else the card's
+    numbers.
     """
     card = aircraft.card.reference
     card_values = (
@@ -376,13 +405,13 @@ def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference
 
 
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
-    """S [m2], b and c [m] as the XML has them. Raises BadInputError."""
+    """Return S [m2], b and c [m] of the XML. Raises BadInputError."""
     S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
     return S * FT_M**2, b * FT_M, c * FT_M
 
 
 def _has_plugin(section: AeroSection) -> bool:
-    """Whether the aerodynamics add all six deltas already; BadInputError if they add some."""
+    """Return whether the aerodynamics add all six deltas; BadInputError if they add some."""
     delta_places: dict[str, str] = {}
     for document in section.documents:
         for node in document.root.walk():
@@ -403,9 +432,7 @@ def _has_plugin(section: AeroSection) -> bool:
 
 
 def _refuse_taken(aircraft: Aircraft) -> None:
-    """BadInputError with file and line if the aircraft uses names of the plugin for something of
-    its own.
-    """
+    """Raise BadInputError if the aircraft uses names of the plugin."""
     for path in sorted(aircraft.folder.rglob("*.xml")):
         document = read_document(path)
         for node in document.root.walk():
@@ -419,9 +446,7 @@ def _refuse_taken(aircraft: Aircraft) -> None:
 
 
 def _refuse_outside(section: AeroSection) -> None:
-    """BadInputError for file="../..." anywhere in the aircraft's XML: a copied folder would not
-    find it.
-    """
+    """Raise BadInputError for a file outside the folder, which a copy would not find."""
     for node in section.main.root.walk():
         name = attribute(node, "file")
         if name and ".." in Path(name).parts:
@@ -433,6 +458,7 @@ def _refuse_outside(section: AeroSection) -> None:
 
 
 def _notes(section: AeroSection) -> list[str]:
+    """Return remarks about ignored axes and induced drag."""
     notes = [
         f'{axis.document.where(axis.node)}: JSBSim ignores this <axis name="{axis.name}">, because'
         " a later one replaces it"
@@ -452,7 +478,7 @@ def _notes(section: AeroSection) -> list[str]:
 
 
 def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
-    """Name, within the folder, of the system file that declares uq/active."""
+    """Return the name, within the folder, of the system that declares uq/active."""
     for node in section.main.root.all("system"):
         name = attribute(node, "file")
         if not name:
@@ -479,7 +505,7 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
 
 
 def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
-    """Where JSBSim looks for a system, in its order (FGFCS::FindFullPathName)."""
+    """Return where JSBSim looks for a system, in its order (FGFCS::FindFullPathName)."""
     file = name if name.endswith(".xml") else f"{name}.xml"
     return [
         aircraft.folder / file,
@@ -489,7 +515,7 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
 
 
 def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Where a new system goes; BadInputError if the aircraft has another of that name."""
+    """Return the file of a new system; BadInputError if the aircraft has another of that name."""
     for path in _candidates(aircraft, name)[:3]:
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(
@@ -500,9 +526,7 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
 
 
 def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
-    """The scales as [parameters] at the end of a card that there is already; a note where that
-    would spoil it.
-    """
+    """Return the insertion of scales into [parameters] of a card; None with a note if it fails."""
     raw = card.read_bytes()
     newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
     tables = [tomlkit.dumps({"parameters": {row.scale: scale_entry(row)}}) for row in scaled]
@@ -520,11 +544,12 @@ def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Inse
 
 
 def _content(path: Path) -> bytes | None:
+    """Return the content of a file; None if it does not exist."""
     return path.read_bytes() if path.is_file() else None
 
 
 def _rows(section: AeroSection, had_plugin: bool) -> tuple[tuple[str, str, str], ...]:
-    """(coefficient, axis it goes into, file:line) for the table."""
+    """Return (coefficient, axis, file:line) of each delta."""
     if had_plugin:
         return tuple((c, "already there", "") for c in COEFFICIENTS)
     turned_axes = {"wind": "DRAG, SIDE, LIFT", "stability": "X, Z (stability)"}.get(section.force)

@@ -1,10 +1,9 @@
-"""model-form.xml: the JSBSim <system> that computes the bounds of a ModelForm from the present
-flight state and applies deltas.
+"""model-form.xml: a JSBSim <system> that computes bounds from the flight state and applies deltas.
 
-The XML is the one source of truth in flight: it needs JSBSim alone. Its arithmetic is that of
-sysid.model_form.model_form (eqs 2.17, 2.18), with the quadratic form x'(X'X)^-1 x written out as a
-polynomial of the normalised states in Horner's form, one for all coefficients that were regressed
-on the same states."""
+In flight it needs JSBSim alone. Its arithmetic is that of sysid.model_form.model_form (eqs 2.17,
+2.18). The quadratic form x'(X'X)^-1 x is written as a polynomial of the normalised states in Horner
+form, once for all coefficients that share it.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ from uqharness.xml import (
 )
 
 RATE_HZ = 50.0
-"""Bounds are computed at least this often; levels and deltas in every frame."""
+"""Lowest rate of computing bounds [Hz]; levels and deltas are computed in every frame."""
 
 _ROUNDING = 1e-9  # as in sysid.model_form.model_form: a state on the hull's edge lies inside
 _FLIGHT_STATES = {
@@ -48,7 +47,7 @@ _TO_PERCENT = {"pct": 1.0, "norm": 100.0}
 
 @dataclass(frozen=True)
 class _Normalised:
-    """z = (x - centre)/scale of one state, and the box of the data in z."""
+    """z = (x - centre)/scale of one state, and the range of the data."""
 
     state: str
     centre: float
@@ -59,9 +58,7 @@ class _Normalised:
 
 @dataclass(frozen=True)
 class _Group:
-    """Coefficients that share one quadratic form; ``names`` of the properties that hold their
-    normalised states.
-    """
+    """Coefficients that share a quadratic form; ``names`` are properties of their states."""
 
     coefficients: tuple[str, ...]
     bounds: CoefficientBounds
@@ -69,22 +66,38 @@ class _Group:
 
     @property
     def leverage(self) -> str:
+        """Return the property of the leverage that the bounds use."""
         return f"uq/leverage/{'-'.join(self.coefficients)}"
 
     @property
     def free_leverage(self) -> str:
-        """That of the states as they are, where those of the bounds are held at the data's box."""
+        """Return the property of the leverage without clamping to the data's range."""
         return f"uq/leverage-free/{'-'.join(self.coefficients)}"
 
 
 def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ) -> bytes:
-    """The system's XML, the same bytes for the same form and aircraft.
+    """Return the system of a model form.
 
-    The step is the card's dt_s; ``execrate`` is the largest whole number of frames that keeps
-    ``rate_hz``.
+    Parameters
+    ----------
+    form : ModelForm
+        Bounds as functions of the flight state.
+    aircraft : Aircraft
+        Its card gives step and controls.
+    rate_hz : float
+        Lowest rate of computing bounds [Hz]; ``execrate`` is the largest number of frames that
+        keeps it.
 
-    Raises BadInputError if the bounds depend on a control that the aircraft's card does not give in
-    degrees or percent."""
+    Returns
+    -------
+    bytes
+        XML; equal for equal arguments.
+
+    Raises
+    ------
+    BadInputError
+        If the bounds depend on a control that the card does not give in degrees or percent.
+    """
     frames = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
     clamped = form.outside == "clamp"
     states: dict[_Normalised, str] = {}
@@ -116,9 +129,19 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
 
 
 def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> bytes:
-    """The system with constant bounds, lower <= 0 <= upper; a coefficient left out has none.
+    """Return the system with constant bounds, lower <= 0 <= upper.
 
-    ``remark`` says where they come from. Raises BadInputError for bounds that do not enclose 0.
+    Parameters
+    ----------
+    bounds : mapping
+        Coefficient to (lower, upper); others have none.
+    remark : str
+        Source of the bounds, for the comment.
+
+    Raises
+    ------
+    BadInputError
+        For bounds that do not enclose 0.
     """
     lines = [
         declare("uq/active", "0"),
@@ -141,7 +164,7 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
 
 
 def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
-    """x' (X'X)^-1 x as a polynomial: powers of the normalised states to coefficient."""
+    """Return x' (X'X)^-1 x as powers of the normalised states to coefficient."""
     out: dict[Powers, list[float]] = {}
     for i, a in enumerate(bounds.terms):
         for j, b in enumerate(bounds.terms):
@@ -152,9 +175,7 @@ def quadratic_form(bounds: CoefficientBounds) -> dict[Powers, float]:
 
 
 def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
-    """Coefficients by equal quadratic form, in order; ``states`` gains the normalised states they
-    need, each once.
-    """
+    """Return coefficients by equal quadratic form; ``states`` gains the states they need."""
     shared: dict[tuple[object, ...], list[str]] = {}
     for name, bounds in form.coefficients.items():
         arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
@@ -182,15 +203,16 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
 
 
 def _normalise(state: _Normalised, aircraft: Aircraft) -> Expression:
+    """Return the expression of a normalised state."""
     name, factor = state_source(state.state, aircraft)
     scaled = call("product", property_value(name), value(factor / state.scale))
     return call("difference", scaled, value(state.centre / state.scale))
 
 
 def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
-    """JSBSim property of a state and its factor to the record's unit.
+    """Return the JSBSim property of a state and its factor to the record's unit.
 
-    Raises BadInputError for a control the card does not give.
+    Raises BadInputError for a control that the card does not give.
     """
     if state in _FLIGHT_STATES:
         return _FLIGHT_STATES[state]
@@ -214,11 +236,12 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
 
 
 def _edges(state: _Normalised) -> tuple[float, float]:
-    """The data's box in z."""
+    """Return the data's range in z."""
     return (state.low - state.centre) / state.scale, (state.high - state.centre) / state.scale
 
 
 def _clamp(name: str, state: _Normalised) -> list[str]:
+    """Return the component that clamps a state to the data's range."""
     low, high = _edges(state)
     return [
         f'<pure_gain name="{name}">',
@@ -232,10 +255,9 @@ def _clamp(name: str, state: _Normalised) -> list[str]:
 def _extrapolation(
     states: Mapping[_Normalised, str], groups: list[_Group], clamped: bool
 ) -> list[str]:
-    """uq/extrapolation: by how much the state lies outside the data, as CoefficientBounds.distance;
-    uq/extrapolated: whether.
+    """Return components for uq/extrapolation (distance from the data) and uq/extrapolated.
 
-    Of all coefficients at once, for the largest distance of any is the largest of all excesses.
+    The distance is that of CoefficientBounds.distance, the largest over all coefficients.
     """
     excesses = []
     for state, name in states.items():
@@ -246,8 +268,7 @@ def _extrapolation(
             call("abs", call("difference", z, value(0.5 * (low + high)))),
             value(0.5 * (high - low)),
         )
-        # In widths of the box; a state that stood still in the data has none, and its own unit
-        # serves.
+        # In widths of the range; a constant state has none and counts in its own unit.
         width = high - low if high > low else 1.0 / state.scale
         excesses.append(call("product", excess, value(1.0 / width)))
     for group in groups:
@@ -268,9 +289,9 @@ def _extrapolation(
 
 
 def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[str]:
-    """y, half width, lower and upper of one coefficient."""
+    """Return the components of centre, half width, lower and upper of one coefficient."""
     beta = dict(zip(bounds.terms, (float(b) for b in bounds.beta_hat), strict=True))
-    # t sqrt(constant + s2 f h) with t brought inside the root (2.18).
+    # (2.18): t sqrt(constant + s2 f h) with t inside the root.
     variance_per_leverage = bounds.t * bounds.t * bounds.s2 * bounds.leverage_factor
     constant = bounds.t * bounds.t * bounds.constant_variance
     if not math.isfinite(variance_per_leverage + constant):
@@ -299,6 +320,7 @@ def _coefficient(name: str, bounds: CoefficientBounds, group: _Group) -> list[st
 
 
 def _declarations(form: ModelForm) -> list[str]:
+    """Return the declarations of properties that no component computes."""
     lines = [declare("uq/active", "0")]
     for name in COEFFICIENTS:
         if name not in form.coefficients:
@@ -312,6 +334,7 @@ def _declarations(form: ModelForm) -> list[str]:
 
 
 def _levels(name: str, transient: float = 0.0) -> list[str]:
+    """Return the declarations of a coefficient's levels and switch."""
     return [
         declare(f"uq/{name}/level", "0.5"),
         declare(f"uq/{name}/transient", repr(float(transient)) if transient else "0"),
@@ -321,6 +344,7 @@ def _levels(name: str, transient: float = 0.0) -> list[str]:
 
 
 def _deltas() -> list[str]:
+    """Return the channel that computes the deltas in every frame."""
     lines = ['<channel name="Deltas">']
     for name in COEFFICIENTS:
         lower, upper = property_value(f"uq/{name}/lower"), property_value(f"uq/{name}/upper")
@@ -348,6 +372,7 @@ def _deltas() -> list[str]:
 
 
 def _component(name: str, expression: Expression) -> list[str]:
+    """Return a component that computes an expression."""
     return [
         f'<fcs_function name="{name}">',
         "  <function>",
@@ -358,6 +383,7 @@ def _component(name: str, expression: Expression) -> list[str]:
 
 
 def _indent(lines: list[str]) -> list[str]:
+    """Return lines indented by two blanks."""
     return [f"  {line}" for line in lines]
 
 
@@ -378,6 +404,7 @@ _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between b
 
 
 def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
+    """Return the comment about source and rate of the bounds."""
     flights = ", ".join(f"{f.name} ({f.seconds:.0f} s)" for f in form.flights) or "none named"
     growth = (
         "grow with the polynomial (published form)"
@@ -410,6 +437,7 @@ def _remarks(form: ModelForm, aircraft: Aircraft, every: int) -> list[str]:
 
 
 def _document(remarks: list[str], body: list[str]) -> bytes:
+    """Return the system's XML."""
     comment = [*_GENERAL.splitlines(), "", *remarks]
     text = [
         '<?xml version="1.0" encoding="UTF-8"?>',

@@ -146,6 +146,7 @@ def control_chain(
     )
     pending, visited, levers = [without_index(name) for name in targets], set[str](), set[str]()
     while pending:
+        # Follow each property back to the components that write it.
         name = pending.pop()
         if name in visited:
             continue
