@@ -255,7 +255,8 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
     )
     raise BadInputError(
         f"campaign '{name_or_path}' not found: no such file here or in {PROJECT_ROOT}, no folder"
-        f" with a {file}, and no name of one under campaigns/ (there: {', '.join(campaign_names) or 'none'})"
+        f" with a {file}, and no name of one under campaigns/ (there:"
+        f" {', '.join(campaign_names) or 'none'})"
     )
 
 
@@ -270,7 +271,7 @@ _ATTEMPTS = 20
 
 
 class Scratch:
-    """A temporary folder, removed by ``close``, by leaving a ``with`` block, or with its process."""
+    """A temporary folder, removed by ``close``, at the end of ``with``, or with its process."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -328,7 +329,7 @@ def scratch_folder(purpose: str = "") -> Scratch:
 
 
 def without_scratch(text: str) -> str:
-    """Return a message without the path of this process's copies: they stand for the user's files."""
+    """Return a message without the paths of copies, which stand for the user's files."""
     return _COPY.sub("", text)
 
 

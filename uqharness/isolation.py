@@ -142,7 +142,7 @@ class _Worker:
 
     @property
     def is_usable(self) -> bool:
-        """Return whether the worker lives and this process, not its parent by a fork, started it."""
+        """Return whether the worker lives and was started by this process, not before a fork."""
         return self._owner == os.getpid() and self._process.is_alive()
 
     def close(self) -> None:

@@ -82,7 +82,8 @@ def _decode(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
                 len(content)
             ):
                 raise BadInputError(
-                    f"{path}: its texts would take {(row_bytes + text_bytes) / 1e9:.3g} GB of memory, and"
+                    f"{path}: its texts would take {(row_bytes + text_bytes) / 1e9:.3g} GB of"
+                    " memory, and"
                     f" it has {len(content) / 1e6:.3g} MB: it is damaged or made to fill the memory"
                 )
         table = pa.concat_tables(parts) if parts else file.read()

@@ -423,7 +423,7 @@ class State(Part):
 
 
 class RemainingPart(Part):
-    """Something unexplained: as text, as a candidate effect, or as a coefficient with its states."""
+    """Something unexplained: a text, a candidate effect, or a coefficient with its states."""
 
     words: str = ""
     t: float = 0.0

@@ -336,8 +336,8 @@ def fly_elsewhere(
             message = ended.errors or ended.output or "nothing was said"
             outcome = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
             raise BadInputError(
-                f"{python}: the flight {outcome}: {message}; an environment is needed that has JSBSim 1.3"
-                " and what uqharness needs (pip install uqharness, then pip install"
+                f"{python}: the flight {outcome}: {message}; an environment is needed that has"
+                " JSBSim 1.3 and what uqharness needs (pip install uqharness, then pip install"
                 " jsbsim==VERSION)"
             )
         with np.load(out) as archive:

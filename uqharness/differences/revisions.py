@@ -166,8 +166,8 @@ class _Reader:
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
             raise BadInputError(
-                f"{self._requested}: the repository has no revision {revision[:_MESSAGE_CHARACTERS]!r};"
-                f" {_EXAMPLE}"
+                f"{self._requested}: the repository has no revision"
+                f" {revision[:_MESSAGE_CHARACTERS]!r}; {_EXAMPLE}"
             )
         return name
 
@@ -192,8 +192,8 @@ class _Reader:
         total = sum(size for _, size in sizes.values())
         if not sizes:
             raise BadInputError(
-                f"{self._requested}: the revision has no folder {folder[:_MESSAGE_CHARACTERS]} with files;"
-                f" {_EXAMPLE}"
+                f"{self._requested}: the revision has no folder {folder[:_MESSAGE_CHARACTERS]} with"
+                f" files; {_EXAMPLE}"
             )
         if len(sizes) > MAX_FILES or total > MAX_BYTES:
             raise BadInputError(

@@ -196,7 +196,8 @@ def read_evidence(folder: Path) -> Evidence:
     if not evidence.steps:
         marker_files = ", ".join(name for name, _, _ in _MARKS)
         raise BadInputError(
-            f"{folder}: no results of this program; looked for {marker_files}, also in the folders below"
+            f"{folder}: no results of this program; looked for {marker_files}, also in the folders"
+            " below"
         )
     _read_study(evidence)
     evidence.steps = sorted(evidence.steps, key=lambda s: _sort_key(evidence, s))
@@ -240,8 +241,8 @@ def _read_folder(evidence: Evidence, place: Path) -> None:
         if kind not in marked_kinds and (place / leftover).is_file():
             marked_kinds.add(kind)
             evidence.add_missing(
-                f"{_join(relative, mark)} is not there, beside {leftover}: what {kind} found cannot be"
-                " told"
+                f"{_join(relative, mark)} is not there, beside {leftover}: what {kind} found cannot"
+                " be told"
             )
             evidence.steps.append(Step(kind, relative, place, None))
 
@@ -334,8 +335,7 @@ def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
 
 
 def _generation(evidence: Evidence, step: Step, visited: frozenset[str]) -> int:
-    """Return the number of the folder's steps between a step's aircraft and an external aircraft.
-    """
+    """Return the number of steps between a step's aircraft and an external aircraft."""
     # The third word of a command line is the aircraft.
     words = step.command.split()
     for other in evidence.steps:
@@ -546,8 +546,8 @@ def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
         aleatory = _document_of(step)["campaign"]["aleatory"]
         statements.append(
             f"{_place_of(step)}: wind {_comma_separated(aleatory['wind_mps'])} m/s, turbulence"
-            f" {_comma_separated(aleatory['turbulence'])} (Dryden, source {aleatory['turbulence_source']}); no"
-            " measured air"
+            f" {_comma_separated(aleatory['turbulence'])} (Dryden, source"
+            f" {aleatory['turbulence_source']}); no measured air"
         )
     return statements
 
@@ -562,7 +562,8 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
             "" if n_identified == len(rows) else f"; {len(rows) - n_identified} are not identified"
         )
         statements.append(
-            f"{_place_of(step)}: standard errors of {n_identified} of {len(rows)} parameters{unidentified_note}"
+            f"{_place_of(step)}: standard errors of {n_identified} of {len(rows)}"
+            f" parameters{unidentified_note}"
         )
     for step in evidence.of("bounds"):
         document = _document_of(step)

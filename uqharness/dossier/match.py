@@ -499,8 +499,8 @@ def _evaluate_segment(
         )
         input_name = f"the {test.control} input" if test.control else "the last input"
         return (
-            f"{needs} {input_name} are needed; the records have {max(before_s, 0.0):.1f} s before and"
-            f" {max(after_s, 0.0):.1f} s after"
+            f"{needs} {input_name} are needed; the records have {max(before_s, 0.0):.1f} s before"
+            f" and {max(after_s, 0.0):.1f} s after"
         )
     if test.oscillation is not None:
         return _evaluate_oscillation(test, test.oscillation, segment, suffix, end)

@@ -230,7 +230,7 @@ class UnitGusts:
         return other
 
     def exchange(self, other: Callable[[int, Source], Source]) -> None:
-        """Continue with other noise: ``other(place, source)`` for the places 0 to 3 of u, v, w, p."""
+        """Continue with other noise: ``other(place, source)`` for places 0 to 3 (u, v, w, p)."""
         self._normals = tuple(other(place, source) for place, source in enumerate(self._normals))
 
     def page(self) -> FloatArray:

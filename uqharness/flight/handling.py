@@ -194,7 +194,7 @@ def _phugoid(pair: list[Mode]) -> list[Assessment]:
 
 
 def dutch_roll_limits(category: str, aircraft_class: str) -> tuple[tuple[float, float, float], ...]:
-    """Return the least zeta, zeta wn [rad/s] and wn [rad/s] at Levels 1 to 3 (3.3.1.1, Table VI)."""
+    """Return the least zeta, zeta wn and wn [rad/s] at Levels 1 to 3 (3.3.1.1, Table VI)."""
     light = aircraft_class in ("I", "IV")
     if category == "A":
         one = (0.19, 0.35, 1.0 if light else 0.4)
@@ -341,7 +341,7 @@ def root_limits(mode: str, category: str, aircraft_class: str) -> tuple[float, f
 
 
 def cap_limits(category: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of CAP [1/(g s^2)] at Levels 1 and 2; Level 3 has the lower one of Level 2."""
+    """Return the limits of CAP [1/(g s^2)] at Levels 1 and 2; Level 3 has Level 2's lower one."""
     return CAP[category]
 
 

@@ -482,7 +482,7 @@ def _gust_blocks(
 
 
 def has_air(fdm: Any) -> bool:
-    """Return whether the aircraft has the air system, by a property that only the system creates."""
+    """Return whether the aircraft has the air system, by a property that only it creates."""
     return bool(fdm.get_property_manager().hasNode("air/wind-north-fps"))
 
 

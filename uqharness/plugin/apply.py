@@ -317,7 +317,8 @@ def mass_insertions(
                 f"{name} = {value:g}: a {'finite' if free else 'positive'} number is needed"
             )
     moments = [values.get(f"i{axis}{axis}_kgm2") for axis in "xyz"]
-    if None not in moments and max(moments) > sum(moments) - max(moments):  # type: ignore[type-var, arg-type, operator]
+    specified = [moment for moment in moments if moment is not None]
+    if len(specified) == 3 and max(specified) > sum(specified) - max(specified):
         raise BadInputError(
             f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of"
             " the other two"
@@ -601,7 +602,7 @@ def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
 
 
 def _edits_by_line(document: Document, remaining: dict[str, Estimate]) -> list[Insertion]:
-    """Return edits of declarations, one per line; their properties are removed from ``remaining``."""
+    """Return edits of declarations, one per line, and remove their names from ``remaining``."""
     edits: list[Insertion] = []
     until = -1
     for name, node in declarations(document):

@@ -384,8 +384,8 @@ def card_text(
     plain_name = as_toml(name)[1:-1]
     lines = [
         (
-            f"# What XML cannot say of {plain_name}. Written by `uqharness instrument`, which measured"
-            f" the aircraft in JSBSim{_where(facts)}:"
+            f"# What XML cannot say of {plain_name}. Written by `uqharness instrument`, which"
+            f" measured the aircraft in JSBSim{_where(facts)}:"
         ),
         (
             "# read it before trusting it. A throw is degrees of surface per unit of the normalised"
@@ -504,7 +504,8 @@ def _inline(entry: Mapping[str, Any]) -> str:
 
 IDLE_SYSTEM = "idle-throttle"
 IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records have a column for it. -->
+<!-- JSBSim makes this property for aircraft with engines alone; hosts set it and records \
+have a column for it. -->
 <system name="idle-throttle">
   <property value="0">fcs/throttle-cmd-norm</property>
 </system>
@@ -512,10 +513,12 @@ IDLE_XML = b"""<?xml version="1.0" encoding="UTF-8"?>
 
 ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
-  How far the flight is from the steady straight one it began as: for scoring a mission of an aircraft that has no navigation.
+  How far the flight is from the steady straight one it began as: for scoring a mission \
+of an aircraft that has no navigation.
   Read ten times a second at a step of 0.01 s; nothing in the aircraft reads it.
 
-    nav/cross-track-m      m    distance from the line of the initial velocity over the ground, + to the right of it
+    nav/cross-track-m      m    distance from the line of the initial velocity over the ground, \
++ to the right of it
     nav/altitude-error-m   m    height above the initial one
     nav/speed-error-mps    m/s  true airspeed less the initial one
     nav/distance-3d-m      m    distance from the line, height included
@@ -528,8 +531,10 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
           <product>
             <value>{FT_M}</value>
             <difference>
-              <product> <property>position/from-start-neu-e-ft</property> <property>ic/vn-fps</property> </product>
-              <product> <property>position/from-start-neu-n-ft</property> <property>ic/ve-fps</property> </product>
+              <product> <property>position/from-start-neu-e-ft</property> \
+<property>ic/vn-fps</property> </product>
+              <product> <property>position/from-start-neu-n-ft</property> \
+<property>ic/ve-fps</property> </product>
             </difference>
           </product>
           <sqrt>
@@ -545,7 +550,8 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <product>
           <value>{FT_M}</value>
-          <difference> <property>position/h-sl-ft</property> <property>ic/h-sl-ft</property> </difference>
+          <difference> <property>position/h-sl-ft</property> \
+<property>ic/h-sl-ft</property> </difference>
         </product>
       </function>
     </fcs_function>
@@ -553,7 +559,8 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <product>
           <value>{FT_M}</value>
-          <difference> <property>velocities/vt-fps</property> <property>ic/vt-fps</property> </difference>
+          <difference> <property>velocities/vt-fps</property> \
+<property>ic/vt-fps</property> </difference>
         </product>
       </function>
     </fcs_function>
@@ -561,8 +568,10 @@ ERRORS_XML = f"""<?xml version="1.0" encoding="UTF-8"?>
       <function>
         <sqrt>
           <sum>
-            <product> <property>nav/cross-track-m</property> <property>nav/cross-track-m</property> </product>
-            <product> <property>nav/altitude-error-m</property> <property>nav/altitude-error-m</property> </product>
+            <product> <property>nav/cross-track-m</property> \
+<property>nav/cross-track-m</property> </product>
+            <product> <property>nav/altitude-error-m</property> \
+<property>nav/altitude-error-m</property> </product>
           </sum>
         </sqrt>
       </function>

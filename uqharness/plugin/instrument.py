@@ -294,7 +294,8 @@ def plan(
         )
         if coefficient_names:
             notes.append(
-                f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no scales and biases are"
+                f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no"
+                " scales and biases are"
                 " needed"
             )
         else:

@@ -230,7 +230,8 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
         "is not there" if card is None else f'has unit "{card.unit}" and no position or throw_deg'
     )
     raise BadInputError(
-        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name} {problem};"
+        f"the bounds depend on {state}, but [inputs.{control}] of aircraft {aircraft.name}"
+        f" {problem};"
         " say in airframe.toml how to read it, or make the bounds from other states"
     )
 
@@ -389,8 +390,10 @@ def _indent(lines: list[str]) -> list[str]:
 
 _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between bounds.
 
-  uq/active                 0: nominal, bit-identical to the aircraft without this system;   1: deltas applied
-  uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; <C> is CX CY CZ Cl Cm Cn
+  uq/active                 0: nominal, bit-identical to the aircraft without this system;   \
+1: deltas applied
+  uq/<C>/lower, upper       bounds at the present flight state, lower <= 0 <= upper; \
+<C> is CX CY CZ Cl Cm Cn
   uq/<C>/level              0..1, driven by the host or a script
   uq/<C>/transient          half-width of the transient model error; 0: no such part
   uq/<C>/transient-level    -1..1, driven by the host or a script
@@ -398,7 +401,8 @@ _GENERAL = """Model-form uncertainty: delta coefficients in body axes, between b
   uq/<C>/delta              what the aerodynamics add: uq/active uq/<C>/active
                             (lower + level (upper - lower) + transient transient-level)
   uq/extrapolated           1 while the state lies outside the data the bounds came from
-  uq/extrapolation          by how much: the largest of a state's excess over its box, in widths of the box, and
+  uq/extrapolation          by how much: the largest of a state's excess over its box, \
+in widths of the box, and
                             sqrt(leverage/largest of the data) - 1; 0 inside
 """
 

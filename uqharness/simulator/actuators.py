@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Actuator:
     high: float = math.inf
 
     def lag_with(self, more_s: float) -> float:
-        """Return the lag [1/s] with a time constant longer by ``more_s`` [s], at least SHORTEST_S."""
+        """Return the lag [1/s] of a time constant longer by ``more_s``, at least SHORTEST_S."""
         return 1.0 / max((1.0 / self.lag if self.lag else 0.0) + more_s, SHORTEST_S)
 
     def slowed_to(self, more_s_per_unit: float) -> float:
@@ -152,7 +153,7 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
             if control is None:
                 continue
 
-            def number(tag: str, default: float, element=element) -> float:  # type: ignore[no-untyped-def]
+            def number(tag: str, default: float, element: Any = element) -> float:
                 text = (element.findtext(tag) or "").strip()
                 if not text:
                     return default

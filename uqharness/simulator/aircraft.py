@@ -241,10 +241,11 @@ def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
 
 # Operations in a <function> of JSBSim 1.3.3. It ignores others silently, or crashes.
 _OPERATIONS_TEXT = """
-abs acos and asin atan atan2 avg ceil cos difference eq exp floor fmod fraction ge gt ifthen integer interpolate1d le ln
-log10 log2 lt max min mod not nq or p pi pow product property quotient random rotation_alpha_local rotation_beta_local
-rotation_bf_to_wf rotation_gamma_local rotation_wf_to_bf roundmultiple sign sin sqrt sum switch t table tan todegrees
-toradians urandom v value description documentation
+abs acos and asin atan atan2 avg ceil cos difference eq exp floor fmod fraction ge gt ifthen integer
+interpolate1d le ln log10 log2 lt max min mod not nq or p pi pow product property quotient random
+rotation_alpha_local rotation_beta_local rotation_bf_to_wf rotation_gamma_local rotation_wf_to_bf
+roundmultiple sign sin sqrt sum switch t table tan todegrees toradians urandom v value description
+documentation
 """
 _OPERATIONS = frozenset(_OPERATIONS_TEXT.split())
 _TABLES = frozenset({"table", "t"})

@@ -85,7 +85,7 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
 
 
 def _length(root: etree._Element, tag: str) -> float | None:
-    """Return an element's length [m]; None if absent or no number. JSBSim's default unit is feet."""
+    """Return an element's length [m]; None without a number. JSBSim's default unit is feet."""
     element = root.find(tag)
     try:
         return (

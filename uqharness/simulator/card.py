@@ -158,7 +158,7 @@ def read_card(path: Path) -> Card:
 
 
 def parse_card(text: str, path: Path) -> Card:
-    """Validate the text of an airframe.toml; ``path`` names it in messages. Raises BadInputError."""
+    """Validate the text of airframe.toml; ``path`` names it in messages. Raises BadInputError."""
     try:
         return _validate(airframe_card.parse_card(text, path))
     except LogError as error:

@@ -34,7 +34,7 @@ _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d
 
 
 class _Collector(jsbsim.FGLogger):
-    """Logger that keeps warnings and errors with their place in the XML instead of printing them."""
+    """Logger that keeps warnings and errors, with their place in the XML, for messages."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -359,7 +359,7 @@ def force_state(
 def read_accelerations(
     fdm: Any, outputs: tuple[str, ...]
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
-    """Return accelerations (6,) [m/s2, rad/s2] and ``outputs`` of an instance in its present state."""
+    """Return accelerations (6,) [m/s2, rad/s2] and ``outputs`` of an instance as it is."""
     acceleration = np.array([fdm[name] for name in ACCELERATIONS])
     acceleration[:3] *= FT_M
     manager = fdm.get_property_manager()

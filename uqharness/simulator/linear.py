@@ -162,7 +162,9 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     ):
         low, high = aircraft.card.inputs[name].limits
         B[:, column] = _central(
-            lambda h, name=name: derivative(centre, base | {name: base[name] + h}),  # type: ignore[misc]
+            lambda h, name=name: derivative(  # type: ignore[misc]
+                centre, base | {name: base[name] + h}
+            ),
             1e-3 * (high - low),
         )
     return LinearModel(trim, A, B, names)
@@ -230,7 +232,11 @@ def _conjugate_blocks(values: NDArray[np.complex128]) -> list[tuple[int, ...]]:
     blocks: list[tuple[int, ...]] = [(k,) for k, value in enumerate(values) if value.imag == 0]
     for k in upper:
         # LAPACK gives exact conjugates; equal pairs must not share one lower half.
-        partner = min(lower, key=lambda j, k=k: abs(values[j] - values[k].conjugate()))  # type: ignore[misc]
+        conjugate = values[k].conjugate()
+        partner = min(
+            lower,
+            key=lambda j, target=conjugate: abs(values[j] - target),  # type: ignore[misc]
+        )
         lower.remove(partner)
         blocks.append((k, partner))
     return blocks

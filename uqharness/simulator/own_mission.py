@@ -125,7 +125,8 @@ def _initialize(trim: Trim) -> str:
         speed / FT_M for speed in body_velocity(condition.V_mps, trim.alpha_rad, trim.beta_rad)
     )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m above flat ground at sea level. -->
+<!-- {_path(condition)} at {condition.V_mps:g} m/s true and {condition.altitude_m:g} m \
+above flat ground at sea level. -->
 <initialize name="{INITIALIZE}">
   <latitude unit="DEG" type="geodetic"> {TRIM_LATITUDE_DEG:g} </latitude>
   <longitude unit="DEG"> 0 </longitude>
@@ -386,39 +387,51 @@ def script(plan: Plan, step_s: float = STEP_S) -> str:
     """
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!--
-  Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, change the plan there.
+  Flight for {plan.purpose}, made by uqharness/simulator/own_mission.py: do not edit, \
+change the plan there.
 
-  On the autopilot along a wide circle, with manoeuvres open loop in between. A manoeuvre starts from where the
-  autopilot left the controls and adds its steps to that, so this serves any aircraft with this project's autopilot.
-  {MANOEUVRE_PROPERTY} counts the manoeuvres, 0 in between; the event that sets a number bears the manoeuvre's name.
+  On the autopilot along a wide circle, with manoeuvres open loop in between. A manoeuvre \
+starts from where the
+  autopilot left the controls and adds its steps to that, so this serves any aircraft with \
+this project's autopilot.
+  {MANOEUVRE_PROPERTY} counts the manoeuvres, 0 in between; the event that sets a number \
+bears the manoeuvre's name.
 -->
 <runscript name="{plan.name}">
   <description>Flight for {plan.purpose}: {len(plan.manoeuvres)} manoeuvres</description>
   <use aircraft="espaaro" initialize="cruise"/>
   <run start="0" end="{plan.end_s:g}" dt="{step_s:g}">
-    <property value="0">{MANOEUVRE_PROPERTY}</property>           <!-- 1, 2, ... during a manoeuvre -->
-    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, which at 0.01 s acts as 4 % more
+    <property value="0">{MANOEUVRE_PROPERTY}</property>           \
+<!-- 1, 2, ... during a manoeuvre -->
+    <!-- Second-order integration of the motion: JSBSim's own choice for rates is Euler's rule, \
+which at 0.01 s acts as 4 % more
          roll damping, and an identification from this flight would find that. -->
     <property value="3">simulation/integrator/rate/rotational</property>
     <property value="3">simulation/integrator/rate/translational</property>
     <property value="3">simulation/integrator/position/rotational</property>
     <property value="1">ap/engaged</property>
-    <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius by (true over equivalent airspeed)^2:
+    <!-- A wide circle, bank 1.4 deg. The autopilot, as ArduPlane, scales the radius \
+by (true over equivalent airspeed)^2:
          2019 m at 100 m above the sea. -->
     <property value="2000">ap/WP_LOITER_RAD</property>            <!-- m -->
     <property value="0">ap/loiter-center-north-m</property>       <!-- m -->
     <property value="2019">ap/loiter-center-east-m</property>     <!-- m -->
-    <property value="30">ap/NAVL1_PERIOD</property>               <!-- s, gentle: a manoeuvre should not begin in a turn -->
+    <property value="30">ap/NAVL1_PERIOD</property>               \
+<!-- s, gentle: a manoeuvre should not begin in a turn -->
     <property value="20">ap/ROLL_LIMIT_DEG</property>             <!-- deg -->
     <property value="100">ap/altitude-cmd-m</property>            <!-- m above ground -->
     <property value="{plan.speed_mps:g}">ap/airspeed-cmd-mps</property>         <!-- m/s, true -->
     <property value="0">air/wind-mps</property>                   <!-- m/s -->
     <property value="270">air/wind-from-deg</property>            <!-- deg -->
-    <property value="0">air/turbulence-w20-kt</property>          <!-- kt; 0 none, 15 light, 30 moderate, 45 severe -->
-    <property value="1">sensor/noise</property>                   <!-- 1: what the autopilot is told carries Table 2.1's noise -->
-    <property value="1">sensor/log</property>                     <!-- 1: all channels of a flight log -->
+    <property value="0">air/turbulence-w20-kt</property>          \
+<!-- kt; 0 none, 15 light, 30 moderate, 45 severe -->
+    <property value="1">sensor/noise</property>                   \
+<!-- 1: what the autopilot is told carries Table 2.1's noise -->
+    <property value="1">sensor/log</property>                     \
+<!-- 1: all channels of a flight log -->
     <property value="1">simulation/randomseed</property>          <!-- sensors; 1 .. 2147483646 -->
-    <property value="2">atmosphere/randomseed</property>          <!-- turbulence; unset, it would share the sensors' stream -->
+    <property value="2">atmosphere/randomseed</property>          \
+<!-- turbulence; unset, it would share the sensors' stream -->
 {"".join(_events(plan, step_s))}  </run>
 </runscript>
 """
@@ -608,7 +621,8 @@ def _step_events(aircraft: Aircraft, steps: list[Step], restarting: bool) -> str
         )
         previous_sign, name = 0.0, aircraft.card.inputs[step.control].property
         for units, sign in (*step.pattern, (0, 0.0)):
-            change = f'<set name="{name}" type="FG_DELTA" value="{step.size * (sign - previous_sign):.9g}"/>'
+            delta = step.size * (sign - previous_sign)
+            change = f'<set name="{name}" type="FG_DELTA" value="{delta:.9g}"/>'
             events.append(_timed_event(time - half, f"{time:.2f} s, {step.control}", change))
             if restarting:
                 events.append(_restart(time, aircraft.dt_s))

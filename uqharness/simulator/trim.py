@@ -93,11 +93,14 @@ def thrust_reason(
             else "the thrust of that throttle"
         )
         shortfall = (
-            f"{'deceleration' if direction < 0.0 else 'acceleration'} {change:.2g} m/s^2 at {throttle}"
-            f" throttle: {thrust}"
+            f"{'deceleration' if direction < 0.0 else 'acceleration'} {change:.2g} m/s^2 at"
+            f" {throttle} throttle: {thrust}"
         )
         amount = f"{mass_kg * change:.3g} N too {'little' if direction < 0.0 else 'much'}"
-        return f"{shortfall} at {V_mps:g} m/s, {amount}; {_advice(V_mps, target_rad, fly_at_end, direction, limit)}"
+        return (
+            f"{shortfall} at {V_mps:g} m/s, {amount};"
+            f" {_advice(V_mps, target_rad, fly_at_end, direction, limit)}"
+        )
     return ""
 
 
@@ -423,7 +426,10 @@ class _SearchResult:
                 return reason
         remaining = f"{_AXES[axis]} of {residual[axis]:.3g} {_UNITS[axis]} remains"
         if throttle_end and axis == 0:
-            amount = f"{mass_kg * abs(residual[0]):.3g} N too {'little' if residual[0] < 0.0 else 'much'}"
+            amount = (
+                f"{mass_kg * abs(residual[0]):.3g} N too"
+                f" {'little' if residual[0] < 0.0 else 'much'}"
+            )
             remaining += f", thrust is {amount}"
         saturated = [name for name, _ in limits if name != "alpha"]
         where = ", ".join(problem.limit_words(name, end) for name, end in limits)
@@ -434,14 +440,14 @@ class _SearchResult:
             )
         if saturated:
             return (
-                f"{where}: {remaining}; try another speed, or widen limits in [inputs.{saturated[0]}]"
-                " of airframe.toml if the aircraft has more travel"
+                f"{where}: {remaining}; try another speed, or widen limits in"
+                f" [inputs.{saturated[0]}] of airframe.toml if the aircraft has more travel"
             )
         if axis == 2 and residual[2] > 0.0:
             return (
-                f"{remaining} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g} deg:"
-                " the wing does not carry the aircraft at this speed and height, so try a faster"
-                " or lower flight"
+                f"{remaining} at the alpha of most lift, {math.degrees(self.trim.alpha_rad):.3g}"
+                " deg: the wing does not carry the aircraft at this speed and height, so try a"
+                " faster or lower flight"
             )
         return (
             f"no equilibrium: {remaining} where all accelerations are least (alpha "
@@ -737,7 +743,7 @@ class _Problem:
 
     @property
     def never_settles(self) -> bool:
-        """Return whether engines or control system settled in less than a tenth of the evaluations."""
+        """Return whether engines or control system settled in under a tenth of the evaluations."""
         return len(self.unsettled) > 0.9 * self.evaluations
 
     def banked(self) -> _Problem:

@@ -68,7 +68,7 @@ class Expression:
         return f"<{self.tag}>{gap}{' '.join(a.line() for a in self.arguments)}{gap}</{self.tag}>"
 
     def lines(self) -> list[str]:
-        """Return the expression on one line if it is short, else with arguments on indented lines."""
+        """Return the expression on one line if it is short, else one argument per line."""
         line = self.line()
         if len(line) <= _WIDTH or not self.arguments:
             return [line]
@@ -146,8 +146,8 @@ def horner(coefficients: Mapping[Powers, float], names: Sequence[str]) -> Expres
 
     References
     ----------
-    M. Ceberio and V. Kreinovich, Greedy algorithms for optimizing multivariate Horner schemes, 2004:
-    the variable in the most monomials is factored out first.
+    M. Ceberio and V. Kreinovich, Greedy algorithms for optimizing multivariate Horner schemes,
+    2004: the variable in the most monomials is factored out first.
     """
     return _horner({p: c for p, c in coefficients.items() if c != 0.0}, names)
 
@@ -454,7 +454,7 @@ _MINUS = value(-1, "g")
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference values of coefficients: area [ft2], span and chord [ft]; None for JSBSim's metrics."""
+    """Reference area [ft2], span and chord [ft] of coefficients; None for JSBSim's metrics."""
 
     S_sqft: float | None = None
     b_ft: float | None = None

@@ -304,11 +304,14 @@ def _aircraft(
 
 def _start_tag(node: Node) -> str:
     """Return an element's start tag with sorted attributes."""
-    return f"<{node.tag}{''.join(f' {name}={quoteattr(text)}' for name, text in sorted(node.attributes.items()))}>"
+    attributes = "".join(
+        f" {name}={quoteattr(text)}" for name, text in sorted(node.attributes.items())
+    )
+    return f"<{node.tag}{attributes}>"
 
 
 def _text(node: Node) -> str:
-    """Return an element without comments and blank lines; conditions and tables keep their lines."""
+    """Return an element without comments and blank lines; its text keeps its lines."""
     content = "\n".join(line.strip() for line in node.text.splitlines() if line.strip())
     inside = "".join(
         _text(child) for child in node.children if child.tag not in _SILENT - {"property"}
