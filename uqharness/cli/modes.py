@@ -180,7 +180,7 @@ def _write(
 
     with counting("speeds trimmed") as progress:
         locus = root_locus(
-            aircraft, condition, speeds, args.category, args.aircraft_class, point, progress
+            aircraft, condition, speeds, args.category, args.aircraft_class, first=point, callback=progress
         )
     _, *said = [line.strip() for line in _trim_lines(aircraft.name, trim)]
     altitude = f"{condition.altitude_m:g} m above sea level"

@@ -253,10 +253,10 @@ def fly_matched(
                         copy_b,
                         path,
                         copy_b.folder / path.name,
-                        f"{kind} at {speed:g} m/s",
-                        channels,
-                        request,
-                        1e9,
+                        name=f"{kind} at {speed:g} m/s",
+                        channels=channels,
+                        request=request,
+                        limit_s=1e9,
                     )
                 )
         for script in request.scripts:
@@ -266,7 +266,14 @@ def fly_matched(
                     write_bytes(copy_b.folder / source.name, source.read_bytes())
             add_flight(
                 _fly_both(
-                    copy_a, copy_b, script, script, script.stem, channels, request, SCRIPT_LIMIT_S
+                    copy_a,
+                    copy_b,
+                    script,
+                    script,
+                    name=script.stem,
+                    channels=channels,
+                    request=request,
+                    limit_s=SCRIPT_LIMIT_S,
                 )
             )
     return channels, flights
@@ -285,6 +292,7 @@ def _fly_both(
     copy_b: Aircraft,
     script_a: Path,
     script_b: Path,
+    *,
     name: str,
     channels: Sequence[Channel],
     request: MatchedRequest,

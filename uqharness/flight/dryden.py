@@ -40,7 +40,6 @@ PAGE_STEPS = 8192
 """Steps computed at once."""
 _PER_STEP = (1, 3, 3, 1)
 """Normals of u, v, w and p in a step."""
-"""Steps that are made at once."""
 
 _SEGMENT_STEPS = 64
 _MIN_FACTOR = 1e-290
@@ -429,7 +428,7 @@ Component = Literal["u", "v", "w", "p", "q", "r"]
 COMPONENTS: tuple[Component, ...] = ("u", "v", "w", "p", "q", "r")
 
 _STREAMS = {"u": 0, "v": 1, "w": 2, "p": 3}
-_DRYDEN_PER_STEP = {"u": 1, "v": 3, "w": 3, "p": 1}
+_NORMALS_PER_STEP = {"u": 1, "v": 3, "w": 3, "p": 1}
 
 
 @dataclass(frozen=True)
@@ -620,6 +619,7 @@ def dryden_gusts(
     h_m: float,
     W20_kt: float,
     b_m: float,
+    *,
     seed: int | Sequence[int],
 ) -> GustSeries:
     """Return ``n`` samples of all six gusts at constant airspeed and height.
@@ -634,7 +634,7 @@ def dryden_gusts(
         Root seed, or a sequence that begins with it. u, v with r, w with q, and p have a stream
         each. W20 only scales the result: all intensities share one history.
     """
-    return next(gust_blocks(n, dt_s, V_mps, h_m, W20_kt, b_m, seed, max(n, 1)))
+    return next(gust_blocks(n, dt_s, V_mps, h_m, W20_kt, b_m, seed=seed, block=max(n, 1)))
 
 
 def gust_blocks(
@@ -644,6 +644,7 @@ def gust_blocks(
     h_m: float,
     W20_kt: float,
     b_m: float,
+    *,
     seed: int | Sequence[int],
     block: int,
 ) -> Iterator[GustSeries]:
@@ -759,7 +760,7 @@ class DrydenGusts:
 
     def branch(self, *splits: Split) -> None:
         """Use other noise behind each of these splits, which lie in coming pages."""
-        pairs, numbers = self._pairs, list(_DRYDEN_PER_STEP.items())
+        pairs, numbers = self._pairs, list(_NORMALS_PER_STEP.items())
 
         def noise(place: int, source: Source) -> Source:
             name, per_step = numbers[place]
@@ -769,8 +770,8 @@ class DrydenGusts:
                 "turbulence",
                 _STREAMS[name],
                 lambda g: Normals(g, pairs),
-                per_step,
-                self._steps,
+                per_step=per_step,
+                done=self._steps,
             )
 
         self._unit.exchange(noise)

@@ -571,6 +571,7 @@ def record_mission(
     spec: FlightSpec,
     signals: Mapping[str, Source],
     optional: Mapping[str, Source] | None = None,
+    *,
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),

@@ -398,6 +398,7 @@ def root_locus(
     speeds: Sequence[float],
     category: str,
     aircraft_class: str,
+    *,
     first: LocusPoint | None = None,
     callback: Callable[[int, int], None] = lambda done, total: None,
 ) -> Locus:

@@ -235,7 +235,6 @@ def _bits_of(x: float) -> int:
 # Elementary functions of Python floats by IEEE operations alone, for few numbers such as filter
 # coefficients. Relative errors are about 1e-15.
 
-_LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _TERMS = 18
 """Terms of Taylor's series below 1/2: the next is 2^-18/18! = 6e-22."""
 
@@ -505,6 +504,7 @@ def splice(
     kind: str,
     number: int,
     make_source: Callable[[np.random.PCG64], Source],
+    *,
     per_step: int = 1,
     done: int = 0,
 ) -> Source:

@@ -319,6 +319,7 @@ def force_state(
     altitude_m: float,
     properties: Mapping[str, float] | None = None,
     outputs: tuple[str, ...] = (),
+    *,
     equilibrium: ControlEquilibrium | None = None,
 ) -> tuple[NDArray[np.float64], dict[str, float]]:
     """Return the accelerations of the model at a state in still air.

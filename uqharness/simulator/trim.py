@@ -668,7 +668,7 @@ def _thrust_reason(problem: _Problem, end: str, mass_kg: float) -> str:
             replace(condition, V_mps=V),
             free,
             {"throttle": limits[end == "upper"]},
-            True,
+            free_climb=True,
             equilibrium=problem.equilibrium,
         )
         unknowns = limited.solve(start=start, tolerance=_NEARLY_STEADY)
@@ -709,6 +709,7 @@ class _Problem:
         condition: SteadyCondition,
         names: tuple[str, ...],
         fixed: Mapping[str, float],
+        *,
         free_climb: bool,
         free_bank: bool = False,
         equilibrium: ControlEquilibrium | None = None,
@@ -759,9 +760,9 @@ class _Problem:
             self.condition,
             names,
             {**self.fixed, **neutral},
-            self.free_climb,
-            True,
-            self.equilibrium,
+            free_climb=self.free_climb,
+            free_bank=True,
+            equilibrium=self.equilibrium,
         )
 
     def at_limits(self, x: NDArray[np.float64]) -> list[tuple[str, str]]:
@@ -920,7 +921,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         condition.altitude_m,
         condition.properties,
         outputs,
-        problem.equilibrium,
+        equilibrium=problem.equilibrium,
     )
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
     thrust_N = out.get(

@@ -31,8 +31,8 @@ def test_points_are_the_modes_at_their_speeds(espaaro, first):
         (18.0, 26.0),
         "B",
         "I",
-        first,
-        lambda done, total: seen.append((done, total)),
+        first=first,
+        callback=lambda done, total: seen.append((done, total)),
     )
     assert [p.V_mps for p in found.points] == [18.0, 22.0, 26.0]
     assert found.refused == ()
@@ -65,7 +65,7 @@ def test_speeds_beyond_two_without_a_trim_are_not_tried(espaaro, first, monkeypa
         "point_at",
         lambda model, category, aircraft_class: replace(first, V_mps=tried[-1]),
     )
-    found = root_locus(espaaro, CONDITION, (10.0, 12.0, 15.0, 19.0, 21.0), "B", "I", first)
+    found = root_locus(espaaro, CONDITION, (10.0, 12.0, 15.0, 19.0, 21.0), "B", "I", first=first)
     assert tried == [21.0, 19.0, 15.0]
     assert [p.V_mps for p in found.points] == [21.0, 22.0]
     reasons = dict(found.refused)
