@@ -55,6 +55,7 @@ def instance(name: str, value: Any, kind: type, needed: str) -> Any:
 
 def integer(name: str, value: Any, minimum: int = 0) -> int:
     """Return an integer of at least ``minimum``; numpy integers are valid, booleans are not."""
+    # bool is a subclass of int.
     fits = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= minimum
     require(name, value, fits, f"a whole number of at least {minimum}")
     return int(value)
@@ -75,6 +76,7 @@ def number(
 
     ``fits`` decides which numbers are valid, NaN and infinity among them.
     """
+    # numpy's scalars are registered as Real; booleans are excluded.
     real = isinstance(value, Real) and not isinstance(value, bool)
     require(name, value, real and fits(float(value)), needed)
     return float(value)

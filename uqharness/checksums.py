@@ -103,6 +103,7 @@ def read_sums(folder: Path) -> Sums | None:
     except FileNotFoundError:
         return None
     body, _, last = content.rpartition(_DIGEST_LINE)
+    # A file cut off within its header is still this program's.
     begins = content[: len(_HEADER_START)]
     if not body and not _HEADER_START.startswith(begins):
         return None  # somebody else's
@@ -119,6 +120,7 @@ def read_sums(folder: Path) -> Sums | None:
         if parts is None:
             raise SumsError(f"its line {line[:80]!r} is no digest")
         files[_unescaped(parts[2], line.startswith(b"\\"))] = parts[1].decode()
+    # A foreign file could name any path.
     for name in (*files, *folders):
         if name.startswith("/") or ".." in name.split("/"):
             raise SumsError(f"it names {name!r}, which is outside the folder")
@@ -147,6 +149,7 @@ def write_sums(folder: Path, damage: DamageRecord | None = None) -> None:
         for path in _files(folder, folders):
             name = path.relative_to(folder).as_posix()
             digest = file_sha256(path)
+            # A file that is still damaged as before keeps its recorded digest.
             recorded, damaged_digest = (damage or DamageRecord()).damaged.get(name, ("", ""))
             files[name] = recorded if damaged_digest == digest else digest
         _write(folder, Sums(files, tuple(sorted(folders))))
@@ -246,6 +249,7 @@ def _files(folder: Path, folders: list[str]) -> Iterator[Path]:
             path = Path(place, name)
             if not path.is_symlink() and _is_sealed(path):
                 folders.append(path.relative_to(folder).as_posix())
+        # os.walk descends only into the folders that are left in the list.
         inner[:] = sorted(
             name
             for name in inner
@@ -303,6 +307,7 @@ def _write(folder: Path, sums: Sums) -> None:
         lines.append(mark + digest.encode() + b"  " + escaped)
     lines += [_FOLDER + _escaped(name) for name in sums.folders]
     body = b"\n".join(lines) + b"\n"
+    # Written next to its place and renamed, so that a crash leaves the old file.
     temporary = folder / f".{SUMS}{PART}"
     temporary.unlink(missing_ok=True)
     with temporary.open("xb") as handle:

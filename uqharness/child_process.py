@@ -58,6 +58,7 @@ def main_not_imported() -> Iterator[None]:
         saved: dict[str, Any] = {
             name: script[name] for name in ("__file__", "__spec__") if name in script
         }
+        # Without these, multiprocessing does not know which script to import.
         script.pop("__file__", None)
         script["__spec__"] = None
         try:
@@ -134,6 +135,7 @@ def run_module(
             " needed"
         ) from None
     lines = process.stdout.splitlines()
+    # Other lines were printed by a library.
     answers = [line.removeprefix(_ANSWER) for line in lines if line.startswith(_ANSWER)]
     output = " ".join(" ".join(line for line in lines if not line.startswith(_ANSWER)).split())
     # A shell script that starts Python reports a signal as 128 plus its number.

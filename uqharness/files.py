@@ -188,6 +188,7 @@ def open_no_link(path: Path, make: bool = True) -> int:
         flags |= getattr(os, name, 0)
     if path.is_symlink():  # also where the system has no O_NOFOLLOW
         raise OSError(errno.ELOOP, f"is a link to {os.readlink(path)}", str(path))
+    # Checked again on the open file: the name may have been replaced since.
     handle = os.open(path, flags, 0o666)
     status = os.fstat(handle)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
@@ -246,6 +247,7 @@ def find_campaign(name_or_path: str | Path, file: str = "campaign.toml") -> Path
         If there is none; the message lists the names.
     """
     requested = Path(name_or_path)
+    # A path counts before a name.
     for root in (Path(), PROJECT_ROOT, PROJECT_ROOT / "campaigns"):
         for path in (root / requested, root / requested / file):
             if path.is_file():
@@ -378,6 +380,7 @@ def _new_home() -> _Home:
                 f"no folder for temporary files can be made ({error.strerror or error}); set TMPDIR"
                 " to one that you may write to"
             ) from None
+        # None: another process removed the folder at once; try again.
         handle = _open_lock(path, os.O_CREAT)
         if handle is None:
             continue

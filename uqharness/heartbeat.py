@@ -46,6 +46,7 @@ class Rate:
     def seconds_left(self, done: float, total: float) -> float | None:
         """Return the time left [s]; None before anything is done and after everything is."""
         time_s, marks = self._now(), self._done
+        # Work started anew: forget the old rate.
         if done < marks[-1][1]:
             marks.clear()
         if not marks or done > marks[-1][1]:
@@ -164,6 +165,7 @@ def heartbeat(
                 return
 
     STATE.stage = ""
+    # A daemon thread does not keep the process alive.
     thread = threading.Thread(target=beat, name="progress", daemon=True)
     thread.start()
     try:

@@ -110,6 +110,7 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
     """
     if _in_worker or multiprocessing.current_process().daemon:
         return function(*args, **kwargs)
+    # One worker serves one call at a time; recursion from a callback is allowed.
     with _one_call:
         if not (_workers and _workers[0].is_usable):
             _workers[:] = [_Worker()]
@@ -165,6 +166,7 @@ class _Worker:
             callbacks.append(value)
             return _Callback(len(callbacks) - 1)
 
+        # Callbacks are sent as numbers and called in this process.
         request = (
             os.getcwd(),
             function,

@@ -46,6 +46,7 @@ def _follow_parent() -> None:
     """End this process, even during a flight, once its parent is gone."""
     parent, number = multiprocessing.parent_process(), os.getppid()
     while parent is not None:
+        # A parent that is killed cannot end its children; poll for it.
         parent.join(timeout=1.0)
         if not parent.is_alive() or os.getppid() != number:
             os._exit(1)
@@ -77,6 +78,7 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     working folder. An exception that leaves the block, such as Ctrl-C or SIGTERM, ends them at
     once.
     """
+    # Spawned, not forked: JSBSim and numerical libraries do not survive a fork safely.
     context = multiprocessing.get_context("spawn")
     with child_settings(), _Pool(count, mp_context=context, initializer=end_with_parent) as pool:
         try:

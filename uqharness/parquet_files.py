@@ -70,6 +70,7 @@ def _decode(content: bytes, schema: pa.Schema, path: Path) -> pa.Table:
     text_bytes, row_bytes = 0, 0
     parts: list[pa.Table] = []
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
+        # One row group at a time, so that the check precedes the memory.
         for group in range(file.num_row_groups):
             part = file.read_row_group(group, use_threads=False)
             parts.append(part)
@@ -143,6 +144,7 @@ def parse_table(content: bytes, path: Path, rows: int | None = None) -> pa.Table
                     f"{path}: has {metadata.num_rows} flights, the manifest lists {rows}; run the"
                     " campaign again"
                 )
+            # Sizes in the metadata are checked before any column is decoded.
             groups = [
                 metadata.row_group(number).total_byte_size
                 for number in range(metadata.num_row_groups)

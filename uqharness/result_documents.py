@@ -19,6 +19,7 @@ from uqharness.toml import dotted
 
 def _inside(name: str) -> str:
     """Return the name of an inner folder; ValueError if it leads out of the folder of results."""
+    # Checked as a POSIX and as a Windows path: results move between systems.
     windows = PureWindowsPath(name)
     parts = {*PurePosixPath(name).parts, *windows.parts}
     if ".." in parts or name.startswith("/") or windows.drive or windows.root or "\0" in name:
@@ -174,6 +175,7 @@ class Coverage(Part):
     """coverage.json of `uqharness validate-bounds`."""
 
     coverage: Annotated[dict[str, Share], Field(min_length=1)]
+    # Optional keys below: older files lack them.
     errors: dict[str, Numbers] = Field(default_factory=dict)
     outside_data: Numbers = Field(default_factory=dict)
     manoeuvres: dict[str, dict[str, Numbers]] = Field(default_factory=dict)

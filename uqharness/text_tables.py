@@ -85,6 +85,7 @@ def plain_cell(text: str) -> str:
     >>> plain_cell("=1+1"), plain_cell("-2.5")
     ("'=1+1", '-2.5')
     """
+    # A single "-" marks an empty cell.
     if not text.startswith(("=", "+", "-", "@", "\t", "\r")) or text == "-":
         return text
     try:

@@ -153,7 +153,9 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
     inside: list[str] = []  # the key whose inline table or list may go on over the next lines
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
+        # Section header, such as [a."b c"].
         header = re.match(r"\[((?:\"[^\"]*\"|'[^']*'|[^\]\"'\[])+)\]\s*(#.*)?$", line)
+        # Repeated section, such as [[fly]].
         table = re.match(r"\[\[\s*([\w-]+)\s*\]\]\s*(#.*)?$", line)
         if table:
             name = table.group(1)
@@ -164,6 +166,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             section, inside = _parts(header.group(1)), []
             depth = _matching_depth(section, target)
         else:
+            # Key, bare, quoted or dotted.
             key = re.match(
                 r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=",
                 line,
@@ -175,6 +178,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int:
             if _matching_depth(inside, target) == len(inside) < len(target) and inside:
                 mark = rf"(?:^|[{{,\s])[\"']?{re.escape(target[len(inside)])}[\"']?\s*="
                 depth = len(inside) + 1 if re.search(mark, line) else depth
+        # The first line with the deepest match.
         if depth > best_depth:
             best_depth, best_line = depth, number
     return best_line

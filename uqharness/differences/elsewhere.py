@@ -125,6 +125,7 @@ def channels_of(
         ),
         *(Channel(prop, "own unit", "surfaces", Source(prop), 1e-6) for prop in extra_properties),
     ]
+    # Only properties that this model has.
     return [c for c in channels if property_manager.hasNode(c.source.property)]
 
 
@@ -248,6 +249,7 @@ def _fly_in_worker(
     """Fly and record all frames; both models of a comparison use the same step."""
     script = read_script(path)
     if settings.dt_s != aircraft.dt_s:
+        # Both models fly with the step of model A.
         section = aircraft.card.aircraft.model_copy(update={"dt_s": settings.dt_s})
         aircraft = replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
     spec = FlightSpec(
@@ -331,6 +333,7 @@ def fly_elsewhere(
         write_json(job, document)
         ended = run_module(__name__, job, out, timeout_s=TIMEOUT_S, python=python)
         if ended.answer.get("error"):
+            # The child ran and reports an error of the aircraft.
             raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
             message = ended.errors or ended.output or "nothing was said"
@@ -357,6 +360,7 @@ def _child(job: Path, out: Path) -> None:
             engine_path=Path(request["engine"]),
             systems_path=Path(request["systems"]),
         )
+        # The aircraft is found by folder; its engines and systems are those of the parent.
         signals = fly_frames(
             aircraft, Path(request["script"]), channels, FlightSettings(**request["how"])
         )

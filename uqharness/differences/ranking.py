@@ -240,6 +240,7 @@ def fly_matched(
                 # B flies the start and script that were written for A's trim.
                 existing_names = {p.name for p in copy_a.folder.iterdir()}
                 path, _ = write_own_mission(copy_a, start, kind)
+                # B gets the files that were written for A.
                 for mission_file in copy_a.folder.iterdir():
                     if (
                         mission_file.name not in existing_names
@@ -260,6 +261,7 @@ def fly_matched(
                     )
                 )
         for script in request.scripts:
+            # A script's initial conditions may exist in A only.
             initial = read_script(script).initialize
             for source in (copy_a.folder / initial, copy_a.folder / f"{initial}.xml"):
                 if source.is_file():
@@ -316,6 +318,7 @@ def _fly_both(
     variations = fly_variations(
         copy_a, script_a, channels, settings, request.repeats, request.bounds
     )
+    # Compare the frames that all flights have.
     rows = min(len(x["time_s"]) for x in (flight_a, nudged_flight, flight_b))
     a, b, nudged = (
         {k: v[:rows] for k, v in x.items() if k != "time_s"}
@@ -441,6 +444,7 @@ def differing_terms(a: Path, b: Path) -> list[Term]:
     terms: list[Term] = []
     for name in sorted({*first, *second}):
         one, two = first.get(name, []), second.get(name, [])
+        # Lines are matched in order, so that an inserted element shifts nothing.
         matcher = SequenceMatcher(None, [x.key for x in one], [x.key for x in two], autojunk=False)
         for _, i, i_end, j, j_end in (code for code in matcher.get_opcodes() if code[0] != "equal"):
             terms += _paired(one[i:i_end], two[j:j_end])
@@ -525,6 +529,7 @@ def _line(node: Node, where: str, root: str) -> _Line:
     )
     content = " ".join(x for x in (_normalise_text(node.text), attributes) if x) or f"<{node.tag}>"
     section = chain[0].tag if chain else ""
+    # The coefficient of the axis that holds the element.
     axis = next((n.attributes.get("name", "").upper() for n in chain if n.tag == "axis"), "")
     group = _GROUP.get(section, _GROUP.get(root, ""))
     return _Line(f"{path}|{content}", path, content, where, group, _AXIS.get(axis, ""))
@@ -629,6 +634,7 @@ def differences(
                 continue
             row = _difference(channel, flight, terms, tolerance)
             if row is not None:
+                # Order: time, cause before effect, larger relative size, flight.
                 first, difference = row
                 ranked.append(((difference.from_s, channel.rank, -first, float(order)), difference))
     return [d for _, d in sorted(ranked, key=lambda pair: pair[0])]
@@ -647,6 +653,7 @@ def scale_of(channel: Channel, values: FloatArray) -> float:
 
     Its range, or its magnitude if it hardly moves, but at least its floor.
     """
+    # A channel that hardly moves is scaled by its magnitude.
     reach = float(np.ptp(values)) if len(values) else 0.0
     magnitude = float(np.max(np.abs(values), initial=0.0))
     return max(reach if reach > 1e-3 * magnitude else magnitude, channel.floor)
@@ -724,6 +731,7 @@ def rank_terms(channel: Channel, terms: Sequence[Term]) -> tuple[Term, ...]:
             return 0.0
         if not term.group:
             return 9.0
+        # Terms of later groups cannot cause the difference.
         rank = GROUPS.index(term.group)
         if rank > channel.rank:
             return 8.0

@@ -122,6 +122,7 @@ def _find_repository(start: Path) -> _Repository | None:
 
 def _path_within(path: str, top: Path) -> str | None:
     """Return a path as git writes it below ``top``; None outside it and for ``top`` itself."""
+    # Relative paths count from the working folder.
     full = posixpath.normpath(posixpath.join(Path.cwd().as_posix(), path))
     inside = posixpath.relpath(full, top.as_posix())
     return None if "\0" in path or inside == "." or inside.split("/")[0] == ".." else inside
@@ -133,6 +134,7 @@ class _Reader:
     def __init__(self, repository: _Repository, place: Path, requested: str) -> None:
         self._place, self._requested = place, requested
         objects = repository.common / "objects"
+        # Alternates could point anywhere.
         if (objects / "info" / "alternates").exists():
             raise BadInputError(
                 f"{requested}: the repository keeps objects elsewhere (objects/info/alternates),"
@@ -142,6 +144,7 @@ class _Reader:
             (place / name).mkdir()
         (place / "config").write_text(_config(repository.common), encoding="utf-8")
         remaining = _REFERENCE_BYTES
+        # Worktrees have references of their own.
         for source in (repository.common, repository.folder):
             for name in ("packed-refs", "HEAD", "refs", "logs"):
                 remaining = _copy_references(source / name, place / name, remaining)
@@ -162,6 +165,7 @@ class _Reader:
 
     def commit(self, revision: str) -> str:
         """Return the hash of the commit that a revision names."""
+        # --end-of-options keeps a revision from being read as an option.
         words = ["rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}"]
         name = self._run(words, 1000).decode("ascii", "replace").strip()
         if not name or not set(name) <= set("0123456789abcdef"):
@@ -180,6 +184,7 @@ class _Reader:
         sizes: dict[str, tuple[str, int]] = {}
         for line in filter(None, listing.split(b"\0")):
             facts, _, name = line.partition(b"\t")
+            # Columns of ls-tree -l: mode, type, object, size.
             mode, kind, blob, size = facts.split()
             path = os.fsdecode(name)
             # Links lead out of the folder, and submodules are in another repository.
@@ -229,6 +234,7 @@ class _Reader:
                     stderr=subprocess.PIPE,
                     check=False,
                     timeout=_TIMEOUT_S,
+                    # POSIX only: limits that the child sets for itself.
                     preexec_fn=None if os.name == "nt" else _limits(max_bytes),
                 )
         except FileNotFoundError:

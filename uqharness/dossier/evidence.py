@@ -199,6 +199,7 @@ def read_evidence(folder: Path) -> Evidence:
             f"{folder}: no results of this program; looked for {marker_files}, also in the folders"
             " below"
         )
+    # Gaps reported by a study come first, then missing companions of each step.
     _read_study(evidence)
     evidence.steps = sorted(evidence.steps, key=lambda s: _sort_key(evidence, s))
     for step in evidence.steps:
@@ -249,6 +250,7 @@ def _read_folder(evidence: Evidence, place: Path) -> None:
 
 def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) -> Mapping[str, Any]:
     """Read and validate a marker file."""
+    # A campaign's folder has a stricter reader of its own.
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
@@ -272,6 +274,7 @@ def _read_study(evidence: Evidence) -> None:
         assert study.document is not None
         for stage in study.document["stages"]:
             name = stage["name"]
+            # Stages that did not finish have no outputs to check.
             if stage["state"] != "done":
                 evidence.add_missing(
                     f"stage {name} is {stage['state']}"
@@ -297,6 +300,7 @@ def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str)
         if path.is_relative_to(evidence.folder)
         else path.name
     )
+    # Folders and values that are no SHA-256 are not checked.
     if not re.fullmatch(r"[0-9a-f]{64}", digest) or path.is_dir():
         return
     if not path.is_file():
@@ -326,6 +330,7 @@ def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
     """
     for study in evidence.of(STUDY):
         assert study.document is not None
+        # Within a study, its order of stages decides.
         order = [stage.get("folder") for stage in study.document["stages"]]
         if step.place in order:
             return float(order.index(step.place)), 0, step.place
@@ -516,6 +521,7 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
         # In turbulence, replay residuals contain the gust response; one-step predictions do not.
         predicted = test.get("predictions") or {}
         rows = predicted or test["channels"]
+        # Rms over noise of each channel, after refinement.
         ratios = {
             c: r["rms_after"] / r["noise_rms"]
             for c, r in rows.items()

@@ -284,6 +284,7 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
     ]
     first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
     low, high = 2.0 * math.pi / longest, 2.0 * math.pi / shortest
+    # Frequency within the search range, decay rate of either sign.
     fit = least_squares(
         residual, first, bounds=([0.9 * low, -high], [1.1 * high, high]), x_scale=np.abs(first)
     )
@@ -292,6 +293,7 @@ def fit_mode(time_s: FloatArray, y: FloatArray, shortest_s: float, longest_s: fl
         return None
     # Six parameters: frequency, decay rate, two amplitudes, and the line.
     residual_std = float(np.sqrt(np.sum(fit.fun**2) / max(t.size - 6, 1)))
+    # Covariance of frequency and decay rate from the Jacobian.
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * residual_std**2
     natural_radps = math.hypot(omega, decay)
     # zeta = decay/natural: gradient with respect to frequency and decay rate.
@@ -441,6 +443,7 @@ def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | 
         outcomes = [_evaluate_segment(test, segment, suffix, noise, travel) for segment in segments]
         segment_results = [x for x in outcomes if isinstance(x, SegmentResult)]
         results += segment_results
+        # No segment contains the test: give the most common reason.
         if not segment_results:
             missing[test.entry] = _most_common_reason([x for x in outcomes if isinstance(x, str)])
     return Match(tuple(results), missing)
@@ -490,6 +493,7 @@ def _evaluate_segment(
         return (
             f"{' and '.join(c for c in moved if c != test.control)} moved with the {test.control}"
         )
+    # Input interval of the controls that moved.
     start, end = _input_interval(segment, moved)
     before_s, after_s = start - float(segment.time_s[0]), float(segment.time_s[-1]) - end
     if before_s < test.before_s or after_s < test.after_s:
@@ -598,6 +602,7 @@ def _evaluate_oscillation(
     name = tolerances.channel
     if name not in segment.columns or f"{name}{suffix}" not in segment.columns:
         return f"the results have no {name} of log and model"
+    # Free response: after the last input.
     free = segment.time_s > from_s
     t = segment.time_s[free]
     if t.size < 12:
@@ -698,6 +703,7 @@ def _input_interval(segment: History, moved: Sequence[str]) -> tuple[float, floa
     first, last = float(t[-1]), float(t[0])
     for control in moved:
         values = segment.columns[control]
+        # Constant controls have no input.
         changes = np.abs(np.diff(values)) > 0.0
         left_start = np.abs(values - values[0]) > _AT_REST_SHARE * _travel(values)
         off_end = np.abs(values - values[-1]) > _AT_REST_SHARE * _travel(values)

@@ -148,6 +148,7 @@ class AutopilotGains:
         """Return what is used and what is ignored, as text."""
         values = ", ".join(f"{gain.name} {gain.value:g}" for gain in self.gains)
         lines = [f"{len(self.gains)} gains taken: {values}"]
+        # Parameters with the same reason share a line.
         by_reason: dict[str, list[str]] = {}
         for name, reason in self.ignored.items():
             by_reason.setdefault(reason, []).append(name)
@@ -183,12 +184,14 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
             "these are PX4's parameters; the autopilot has ArduPlane's loops, and PX4's gains have"
             " another meaning (docs/autopilot.md). Give an ArduPlane parameter file"
         )
+    # Checks across parameters use current names and units.
     current = dict(_current_parameters(parameters))
     gains, ignored = [], {}
     n_others = 0
     for name, value in parameters.items():
         current_name, factor = _RENAMED.get(name, (name, 1.0))
         prop = f"{PREFIX}{current_name}"
+        # Both names are given: the current one counts.
         if name != current_name and current_name in parameters:
             ignored[name] = "the file has the newer name too"
         elif prop in properties and current_name not in _IGNORED_REASONS:
@@ -207,6 +210,7 @@ def autopilot_gains(parameters: Mapping[str, float], properties: Collection[str]
                 )
             else:
                 ignored[name] = "the autopilot has one filter for both rates, and the two differ"
+        # A parameter of these loops that the autopilot does not have.
         elif current_name.startswith(_LOOPS):
             ignored[name] = _IGNORED_REASONS.get(current_name) or (
                 "0: off, as in the autopilot" if value == 0.0 else "the autopilot has no such term"
@@ -287,6 +291,7 @@ def read_gains(path: Path, properties: Collection[str]) -> AutopilotGains:
     """
     try:
         with open_regular(path) as file:
+            # One byte more than allowed reveals a file that is too long.
             content = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise BadInputError(

@@ -132,6 +132,7 @@ def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matri
     rounding up to the shortest time constant; longer steps are divided). It is factored without
     being formed, because it is almost singular.
     """
+    # Sub-intervals no longer than the shortest time constant.
     pieces = max(1, math.ceil(dt * max(abs(a) for row in A for a in row)))
     half = 0.5 * dt / pieces
     vectors = []
@@ -366,6 +367,7 @@ def _propagate(A: Matrix, x: list[float], t: float) -> list[float]:
 def _exponential(A: Matrix, t: float) -> Matrix:
     """Return e^(A t) by Taylor's series of a part of t, squared repeatedly."""
     n = len(A)
+    # Scaling and squaring: the norm of the part is below 1/2.
     halvings = max(0, math.frexp(t * max(sum(abs(a) for a in row) for row in A))[1] + 1)
     part = math.ldexp(t, -halvings)
     one = tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
@@ -704,6 +706,7 @@ class DrydenGusts:
             w=lateral(dt_s, par.L_w_m / par.V_mps, par.T_q_s),
             p=first_order(dt_s, par.T_p_s),
         )
+        # Slopes in time become rotations: the gust field moves past at airspeed V.
         slopes = (
             -par.sigma_w_mps / par.V_mps,  # 3.7.5: q = -dw/dx = -(dw/dt)/V
             par.sigma_u_mps / par.V_mps,  # 3.7.5: r = +dv/dx = +(dv/dt)/V

@@ -213,6 +213,7 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
                 undefined |= dict.fromkeys(names, reason)
             else:
                 metrics |= dict(zip(names, absolute_statistics(values), strict=True))
+    # Excursions count up to the end of the flight, whatever its status.
     for radius in spec.excursion_radius_m:
         for key, suffix in (("cross_track", ""), ("distance_3d", "_3d")):
             values = recorded.signals.get(key)
@@ -237,6 +238,7 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
     complete = recorded.status == "ok" and recorded.signals["height_m"].size > 0
+    # A heading through north must not jump by 360 deg.
     psi = np.unwrap(recorded.signals["psi_rad"])
     cross_track = _cross_track(recorded)
     if cross_track is None:
@@ -277,6 +279,7 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
         return north
     # sqrt is bit-identical on all processors; a C library's hypot is not.
     speed = math.sqrt(vn[0] * vn[0] + ve[0] * ve[0])
+    # Cross product of the position with the initial direction, + to the right.
     track: NDArray[np.float64] = ((east - east[0]) * vn[0] - (north - north[0]) * ve[0]) / speed
     return track
 
@@ -353,6 +356,7 @@ class GroundWatch:
                 name = self._touching()
                 if name and self._airborne:
                     return name
+                # Airborne from the first step without contact.
                 self._airborne = self._airborne or not name
         return "the centre of gravity" if self._height() <= 0.0 else ""
 
@@ -616,6 +620,7 @@ def record_mission(
     if one_ulp_off:
         larger = max("ic/vn-fps", "ic/ve-fps", key=lambda name: abs(fdm[name]))
         fdm[larger] = math.nextafter(fdm[larger], math.copysign(math.inf, fdm[larger]))
+    # The first levels must act during initialisation too.
     for name, value in first_levels(spec, dt_s).items():
         engine.set_property(fdm, name, value)
     engine.run_ic(fdm)
@@ -624,6 +629,7 @@ def record_mission(
     if MARK in mission.script.run_properties and fdm.get_propulsion().get_num_engines():
         engine.settle_engines(fdm)
     if (
+        # Controls come to rest before the flight starts.
         equilibrium := marked_equilibrium(mission.script.run_properties, mission.aircraft, fdm)
     ) is not None:
         bring_to_rest(fdm, equilibrium)
@@ -653,6 +659,7 @@ def record_mission(
             if touched:
                 status, reason = "ground-contact", f"{touched} touched the ground at {_clock(fdm)}"
                 break
+            # Rows of the burn-in are not recorded.
             if block >= burn_in_rows:
                 values.extend([get() for get in getters])
     except engine.RuntimeFailure as error:
@@ -760,6 +767,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
+    # Wind and turbulence go through the air system, where there is one.
     with_air = has_air(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
@@ -786,6 +794,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         if name not in CHANGEABLE:
             engine.set_property(fdm, name, value)
     # Initial conditions are an airspeed; the ground velocity includes the wind.
+    # The wind blows towards this direction.
     toward = math.radians(spec.wind_from_deg + 180.0)
     if spec.wind_mps:
         north, east = fdm["ic/vn-fps"], fdm["ic/ve-fps"]

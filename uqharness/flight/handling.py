@@ -103,6 +103,7 @@ def assess(
             f"category {category!r}, class {aircraft_class!r}: allowed are {', '.join(CATEGORIES)}"
             f" and {', '.join(CLASSES)}"
         )
+    # Modes may be missing or occur twice (two real roots).
     by_name: dict[str, list[Mode]] = {name: [] for name in MODE_NAMES}
     for mode in all_modes:
         by_name[mode.name].append(mode)
@@ -150,6 +151,7 @@ def _short_period(
         if zeta >= third_low
         else 4
     )
+    # CAP = wn^2/(n/alpha), 3.2.2.1.1.
     cap = wn**2 / load_factor_per_alpha(model)
     one, two = CAP[category]
     control = (
@@ -321,6 +323,7 @@ def level_edges(
         raise ValueError(f"mode {mode!r}: allowed are {', '.join(OSCILLATORY)}")
     edges = []
     for zeta, product, wn in dutch_roll_limits(category, aircraft_class):
+        # wn at least its limit: outside a circle about the origin.
         slow = -np.sqrt(np.maximum(wn**2 - imag**2, 0.0))
         edges.append(np.minimum(np.minimum(_real_part(zeta, imag), slow), -max(product, 0.0)))
     return edges[0], edges[1], edges[2]
@@ -429,6 +432,7 @@ def root_locus(
     points = {} if first is None else {first.V_mps: first}
     refused: dict[float, str] = {}
     all_speeds = sorted(set(speeds) | ({centre} if first is None else set()))
+    # Outwards from the known speed on both sides.
     sides = (
         [v for v in reversed(all_speeds) if v <= centre],
         [v for v in all_speeds if v > centre],

@@ -78,6 +78,7 @@ def recorded_flight(
     except ProcessEndedError as error:
         if error.time_s is None:
             raise
+        # The last row before the crash.
         until_s = math.floor(error.time_s * spec.record_rate_hz + 0.5) / spec.record_rate_hz
         recorded = run_isolated(
             _record_in_worker, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
@@ -318,6 +319,7 @@ def playback_rows(record: FlightRecord, start: Mapping[str, float], rate_hz: flo
     time_s = np.asarray(record["time_s"])
     at = np.arange(time_s[0], time_s[-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     right = np.clip(np.searchsorted(time_s, at), 1, len(time_s) - 1)
+    # Nearest sample of each row.
     rows = np.where(at - time_s[right - 1] <= time_s[right] - at, right - 1, right)
     north, east, h, phi, theta, psi, airspeed = (
         _fill_gaps(name, np.asarray(record[name]))[rows] for name in PLAYBACK_COLUMNS
@@ -344,6 +346,7 @@ def geodetic(
     """
     lat0 = math.radians(lat_deg)
     w = 1.0 - _ECCENTRICITY_2 * math.sin(lat0) ** 2
+    # Radii of curvature in the meridian and of the parallel.
     meridian = _RADIUS_M * (1.0 - _ECCENTRICITY_2) / w**1.5
     parallel = _RADIUS_M / math.sqrt(w) * math.cos(lat0)
     return lat_deg + np.degrees(north_m / meridian), lon_deg + np.degrees(east_m / parallel)
@@ -354,5 +357,6 @@ def _fill_gaps(name: str, values: FloatArray) -> FloatArray:
     finite = np.isfinite(values)
     if not finite.any():
         raise BadInputError(f"FlightGear needs {name}, and the record has no value of it")
+    # Index of the last finite value at each sample; -1 before the first.
     last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
     return values[np.where(last < 0, int(np.argmax(finite)), last)]

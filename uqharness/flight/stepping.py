@@ -292,6 +292,7 @@ def _branched(
         while count:
             while remaining and remaining[0].frame == done:
                 fdm["simulation/randomseed"] = remaining.pop(0).seed("noise")
+            # Run up to the next split at most.
             part = min(count, remaining[0].frame - done) if remaining else count
             advance(part)
             done, count = done + part, count - part
@@ -307,6 +308,7 @@ def _unbranched(
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
     moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
     names = [columns for _, columns in _drivers(spec)]
+    # Without the air system, gusts go through JSBSim's own properties.
     if gusty and not has_air(fdm):
         gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps, splits))
         return _with_turned_gusts(
@@ -462,6 +464,7 @@ def _gust_blocks(
     fdm: Any, spec: FlightSpec, dt_s: float, steps: int, splits: Sequence[Split]
 ) -> Iterator[FloatArray]:
     """Yield gusts (n, 6) at the airspeed and height of the start."""
+    # Airspeed, height above ground, intensity and span of the start.
     air = (
         max(_airspeed_mps(fdm, spec), 1.0),
         max(float(fdm["position/h-agl-ft"]) * FT_M, 3.048),

@@ -79,6 +79,7 @@ def carried_files(aircraft: Aircraft, out: Path) -> dict[str, bytes]:
         kind, _, name = place.partition("/")
         if any(f"{folder}/{name}".lstrip("/") in parts.local for folder in INSIDE[kind]):
             continue
+        # Nothing to copy if JSBSim finds the same content from the new place.
         content = read_xml(
             (aircraft.engine_path if kind == "engine" else aircraft.systems_path) / name
         )
@@ -113,6 +114,7 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     BadInputError
         If ``out`` holds anything else, or an earlier instrumentation must be undone first.
     """
+    # The aircraft's own folder may be replaced.
     in_place = out.exists() and out.resolve() == aircraft.folder
     if (
         out.exists()
@@ -168,6 +170,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                 if change.edited:
                     raise BadInputError(f"{folder / name}: is gone; undo cannot bring it back")
                 continue
+            # None: the file was added and is removed.
             content = restore(folder / name, change, path.read_bytes())
             if content is None:
                 path.unlink()
@@ -176,6 +179,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
                 done.append((name, "removed"))
             else:
                 _write_file(path, content)
+                # Identical to the original, or with later changes of the author.
                 same = make_change(None, content).after == change.before
                 done.append(
                     (
@@ -216,6 +220,7 @@ def _swap(new: Path, out: Path, old: Path) -> None:
         # A repository's data are moved, not copied.
         os.rename(out / ".git", new / ".git")
     if out.exists():
+        # Two renames; the first is undone if the second fails.
         out.rename(old)
     try:
         new.rename(out)
@@ -323,6 +328,7 @@ def mass_insertions(
             f"ixx, iyy, izz = {moments} kg m2: no body has one moment of inertia above the sum of"
             " the other two"
         )
+    # Numbers in the XML follow from properties in JSBSim's units.
     target = {_PROPERTIES[name][0]: _PROPERTIES[name][1] * value for name, value in values.items()}
     texts = xml_numbers_for(aircraft, target)
     return tuple(_edit(document, path, text) for path, text in texts.items())
@@ -439,6 +445,7 @@ def instrument_aircraft(
     facts, notes = None, []
     if not aircraft.has_card:
         try:
+            # Sense, throws and thrust are measured in a child process.
             facts = aircraft_facts.measure_facts_in_child(aircraft.folder)
         except BadInputError as error:
             if check:
@@ -465,6 +472,7 @@ def instrument_aircraft(
         write(aircraft, planned, out)
         undefined_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
+            # The copy is flown unless it replaces the original or had the plugin before.
             verdict = _checked(aircraft, out, edits)
     return Instrumented(out, planned, (*planned.notes, *notes), verdict, unmeasured)
 
@@ -594,6 +602,7 @@ def put_values(folder: Path, values: Mapping[str, Estimate]) -> list[str]:
     remaining = dict(values)
     for document in folder_documents(folder):
         edited = document
+        # Declarations on one line are edited one after the other.
         while edits := _edits_by_line(edited, remaining):
             edited = parse_document(document.path, apply(edited, edits))
         if edited is not document:

@@ -132,6 +132,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
     short = _short_names(section, names)
     all_rows = []
     for _, axis in sorted(section.axes.items()):
+        # Forces that act at the CG and at the aerodynamic centre need functions of their own.
         for at_cg in (False, True):
             nodes = [
                 node
@@ -230,6 +231,7 @@ def bake_scales(folder: Path) -> BakedScales:
             scale = float(attribute(declared, "value"))
             if scale == 1.0:
                 continue
+            # A table, for example, has no constant factor.
             place = _constant_factor(documents, functions.get(name, ""))
             if place is None:
                 remaining.append(name)
@@ -269,6 +271,7 @@ def _scaled_functions(documents: Iterable[Document]) -> dict[str, str]:
         for product in document.root.walk():
             if product.tag != "product" or len(product.children) != 2:
                 continue
+            # The form that `_function` writes: (scale - 1) times the function.
             difference, function = product.children
             if difference.tag != "difference" or not difference.children:
                 continue
@@ -339,6 +342,7 @@ def _short_names(section: AeroSection, names: dict[int, str]) -> dict[int, str]:
     nodes: list[tuple[Axis, Node]] = [
         (axis, node) for axis in section.axes.values() for node in axis.functions
     ]
+    # Names that are unique by their last part are shortened.
     count = Counter(_leaf(names[id(node)]) for _, node in nodes)
     out = {}
     for axis, node in nodes:
@@ -417,6 +421,7 @@ def card_text(
         ]
         throw = control_facts.throw_deg
         if control != "throttle":
+            # Surfaces without a measured angle get an assumed throw.
             assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
                 throw = _ASSUMED_THROW_DEG if control_facts.sense else 1.0

@@ -81,9 +81,11 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
     try:
         names, first = _fly(untouched, steps, None)
+        # Properties that differ between two equal flights cannot be compared.
         repeated = _fly(untouched, steps, names)[1]
     except (BadInputError, engine.RuntimeFailure) as error:
         return Verdict("fails", " ".join(str(error).split()))
+    # A flight that diverges or hits the ground proves nothing.
     height, speed = (names.index(n) for n in ("position/h-sl-ft", "velocities/vt-fps"))
     if not np.isfinite(first[:, [height, speed]]).all():
         return Verdict("fails", "the state does not stay finite")
@@ -94,6 +96,7 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
             f" {SAMPLE_EVERY * untouched.dt_s * first[:, height].argmin():.1f} s",
         )
     steady = np.all((first == repeated) | (np.isnan(first) & np.isnan(repeated)), axis=0)
+    # The air system sets properties of the atmosphere.
     if _has_air(instrumented) and not _has_air(untouched):
         steady &= np.array([not _AIR_OWNS.fullmatch(name) for name in names])
     compared = [name for name, is_steady in zip(names, steady, strict=True) if is_steady]
@@ -132,6 +135,7 @@ def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, An
             return Verdict(
                 "wrong", f"uq/{name}/delta stays 0 with uq/active and uq/{name}/active 1", **same
             )
+        # Force or moment increment of the coefficient that is on.
         expected = np.zeros(6)
         expected[index] = delta * scales[index]
         for kind in (0, 1):
@@ -148,6 +152,7 @@ def _switch_each(aircraft: Aircraft, names: Sequence[str], same: Mapping[str, An
                     worst=worst,
                     **same,
                 )
+        # Nothing else may change in the first frame.
         changed = moved != idle
         changed &= ~(np.isnan(moved) & np.isnan(idle))
         unexpected = [
@@ -179,11 +184,13 @@ def _frame(
             engine.set_property(fdm, f"uq/{name}/active", float(name == coefficient))
         engine.set_property(fdm, f"uq/{coefficient}/level", 1.0)
         if not fdm[f"uq/{coefficient}/upper"]:
+            # Without bounds, a delta of its own.
             engine.set_property(fdm, f"uq/{coefficient}/upper", DELTA)
         engine.set_property(fdm, "uq/active", 1.0)
     step(SWITCHED_AFTER)
     row = np.array([_get(fdm, name) for name in names])
     reference = aircraft.card.reference
+    # The card's reference values, as the plugin uses them.
     S = reference.S_m2 / FT_M**2 if reference.S_m2 else fdm["metrics/Sw-sqft"]
     b = reference.b_m / FT_M if reference.b_m else fdm["metrics/bw-ft"]
     c = reference.c_m / FT_M if reference.c_m else fdm["metrics/cbarw-ft"]

@@ -103,6 +103,7 @@ def to_json(changes: Mapping[str, Change]) -> bytes:
     files: dict[str, Any] = {}
     for name, change in sorted(changes.items()):
         row: dict[str, Any] = {"before": change.before, "after": change.after}
+        # Latin-1 maps each byte to one character.
         if change.edited:
             row["insertions"] = [
                 [i.at, i.text.decode("latin-1"), i.removed.decode("latin-1")]
@@ -123,6 +124,7 @@ def read_record(folder: Path) -> dict[str, Change]:
             raise BadInputError(
                 f"{path}: format is {str(document['format'])[:80]!r}; '{FORMAT}' is read"
             )
+        # Names are checked, because undo writes and removes these files.
         return {_inside(name): _change(row) for name, row in document["files"].items()}
     except FileNotFoundError:
         raise BadInputError(
@@ -142,6 +144,7 @@ def _inside(name: str) -> str:
     Undo writes and removes the named files.
     """
     parts = name.split("/")
+    # A damaged record must not make undo write elsewhere.
     hidden = any(part in ("", "..") or part.startswith(".") or len(part) > 100 for part in parts)
     if hidden or name == FILE_NAME or PureWindowsPath(name).drive or "\\" in name or "\0" in name:
         raise ValueError(f"it names {name[:200]!r}, which is no file that an instrumentation makes")
@@ -170,6 +173,7 @@ def restore(path: Path, change: Change, content: bytes) -> bytes | None:
     """
     if not change.edited:
         return change.content
+    # Unchanged since: restore by bytes, else by searching the inserted texts.
     if sha256_hex(content) == change.after:
         return _undo_insertions(path, change, content)
     for insertion in change.insertions:
@@ -187,6 +191,7 @@ def _undo_insertions(path: Path, change: Change, content: bytes) -> bytes:
     """Return the original content of an unchanged file, checked by its digest."""
     pieces, position, shift = [], 0, 0
     for insertion in change.insertions:
+        # Earlier insertions shift later ones.
         begin = insertion.at + shift
         pieces += [content[position:begin], insertion.removed]
         position = begin + len(insertion.text)
@@ -274,6 +279,7 @@ def plan(
         With file and line: mixed axes, no reference, names that are taken, bounds on a control that
         the card does not give.
     """
+    # Refuse what cannot be instrumented before anything is planned.
     section = read_section(aircraft.folder, aircraft.xml.name)
     _refuse_outside(section)
     reference = coefficient_reference(aircraft, section)
@@ -288,6 +294,7 @@ def plan(
         system = _plugin_system(aircraft, section)
     else:
         _refuse_taken(aircraft)
+        # New plugin: bounds, deltas, and scales where coefficients have no properties.
         system = _system_file(aircraft, SYSTEM)
         coefficient_names = coefficient_properties(
             [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
@@ -314,6 +321,7 @@ def plan(
         edit = _add_card(aircraft, facts, scaled, edit, files, notes)
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
+    # Bounds are written in every case.
     files[system] = bounds_xml(aircraft, bounds)
     if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
         notes.append(
@@ -321,6 +329,7 @@ def plan(
             f" (SHA-256 {bounds.form.aircraft.sha256[:12]}...); they mean something only if its"
             " aerodynamics are the same"
         )
+    # Record new and replaced files; edited ones follow.
     changes = {
         name: make_change(_content(aircraft.folder / name), content)
         for name, content in files.items()
@@ -397,6 +406,7 @@ def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference
         card.c_m and card.c_m / FT_M,
     )
     xml_values = read_reference(section)
+    # None takes JSBSim's own metrics.
     return Reference(
         *(
             None if w is None or abs(w - x) <= _SAME * w else w
@@ -422,6 +432,7 @@ def _has_plugin(section: AeroSection) -> bool:
                 delta_places.setdefault(match.group(1), document.where(node))
     if not delta_places:
         return False
+    # Some deltas only: neither instrumented nor clean.
     missing = [c for c in COEFFICIENTS if c not in delta_places]
     if missing:
         name, where = next(iter(delta_places.items()))
@@ -490,6 +501,7 @@ def _plugin_system(aircraft: Aircraft, section: AeroSection) -> str:
                     f'<system file="{SYSTEM}"/>, so that bounds can replace it'
                 )
             continue
+        # The system may lie outside the folder; a copy then gets its own.
         for path in _candidates(aircraft, name):
             if path.is_file() and declaration(read_document(path), "uq/active") is not None:
                 inside = path.is_relative_to(aircraft.folder)
@@ -534,6 +546,7 @@ def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Inse
     text = newline.join([b"", *"".join(tables).encode().split(b"\n")])
     text = text if raw.endswith(b"\n") or not raw else newline + text
     try:
+        # The extended card must still be valid.
         parse_card((raw + text).decode("utf-8"), card)
     except (UnicodeDecodeError, BadInputError):
         notes.append(
@@ -558,6 +571,7 @@ def _rows(section: AeroSection, had_plugin: bool) -> tuple[tuple[str, str, str],
     for slot, c in enumerate(COEFFICIENTS):
         axis = section.axes.get(slot)
         name = axis_name(section, slot)
+        # Increments in turned axes spread over several axis elements.
         turned = (
             (turned_axes is not None and (slot != 1 or section.force == "wind"))
             if slot < 3

@@ -99,17 +99,20 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
         If the bounds depend on a control that the card does not give in degrees or percent.
     """
     frames = max(1, math.floor(1.0 / (rate_hz * aircraft.dt_s) + 1e-9))
+    # Outside the data, bounds either grow with the polynomial or stay as at the edge.
     clamped = form.outside == "clamp"
     states: dict[_Normalised, str] = {}
     groups = _groups(form, states)
     body = [*_declarations(form)]
     body += [f'<channel name="Bounds" execrate="{frames}">']
+    # Normalised states first, clamped to the data if the form asks for it.
     for state, name in states.items():
         body += _indent(
             _component(f"{name}-free" if clamped else name, _normalise(state, aircraft))
         )
         if clamped:
             body += _indent(_clamp(name, state))
+    # One leverage for all coefficients that share the quadratic form.
     for group in groups:
         form_of_group = quadratic_form(group.bounds)
         body += _indent(_component(group.leverage, horner(form_of_group, group.names)))
@@ -121,6 +124,7 @@ def model_form_xml(form: ModelForm, aircraft: Aircraft, rate_hz: float = RATE_HZ
                 )
             )
     body += _indent(_extrapolation(states, groups, clamped))
+    # Bounds of each coefficient from its leverage.
     for name, bounds in form.coefficients.items():
         group = next(group for group in groups if name in group.coefficients)
         body += _indent(_coefficient(name, bounds, group))
@@ -149,6 +153,7 @@ def constant_xml(bounds: Mapping[str, tuple[float, float]], remark: str) -> byte
         declare("uq/extrapolation", "0"),
     ]
     for name in COEFFICIENTS:
+        # The model itself must lie within its bounds.
         lower, upper = bounds.get(name, (0.0, 0.0))
         if not lower <= 0.0 <= upper:
             raise BadInputError(
@@ -179,6 +184,7 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
     shared: dict[tuple[object, ...], list[str]] = {}
     for name, bounds in form.coefficients.items():
         arrays = (bounds.centre, bounds.scale, bounds.XtX_inv, bounds.hull.low, bounds.hull.high)
+        # Equal arrays give equal quadratic forms.
         key = (
             bounds.states,
             bounds.terms,
@@ -195,6 +201,7 @@ def _groups(form: ModelForm, states: dict[_Normalised, str]) -> list[_Group]:
             low, high = float(hull.low[k]), float(hull.high[k])
             z = _Normalised(state, float(bounds.centre[k]), float(bounds.scale[k]), low, high)
             if z not in states:
+                # The same state with another normalisation gets a number.
                 same = sum(other.state == state for other in states)
                 states[z] = f"uq/z/{state}" + (f"-{same + 1}" if same else "")
             names.append(states[z])
@@ -221,6 +228,7 @@ def state_source(state: str, aircraft: Aircraft) -> tuple[str, float]:
     if card is not None and control == "throttle" and card.unit in _TO_PERCENT:
         return card.position or card.selected or card.property, _TO_PERCENT[card.unit]
     if card is not None and control != "throttle":
+        # The surface's position, else its command.
         if card.position is not None:
             return card.position, position_factor(card)
         if card.unit in _TO_DEGREES or card.throw_deg is not None:
@@ -349,6 +357,7 @@ def _deltas() -> list[str]:
     lines = ['<channel name="Deltas">']
     for name in COEFFICIENTS:
         lower, upper = property_value(f"uq/{name}/lower"), property_value(f"uq/{name}/upper")
+        # delta = active (lower + level (upper - lower) + transient transient-level).
         persistent = call(
             "product", property_value(f"uq/{name}/level"), call("difference", upper, lower)
         )

@@ -121,6 +121,7 @@ def _limit_rate(requested: FloatArray, max_step: float) -> FloatArray:
     limit_starts = np.flatnonzero(np.abs(np.diff(requested)) > max_step) + 1
     targets, caught_up = requested.tolist() if len(limit_starts) else [], 0
     for first in limit_starts.tolist():
+        # Still catching up from an earlier step.
         if first < caught_up:
             continue
         position, k = float(positions[first - 1]), first
@@ -162,6 +163,7 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
                 except ValueError:
                     return float(fdm[text])
 
+            # Numbers may be given by a property's name.
             lag = number("lag", math.nan)
             result[control] = Actuator(
                 None if math.isnan(lag) else lag,

@@ -117,6 +117,7 @@ def find_folder(name_or_folder: str | Path) -> Path:
     """Return the folder of an aircraft without reading its files. Raises BadInputError."""
     requested = Path(name_or_folder)
     roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
+    # A folder counts before a name; names have one part.
     candidates = [requested] if requested.is_dir() else []
     if len(requested.parts) == 1:
         candidates += [root / requested for root in roots]
@@ -229,6 +230,7 @@ def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
 
     A host such as FlightGear may define them. Raises BadInputError if the aircraft is not loadable.
     """
+    # Cached by file states within this process, and by content on disk.
     stamp = fingerprint(aircraft)
     if stamp not in _undefined:
         for _, path in walk(aircraft.folder):
@@ -395,6 +397,7 @@ def sources(aircraft: Aircraft) -> dict[str, Source]:
                 factor = card.throw_deg
             else:
                 column = f"{control}_norm"
+        # The command after the autopilot's selection, where the card names it.
         selected = card.selected or card.property
         table[column] = Source(selected, factor)
         if card.position is not None and column.endswith("_deg"):
@@ -410,6 +413,7 @@ def position_factor(card: InputCard) -> float:
     """
     if card.unit != "norm" or card.position is None:
         return _UNIT_TO_RECORD.get(card.unit, 1.0)
+    # Normalised command: the throw's sign is the record's sign.
     throw = 1.0 if card.throw_deg is None else card.throw_deg
     if card.position.endswith("-rad"):
         return math.copysign(_UNIT_TO_RECORD["rad"], throw)

@@ -42,6 +42,7 @@ def with_start_altitude(record: FlightRecord, folder: Path) -> tuple[FlightRecor
     if "rho_kgpm3" in record or "alt_m" in start:
         return record, ""
     altitudes = _initial_altitudes(folder)
+    # Several initial conditions, or none: nothing can be assumed.
     if len(altitudes) != 1:
         return (
             record,
@@ -73,6 +74,7 @@ def _initial_altitudes(folder: Path) -> list[tuple[str, float]]:
             continue
         if root.tag != "initialize":
             continue
+        # JSBSim: altitude above sea level, or above the ground at an elevation.
         ground = _length(root, "elevation")
         above = [_length(root, "altitudeAGL"), _length(root, "altitude")]
         sea = _length(root, "altitudeMSL")

@@ -170,6 +170,7 @@ def _validate(airframe: AirframeCard) -> Card:
     sections: dict[str, Any] = {
         key: value for key, value in airframe.document.items() if key not in _LOG_READER_SECTIONS
     }
+    # Keys of servos belong to the log reader.
     if "inputs" in sections:
         sections["inputs"] = {
             control: {key: value for key, value in row.items() if key not in _SERVO_KEYS}
@@ -180,6 +181,7 @@ def _validate(airframe: AirframeCard) -> Card:
             {**sections, "reference": airframe.reference, "sensors": airframe.sensors}
         )
     except ValidationError as error:
+        # One mistake per message: later ones often follow from the first.
         first = error.errors()[0]
         problem = (
             "no such key in airframe.toml; see docs/aircraft.md"
@@ -221,6 +223,7 @@ def sensors_from_cg(path: Path, forward_m: float, remark: str) -> None:
         card = tomlkit.parse(path.read_bytes().decode("utf-8"))
         sensors = card.setdefault("sensors", tomlkit.table())
         positions = sensors.setdefault("position_m", tomlkit.inline_table())
+        # Accelerometers without a position were at the CG.
         for name in dict.fromkeys(("accelerometer", *positions)):
             x, *yz = (float(v) for v in positions.get(name, (0.0, 0.0, 0.0)))
             positions[name] = [round(x - forward_m, DECIMALS), *yz]

@@ -119,6 +119,7 @@ def _new(staging: Staging, dt_s: float) -> Any:
     _collect().take()
     _register_user_paths(staging)
     fdm = jsbsim.FGFDMExec(str(staging.root))
+    # Without a debug level JSBSim prints nothing.
     fdm.set_debug_level(0)
     fdm.set_aircraft_path(str(staging.root / "aircraft"))
     fdm.set_engine_path(str(staging.root / "engine"))
@@ -204,6 +205,7 @@ def run_ic(fdm: Any) -> None:
         )
     except RuntimeFailure as error:
         text = log.take() or _one_line(error)
+    # The instance must not be destroyed while a property is missing.
     missing = disarm(fdm, text)
     log.take()
     if missing:
@@ -243,6 +245,7 @@ def settle_engines(fdm: Any) -> str:
     changing = ""
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
+    # JSBSim's half-second steps did not converge.
     if not settling.is_balanced(fdm):
         try:
             changing = settling.settle(fdm)
@@ -280,6 +283,7 @@ def undefined_properties(fdm: Any, function_properties: Iterable[str] = ()) -> l
     log = _collect()
     log.take()
     exists = fdm.get_property_manager().hasNode
+    # Before initialisation, which may create some.
     unmade = [name for name in dict.fromkeys(function_properties) if not exists(name)]
     missing: list[str] = []
     try:
@@ -299,6 +303,7 @@ def disarm(fdm: Any, text: str) -> list[str]:
     Returns their names.
     """
     missing: list[str] = []
+    # Each attempt reports one missing property.
     for _ in range(1000):
         match = _MISSING.search(text)
         if match is None or match.group(1) in missing:
@@ -339,6 +344,7 @@ def require(fdm: Any, names: Iterable[str]) -> None:
                 f"property '{name}': not a legal JSBSim property name (letters, digits, _, -, / and"
                 " [index])"
             )
+        # Similar names of the loaded model help against typing errors.
         if not manager.hasNode(name):
             similar = difflib.get_close_matches(name, catalog(fdm), n=3, cutoff=0.6)
             hint = (

@@ -78,6 +78,7 @@ def open_mid_envelope(
     if engines:
         engine.settle_engines(fdm)
     dt = fdm.get_delta_t()
+    # Different frequencies, so that axes move independently.
     surfaces = [
         (engine.handle(fdm, f"fcs/{name}-cmd-norm").set_double_value, 2.0 * math.pi * rate * dt)
         for name, rate in (("elevator", 0.5), ("aileron", 0.7), ("rudder", 0.3))
@@ -99,6 +100,7 @@ def mid_envelope_state(aircraft: Aircraft) -> BodyState:
     weight, area, rho = (
         fdm[n] for n in ("inertia/weight-lbs", "metrics/Sw-sqft", "atmosphere/rho-slugs_ft3")
     )
+    # W = rho/2 V^2 S CL.
     speed_fps = math.sqrt(2.0 * weight / (rho * max(area, 1e-3) * _LIFT_COEFFICIENT))
     V_mps = min(max(speed_fps, _SPEEDS_FPS[0]), _SPEEDS_FPS[1]) * FT_M
     return BodyState(*body_velocity(V_mps, _ALPHA, _BETA), _PHI, _THETA, 0.0, *_RATES_RADPS)
@@ -246,6 +248,7 @@ def measure_facts(folder: Path) -> AircraftFacts:
     closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
     host = _host_properties(aircraft)
     throttle = _throttle_facts(closed, opened)
+    # A host may move the throttle that JSBSim alone does not.
     if not throttle.sense and any(
         jsbsim_name == "fcs/throttle-cmd-norm" for _, jsbsim_name in host
     ):
@@ -318,6 +321,7 @@ def _hold_commands(
         for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
         if exists(aircraft.card.inputs[name].property)
     }
+    # One instance for all commands: engines are settled once.
     fdm, unsettled = open_forced(aircraft, state, controls, ALTITUDE_M, None)
     equilibrium = control_equilibrium(aircraft, fdm)
     engines = fdm.get_propulsion().get_num_engines()
@@ -380,6 +384,7 @@ def _control_facts(
     # A drift, such as the gas of a balloon, is no effect of the command.
     if not abs(high - low) > max(_MIN_ANSWER, 10.0 * abs(repeated - low)):
         return ControlFacts(0)
+    # Compare the accelerations at both ends.
     sense = sign if high > low else -sign
     for name in _POSITIONS[control]:
         ends = [

@@ -98,6 +98,7 @@ def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
         root = etree.parse(
             BytesIO(file.content), etree.XMLParser(remove_comments=True, resolve_entities=False)
         ).getroot()
+        # A file is an aircraft with sections, or one section of its own.
         for section in [root] if root.tag != "fdm_config" else root.iterchildren("*"):
             if section.tag in _CONTROLS:
                 outputs.update(_outputs(section))
@@ -111,6 +112,7 @@ def _outputs(section: Any) -> Iterator[str]:
     for channel in section.iter("channel"):
         for component in channel.iterchildren("*"):
             if name := (component.get("name") or "").strip():
+                # JSBSim derives the property from a name without a path.
                 yield _without_index(
                     name if "/" in name else f"fcs/{re.sub(r'[^a-z0-9._-]', '-', name.lower())}"
                 )
@@ -169,6 +171,7 @@ def still_moving(fdm: Any, equilibrium: ControlEquilibrium, names: Sequence[str]
     if not bring_to_rest(fdm, equilibrium):
         return set()
     old_values = {name: fdm[name] for name in names}
+    # It does not come to rest: see which of the names are affected.
     run_frozen(fdm, BLOCK_FRAMES)
     return {name for name in names if not abs(fdm[name] - old_values[name]) <= _MOVED_POSITION}
 
@@ -210,6 +213,7 @@ def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
         )
         if blocks_without_gain == PATIENCE:
             break
+    # Small enough, although it has not converged.
     if largest <= AT_REST * BLOCK_FRAMES:
         return ""
     return (
@@ -242,6 +246,7 @@ def run_frozen(fdm: Any, frames: int, free: bool = False) -> None:
             fdm[name] = value
     if free:
         for axis in _RATES:
+            # Keep the rates that the control system reached.
             fdm[f"ic/{axis}-rad_sec"] = fdm[f"velocities/{axis}-rad_sec"]
     # Initialisation would set a turboprop to idle.
     if not settling.has_turboprop(fdm):
@@ -385,6 +390,7 @@ def open_forced(
         engine.set_property(fdm, name, value)
     apply_controls(fdm, aircraft, controls)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
+    # Far above the ground, where no ground effect or gear acts.
     fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
     fdm["ic/h-sl-ft"] = altitude_m / FT_M
     set_initial_state(fdm, state)

@@ -121,6 +121,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     condition = trim.condition
     centre, base = trim.state, dict(trim.controls)
 
+    # Around a trim with settled controls, the control system must stay as it is.
     def accelerations(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         if trim.equilibrium is not None and controls == base:
             return force_near_trim(aircraft, trim, state, controls)
@@ -135,6 +136,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
 
     def derivative(state: BodyState, controls: dict[str, float]) -> NDArray[np.float64]:
         acceleration = accelerations(state, controls)
+        # Exact attitude kinematics: phi' and theta' from body rates.
         turning = state.q * np.sin(state.phi) + state.r * np.cos(state.phi)
         phi_dot = state.p + np.tan(state.theta) * turning
         theta_dot = state.q * np.cos(state.phi) - state.r * np.sin(state.phi)
@@ -216,6 +218,7 @@ def modes(model: LinearModel) -> list[Mode]:
         if sum(map(len, chosen)) == 4
     ]
     longitudinal = max(choices, key=lambda chosen: sum(share[k] for block in chosen for k in block))
+    # What remains is lateral.
     lateral = [block for block in blocks if block not in longitudinal]
     incidence = np.arctan2(size[2], size[0])  # 0 where airspeed alone moves, pi/2 where alpha does
     sideslip = np.arctan2(size[1], V * size[6])
@@ -252,6 +255,7 @@ def _longitudinal_names(
     ranked = sorted(blocks, key=lambda block: (-incidence[block[0]], -abs(values[block[0]])))
     if [len(block) for block in ranked] == [1, 2, 1]:
         return [("short_period", ranked[0]), ("phugoid", ranked[2]), ("third", ranked[1])]
+    # Two pairs, a pair and two real roots, or four real roots.
     half = 2 if len(ranked) == 4 else 1 if len(ranked[0]) == 2 else 2
     return [("short_period", block) for block in ranked[:half]] + [
         ("phugoid", block) for block in ranked[half:]

@@ -165,6 +165,7 @@ class MassChange:
                     f"{path}:{root.sourceline}: property {name} comes from <{leaf}> in <{section}>,"
                     " which is not in this file, so it cannot be changed"
                 )
+            # Two properties of one number (mass and weight) cannot be set independently.
             if element in elements.values():
                 raise BadInputError(
                     f"{path}:{element.sourceline}: two of the properties to set come from the same"
@@ -235,6 +236,7 @@ def xml_numbers_for(aircraft: Aircraft, target: Mapping[str, float]) -> dict[str
             lambda staging: engine.open_fdm(staging, aircraft.dt_s),
         )
         root = parse_xml(change.realise(target).xml).getroot()
+        # The solver has written the numbers into the copy.
         paths = [_PLACES[name].path for name in target]
         return {path: (root.findtext(path) or "").strip() for path in paths}
 

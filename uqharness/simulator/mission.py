@@ -80,6 +80,7 @@ def find_script(name_or_path: str | Path, folder: Path | None = None) -> Path:
         requested,
         requested.with_suffix(".xml"),
     ]
+    # Names are searched in the working folder before the project.
     for root in (Path.cwd(), PROJECT_ROOT):
         candidates += [
             root / requested,
@@ -104,6 +105,7 @@ def read_script(path: Path) -> Script:
             f"{path}:{root.sourceline}: the root element is <{root.tag}>, a run script begins with"
             " <runscript>"
         )
+    # Both elements are required by JSBSim.
     use, run = root.find("use"), root.find("run")
     if use is None or run is None:
         raise BadInputError(
@@ -138,6 +140,7 @@ def _manoeuvres(path: Path, run: etree._Element) -> dict[int, str]:
                     f"{path}:{item.sourceline}: {MANOEUVRE_PROPERTY} is set to '{text}'; a whole"
                     " number of at least 0 is needed"
                 )
+            # Zero ends a manoeuvre and has no name.
             if int(text):
                 names[int(text)] = event.get("name", text)
     return names
@@ -206,6 +209,7 @@ class StagedMission:
         self.aircraft = aircraft
         self.script = read_script(script_path)
         check_loadable(aircraft, self.script.run_properties)
+        # Initial conditions are read by JSBSim directly, so their name is checked here.
         if leads_out(self.script.initialize) or "\\" in self.script.initialize:
             raise BadInputError(
                 f"{script_path}: starts from '{self.script.initialize}'; initial conditions must"
@@ -220,6 +224,7 @@ class StagedMission:
             )
         self._scratch = scratch_folder("mission")
         self._staging = stage(aircraft, self._scratch.path)
+        # The script passes the gate as well.
         script = screen_file(read_xml(script_path), str(script_path))
         document = etree.fromstring(script.content, etree.XMLParser(resolve_entities=False))
         use, run = document.find("use"), document.find("run")
@@ -248,6 +253,7 @@ class StagedMission:
         """
         if not changed:
             return self._open(self._staging, dt_s)
+        # Mass properties need a copy of the XML; made once and reused.
         if self._mass is None:
             self._mass = MassChange(self.aircraft, self._staging, self._open)
         return self._open(self._mass.realise(changed), dt_s)

@@ -534,6 +534,7 @@ def write_own_mission(
         )
     text = path.read_text(encoding="utf-8")
     end = STEADY_S if kind == "steady" else SETTLE_S + sum(step.length_s + REST_S for step in steps)
+    # The steady script ends after 60 s; this one after the last manoeuvre.
     text = text.replace('end="60"', f'end="{end:.2f}"')
     properties = (
         "" if kind == "steady" else f'    <property value="0">{MANOEUVRE_PROPERTY}</property>\n'
@@ -570,6 +571,7 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             if kind == "3-2-1-1" and control == "elevator"
             else (DOUBLET, 2.3)
         )
+        # Length by the mode's frequency, limited, and rounded to the grid.
         unit_s = _GRID_S * round(
             min(max(cycles / max(frequency.get(mode, coupled), 1e-3), _UNITS_S[0]), _UNITS_S[1])
             / _GRID_S
@@ -579,6 +581,7 @@ def manoeuvres(aircraft: Aircraft, model: LinearModel, kind: str) -> list[Step]:
             continue
         low, high = aircraft.card.inputs[control].limits
         at = model.trim.controls[control]
+        # By the target angle, limited to half of the remaining travel.
         size = min(
             math.radians(EXCURSION_DEG) / greatest, _MAX_TRAVEL_SHARE * min(high - at, at - low)
         )
@@ -600,6 +603,7 @@ def _excursion_rad(
     step: NDArray[np.float64] = expm(augmented * _DT_S)
     x, greatest = np.zeros(n), 0.0
     V = model.trim.condition.V_mps
+    # v/V and w/V are sideslip and incidence.
     weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK_WEIGHT, "theta": 1.0}
     weights = np.array([weight.get(name, 0.0) for name in STATES])
     for units, sign in pattern:

@@ -74,6 +74,7 @@ def check_physical(aircraft: HasFiles) -> None:
     root = _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
     _check_sizes(_section(aircraft, files, root, "metrics"))
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
+    # Rotors fly in JSBSim but are not trimmed here.
     if rotor := rotor_place(aircraft):
         place, _, text = rotor.partition(": ")
         _note(
@@ -172,6 +173,7 @@ def _check_inertia(mass: _Section | None) -> None:
                 "is needed"
             )
     present = [moment for moment in moments if moment is not None and moment.value > 0.0]
+    # The tensor is tested only if it is complete.
     if len(present) != 3:
         return
     products = [number.value if (number := mass.number(tag)) else 0.0 for tag in _PRODUCTS]
@@ -262,6 +264,7 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]
         If the model cannot be loaded, or the child crashes or hangs. A refused model is not loaded
         again in this process: some refusals (a propeller without tables) corrupt JSBSim's memory.
     """
+    # The verdict depends on files, JSBSim, and the format of this cache.
     key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
     if key not in _checked:
         mark = _cache_folder() / key
@@ -352,6 +355,7 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
     """Load the aircraft in this process and answer the parent."""
     engine.mirror_messages(sys.stdout.fileno())
     aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
+    # A small XML can ask for huge tables.
     with MemoryLimit(MAX_BYTES):
         try:
             staging = staged(aircraft)
@@ -362,6 +366,7 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
         except MemoryError:
             give_answer({"refused": f"loading it takes more than {in_words(MAX_BYTES)} of memory"})
             return
+        # Named functions are evaluated again when the instance is destroyed.
         read = list(function_properties(staging))
         missing = engine.undefined_properties(fdm, (name for name, _, _ in read))
         if missing:

@@ -81,6 +81,7 @@ def settle(fdm: Any) -> str:
     fdm.set_trim_status(True)
     try:
         # Never shorter than the flight's step: an engine must settle at that one.
+        # Start with long steps, which settle fastest.
         for step_s in (*(step_s for step_s in STEPS_S if step_s > dt_s), dt_s):
             fdm.set_dt(step_s)
             if pistons:
@@ -118,6 +119,7 @@ def _alternation(fdm: Any, number: int, time_s: float) -> str:
         fdm.set_sim_time(time_s)
         fdm.run()
         rpm.append(fdm[name])
+    # Alternating: every change is large and of the opposite sign.
     changes = [after - before for before, after in itertools.pairwise(rpm)]
     min_change = _ALTERNATES * max(map(abs, rpm))
     if all(abs(c) > min_change for c in changes) and all(
@@ -139,6 +141,7 @@ def _crank(fdm: Any, time_s: float) -> None:
     ]
     if all(get() for get in running):
         return
+    # One command turns the starters of all piston engines.
     fdm["propulsion/starter_cmd"] = 1.0
     for _ in range(round(CRANK_S / fdm.get_delta_t())):
         fdm.set_sim_time(time_s)

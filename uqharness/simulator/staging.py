@@ -105,6 +105,7 @@ class _Scan:
             )
         if self.depth == 1:
             self.root = tag
+        # Only children of the root are sections.
         if self.depth == 2:
             if tag in REMOVED_ELEMENTS:
                 start = self.parser.CurrentByteIndex
@@ -123,6 +124,7 @@ class _Scan:
                     f"{self.where}:{line}: <child> loads a second aircraft, which is not supported;"
                     " remove it"
                 )
+        # References within a removed element do not count.
         if "file" in attributes and self._open is None:
             self.references.append(
                 Reference(tag, self._inside(tag, attributes["file"].strip(), line), line)
@@ -296,6 +298,7 @@ def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     """
     home = folder.resolve()
     collection = home.parent
+    # Links between aircraft of one collection are common.
     allowed = (home, collection) if collection.name == "aircraft" else (home,)
     # Sorted by parts, like paths: the order is part of the identity.
     files = sorted(_below(folder, ""), key=lambda item: item[0].split("/"))
@@ -388,11 +391,13 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     shared_paths: list[Path] = []
     pending = [aircraft.xml.relative_to(aircraft.folder).as_posix()]
     requested_names: set[str] = set()
+    # Follow references from file to file.
     while pending:
         name = pending.pop()
         if name in files and name not in local:
             local[name] = screen_file(read_xml(files[name]), str(files[name]))
             pending += _new_references(local[name], requested_names, files)
+        # A name without a kind may be found in either shared folder.
         for kind in ("engine", "systems"):
             shared = _shared(aircraft, kind)
             path, key = shared / name, f"{kind}/{name}"
@@ -490,6 +495,7 @@ def copy_folder(source: Path, target: Path, keep_links: bool = False) -> None:
             place.symlink_to(os.readlink(path))
             continue
         shutil.copyfile(path, place)
+        # Copies must be readable and writable for later edits.
         os.chmod(place, stat.S_IMODE(path.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
 
 
@@ -499,6 +505,7 @@ def copy_shared_parts(aircraft: HasFiles, root: Path, stock: Path) -> None:
     ``stock`` is JSBSim's root, whose parts need no copy. A shared folder of the aircraft's is made
     even if nothing in it is used: otherwise JSBSim's own would be searched. Raises BadInputError.
     """
+    # JSBSim's own folders need no copy.
     local_kinds = {
         kind for kind in ("engine", "systems") if _shared(aircraft, kind) != stock / kind
     }
@@ -639,6 +646,7 @@ def staged(aircraft: NamedFiles) -> Staging:
 
     It is staged again once a file has changed. Raises BadInputError.
     """
+    # File states are part of the key: an edit makes a new staging.
     key = (
         aircraft.folder,
         aircraft.name,

@@ -81,6 +81,8 @@ def thrust_reason(
         A sentence with the missing or excess thrust and the nearest speed that fits; empty if
         thrust is not the cause.
     """
+    # direction is -1 for full throttle, which may climb too little, and +1 for idle, which may
+    # descend too little.
     for throttle, fly_at_end, direction in (("full", full, -1.0), ("idle", idle, 1.0)):
         limit = fly_at_end(V_mps)
         if limit is None or direction * (limit.climb_rad - target_rad) <= 0.0:
@@ -134,6 +136,7 @@ def _advice(
             else direction * (limit_at_speed.climb_rad - target_rad) <= 0.0
         )
 
+    # Search outwards on each side for the first speed that fits, then refine by bisection.
     for slower in (True, False):
         outside = V_mps
         for share in SPEEDS:
@@ -156,6 +159,7 @@ def _advice(
             return f"try V {sign} {tenths / 10.0:g} m/s"
     speed_range = f"{min(SPEEDS) * V_mps:.3g} to {max(SPEEDS) * V_mps:.3g} m/s"
     # Rounded to the side that flies.
+    # No speed fits: advise the path that this throttle holds.
     hundredths = 100.0 * math.degrees(limit.climb_rad)
     path, sign = (
         (math.floor(hundredths), "<=") if direction < 0.0 else (math.ceil(hundredths), ">=")
@@ -377,6 +381,7 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
         raise BadInputError(f"{rotor}; only aircraft with wings are trimmed")
     equilibrium = _moving_from_the_start(aircraft, condition)
     result = _search(aircraft, condition, equilibrium)
+    # The control system was at rest at the start, but may move at the trim found.
     if equilibrium is None and (equilibrium := _moving_at_trim(aircraft, result.trim)) is not None:
         result = _search(aircraft, condition, equilibrium)
     if equilibrium is not None and not result.trim.converged and result.problem.unsettled:
@@ -416,10 +421,12 @@ class _SearchResult:
         if self.failure:
             return self.failure
         problem, residual = self.problem, self.trim.residual
+        # Order of suspicion: settling, thrust, a saturated control, a wing that stalls.
         limits = problem.at_limits(self.x)
         axis = int(np.argmax(np.abs(residual)))
         throttle_end = dict(limits).get("throttle", "")
         mass_kg = _mass_kg(problem, self.x)
+        # Thrust is suspected if the throttle is saturated or the forward acceleration is largest.
         if "throttle" in problem.names and (throttle_end or axis == 0):
             end = throttle_end if residual[0] == 0.0 else "upper" if residual[0] < 0.0 else "lower"
             if reason := _thrust_reason(problem, end, mass_kg):
@@ -469,6 +476,7 @@ def _search(
     ]
     acts, dead = _throttle_acts(aircraft, condition, names, equilibrium)
     fixed = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
+    # Without thrust to set, the path is unknown instead.
     gliding = bool(fixed) or "throttle" not in names
     problem = _Problem(
         aircraft,
@@ -517,6 +525,7 @@ def _moving_from_the_start(
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
     exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # Controls that exist, at 60 % of their range.
     ends = {
         name: cards[name].limits
         for name in _SURFACES
@@ -559,6 +568,7 @@ def _throttle_acts(
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
     accelerations, unsettled = [], ""
+    # Compare the accelerations at both ends of the throttle.
     for end in card.limits:
         fdm, end_unsettled = open_forced(
             aircraft,
@@ -734,6 +744,7 @@ class _Problem:
         extra_limits = np.array(
             [3.0] * self.turning + [_MAX_CLIMB_RAD] * free_climb + [_MAX_BANK_RAD] * free_bank
         )
+        # Incidence from -20 to 29 deg, sideslip up to 20 deg.
         self.lower = np.concatenate([[-0.35, -0.35], lows, -extra_limits]) / self.scale
         self.upper = np.concatenate([[0.5, 0.35], highs, extra_limits]) / self.scale
         rate = [_G_MPS2 * math.tan(condition.bank_rad) / condition.V_mps] * self.turning
@@ -807,12 +818,14 @@ class _Problem:
             if "throttle" in self.names:
                 at = 2 + self.names.index("throttle")
                 start[at] = self.lower[at] + throttle * (self.upper[at] - self.lower[at])
+        # least_squares requires an interior point.
         start = np.clip(start, self.lower + 1e-9, self.upper - 1e-9)
         costs: list[float] = []
 
         def callback(intermediate_result: OptimizeResult) -> None:
             cost = float(intermediate_result.cost)
             costs.append(cost)
+            # Ends failing searches early: each evaluation opens an instance.
             stalled = (
                 len(costs) > _STALLED_STEPS and cost > _STALLED_GAIN * costs[-1 - _STALLED_STEPS]
             )
@@ -867,6 +880,7 @@ class _Problem:
         Free body rates also count by their distance from the state's.
         """
         state, controls, _, _ = self.unpack(x)
+        # No pitch angle gives this path at this bank.
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
@@ -924,6 +938,7 @@ def _result(problem: _Problem, x: NDArray[np.float64]) -> Trim:
         equilibrium=problem.equilibrium,
     )
     engines_lbf = [out[name] for name in _ENGINE_THRUSTS if name in out]
+    # The card's thrust, else the sum of the engines.
     thrust_N = out.get(
         keys.get("thrust_N", ""), LBF_N * sum(engines_lbf) if engines_lbf else float("nan")
     )

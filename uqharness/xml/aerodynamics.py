@@ -268,6 +268,7 @@ def read_section(folder: Path, xml: str) -> AeroSection:
         )
     document, node = included(folder, main, outer)
     axis_elements = [Axis(main, child) for child in outer.all("axis")]
+    # JSBSim reads axes of both the aircraft's file and the included one.
     if document is not main:
         axis_elements += [Axis(document, child) for child in node.all("axis")]
     for axis in axis_elements:
@@ -295,6 +296,7 @@ def included(folder: Path, document: Document, node: Node) -> tuple[Document, No
     if not name:
         return document, node
     included_path = Path(name)
+    # A copied aircraft would keep using the file outside.
     if included_path.is_absolute() or ".." in included_path.parts:
         raise BadInputError(
             f'{document.where(node)}: file="{name}" lies outside the aircraft\'s folder, and a copy'
@@ -562,6 +564,7 @@ def add_deltas(
         *(f"{prefix}/moment/{n}" for n in _MOMENT_NAMES),
     ]
     refuse_names(section, names)
+    # Force coefficients, then moment coefficients.
     triples = [[list(summands.get(c, ())) for c in COEFFICIENTS[k : k + 3]] for k in (0, 3)]
     for slot in range(6):
         terms = (_ROWS[section.force] if slot < 3 else _ROWS[section.moment])[slot % 3]
@@ -571,6 +574,7 @@ def add_deltas(
         )
         if not body:
             continue
+        # Axes other than body count drag and lift: aft and up.
         sign = -1 if force and section.force != BODY and slot != 1 else 1
         factors = [property_value("aero/qbar-psf"), reference.area, *([_MINUS] if sign < 0 else [])]
         lines = [*(factor.line() for factor in factors), *body]
@@ -591,6 +595,7 @@ def add_to_axis(edit: SectionEdit, slot: int, lines: list[str]) -> SectionEdit:
     if slot in section.axes:
         axis = section.axes[slot]
         return edit.plus(axis.document, append_child(axis.document, axis.node, lines))
+    # A new axis element needs the frame of the existing ones.
     frame = {WIND: "WIND", STABILITY: "STABILITY"}.get(
         section.moment if slot >= 3 else section.force, ""
     )
@@ -613,6 +618,7 @@ def _sum(
         factors += [_TRIG[name] for name in trig.split()]
         factors += [lengths[index]] if lengths else []
         factors.append(call("sum", *map(property_value, triple[index])))
+        # One product for each coefficient that the row turns into this axis.
         pieces.append(factors)
     if len(pieces) == 1:
         return [factor.line() for factor in pieces[0]]

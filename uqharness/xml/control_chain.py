@@ -133,8 +133,10 @@ def control_chain(
     ControlChain or None
         None if the components read, or may read, other properties that change.
     """
+    # Channels in the order of execution.
     channels = [node for system in files.systems for node in system.all("channel")]
     writers, computed = _writers(channels), _computed(files.documents, channels)
+    # Constants that the XML declares; several values of one name are ambiguous.
     values: dict[str, set[str]] = defaultdict(set)
     for document in files.documents:
         for name, node in declarations(document):
@@ -170,6 +172,7 @@ def control_chain(
                 return None
             components[one.channel, one.number] = one.node
             pending += [*inputs, *([without_index(gate)] if gate else [])]
+    # Inputs: properties that no component writes.
     entering = frozenset(
         name for name in visited if not writers.get(_surface(name)) and name not in levers
     )
@@ -219,6 +222,7 @@ def _outputs(node: Node) -> Iterator[str]:
 
 def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[str]:
     """Return the properties that functions outside the channels and tables compute."""
+    # Functions within components write the component's property.
     inside = {id(node) for channel in channels for node in channel.walk()}
     names = set()
     for document in documents:
@@ -234,6 +238,7 @@ def _computed(documents: Sequence[Document], channels: Sequence[Node]) -> set[st
 
 def _read(node: Node, existing: Collection[str]) -> list[str] | None:
     """Return the properties that a component reads; None if that is not certain."""
+    # Unknown components, and random numbers, may depend on anything.
     if node.tag not in _KINDS or any(inner.tag in _DRAWS for inner in node.walk()):
         return None
     outputs, inputs = set(_outputs(node)), []
@@ -267,6 +272,7 @@ def _aircraft(
     levers: Sequence[str],
 ) -> str:
     """Return the XML of an aircraft with these components only."""
+    # The smallest aircraft that JSBSim loads.
     lines = [
         '<?xml version="1.0"?>',
         '<fdm_config name="controls" version="2.0">',

@@ -117,6 +117,7 @@ class Document:
     def step(self) -> str:
         """Return one level of the author's indentation: the shortest of the root's children."""
         steps = [self.indent(child) for child in self.root.children]
+        # Indentation of the children beyond that of the root.
         steps = [
             s.removeprefix(self.indent(self.root)) for s in steps if s != self.indent(self.root)
         ]
@@ -149,6 +150,7 @@ def parse_document(path: Path, raw: bytes) -> Document:
     stack: list[Node] = []
     top: list[Node] = []
 
+    # expat reports the byte of "<"; the ends of tags are searched in the text.
     def opened(tag: str, attributes: dict[str, str]) -> None:
         parent = stack[-1] if stack else None
         node = Node(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex, parent)
@@ -225,6 +227,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
     step = document.step()
     block = newline.join(_indented(line, inner, step) for line in lines)
     if parent.empty_tag:
+        # Open the empty element: "/>" becomes ">" and a closing tag follows.
         slash = document.raw.rindex(b"/", parent.start, parent.open_end)
         opening, closing = (
             document.encoded(f">{newline}"),
@@ -237,6 +240,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
             opening,
             closing,
         )
+    # The closing tag is on a line of its own, or shares one with content.
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))
@@ -261,6 +265,7 @@ def insert_after(document: Document, node: Node, lines: list[str]) -> Insertion:
     newline, indent, step = document.newline.decode(), document.indent(node), document.step()
     block = newline.join(_indented(line, indent, step) for line in lines)
     end_of_line = document.raw.find(b"\n", node.end)
+    # A comment behind the element belongs to it.
     line_end = document.raw[node.end : end_of_line] if end_of_line >= 0 else b""
     if end_of_line >= 0 and not re.sub(rb"<!--.*?-->", b"", line_end).strip():
         return Insertion(end_of_line + 1, document.encoded(f"{block}{newline}"))
@@ -269,6 +274,7 @@ def insert_after(document: Document, node: Node, lines: list[str]) -> Insertion:
 
 def replace_text(document: Document, node: Node, text: str) -> Insertion:
     """Return the insertion that replaces an element's text, keeping white space and comments."""
+    # The text is searched in the element's own bytes.
     old = document.encoded(node.text.strip())
     at = document.raw.index(old, node.open_end, node.close_start)
     return Insertion(at, document.encoded(text), old)
@@ -310,6 +316,7 @@ def merge_insertions(insertions: list[Insertion]) -> list[Insertion]:
     """Return insertions in the order of the file; children put into one ``<a/>`` are merged."""
     merged: list[Insertion] = []
     pending: list[Insertion] = []
+    # None marks the end of the list.
     for insertion in [*sorted(insertions, key=lambda item: item.at), None]:
         if pending and (
             insertion is None or not insertion.opening or insertion.at != pending[0].at
@@ -333,6 +340,7 @@ def apply(document: Document, insertions: list[Insertion]) -> bytes:
     for insertion in merge_insertions(insertions):
         if insertion.at < position:
             raise ValueError("insertions overlap")
+        # Unchanged bytes up to the insertion, then its text.
         pieces += [document.raw[position : insertion.at], insertion.text]
         position = insertion.at + len(insertion.removed)
     return b"".join([*pieces, document.raw[position:]])
