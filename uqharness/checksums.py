@@ -57,7 +57,7 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Fault:
+class FileFault:
     """A damaged file or folder.
 
     Attributes
@@ -158,7 +158,7 @@ def write_sums(folder: Path, damage: DamageRecord | None = None) -> None:
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
+def faults(folder: Path, include_inner: bool = True) -> list[FileFault]:
     """Return every file below a folder that is missing or altered; empty without sums.
 
     Parameters
@@ -171,9 +171,9 @@ def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
     try:
         sums = read_sums(folder)
     except SumsError as error:
-        return [Fault(SUMS, str(error))]
+        return [FileFault(SUMS, str(error))]
     except OSError as error:
-        return [Fault(SUMS, f"cannot be read: {error.strerror or error}")]
+        return [FileFault(SUMS, f"cannot be read: {error.strerror or error}")]
     if sums is None:
         return []
     result = [
@@ -182,14 +182,15 @@ def faults(folder: Path, include_inner: bool = True) -> list[Fault]:
     for name in sums.folders:
         inner = folder / name
         if is_behind_link(folder, name):
-            result.append(Fault(name, "is a link, or lies behind one"))
+            result.append(FileFault(name, "is a link, or lies behind one"))
         elif not (inner / SUMS).is_file():
-            result.append(Fault(f"{name}/{SUMS}", "it is gone", missing=True))
+            result.append(FileFault(f"{name}/{SUMS}", "it is gone", missing=True))
         elif not _is_sealed(inner):
-            result.append(Fault(f"{name}/{SUMS}", "it is not this program's"))
+            result.append(FileFault(f"{name}/{SUMS}", "it is not this program's"))
         elif include_inner:
             result += [
-                Fault(f"{name}/{item.name}", item.problem, item.missing) for item in faults(inner)
+                FileFault(f"{name}/{item.name}", item.problem, item.missing)
+                for item in faults(inner)
             ]
     return result
 
@@ -272,18 +273,20 @@ def _is_sealed(folder: Path) -> bool:
         return False
 
 
-def _fault(folder: Path, name: str, digest: str) -> Fault | None:
+def _fault(folder: Path, name: str, digest: str) -> FileFault | None:
     """Return what is wrong with one listed file; None if nothing is."""
     if is_behind_link(folder, name):
-        return Fault(name, "is a link, or lies behind one")
+        return FileFault(name, "is a link, or lies behind one")
     try:
         current = file_sha256(folder / name)
     except FileNotFoundError:
-        return Fault(name, "it is gone", missing=True)
+        return FileFault(name, "it is gone", missing=True)
     except OSError as error:
-        return Fault(name, f"cannot be read: {error.strerror or error}")
+        return FileFault(name, f"cannot be read: {error.strerror or error}")
     return (
-        None if current == digest else Fault(name, f"its content does not fit its digest in {SUMS}")
+        None
+        if current == digest
+        else FileFault(name, f"its content does not fit its digest in {SUMS}")
     )
 
 

@@ -161,7 +161,7 @@ def _answer(lines: list[str]) -> Mapping[str, Any]:
     return answer if isinstance(answer, dict) else {}
 
 
-def ending(code: int | None) -> str:
+def describe_exit(code: int | None) -> str:
     """Return an exit code as text.
 
     Examples

@@ -137,7 +137,7 @@ def inner_folder(folder: Path, *parts: str) -> Path:
     return place
 
 
-def check_out(path: Path, option: str = "--out") -> None:
+def check_output_path(path: Path, option: str = "--out") -> None:
     """Raise BadInputError if nothing can be written at an output path.
 
     Called before long work. Missing folders are no error; they are made later.
@@ -161,23 +161,23 @@ def check_out(path: Path, option: str = "--out") -> None:
         )
 
 
-def check_page(path: Path, option: str = "--out") -> None:
+def check_page_path(path: Path, option: str = "--out") -> None:
     """Raise BadInputError unless a report page can be written at a path ending in .html."""
     if path.suffix.lower() != ".html":
         raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
     if path.is_dir():
         raise BadInputError(f"{option} {path}: is a folder; a page, FILE.html, is written")
-    check_out(path, option)
+    check_output_path(path, option)
 
 
-def check_folder(path: Path) -> None:
+def check_output_folder(path: Path) -> None:
     """Raise BadInputError unless results can be written to a folder, which may exist."""
-    check_out(path)
+    check_output_path(path)
     if path.exists() and not path.is_dir():
         raise BadInputError(f"--out {path}: exists and is no folder")
 
 
-def open_no_link(path: Path, make: bool = True) -> int:
+def open_without_links(path: Path, make: bool = True) -> int:
     """Open a file for reading and writing, keeping its content; return the descriptor.
 
     Raises OSError if the name is a link, or the file is not regular or has a second name: it could
@@ -199,7 +199,7 @@ def open_no_link(path: Path, make: bool = True) -> int:
     return handle
 
 
-def lock_at_once(descriptor: int) -> bool:
+def try_lock(descriptor: int) -> bool:
     """Lock an open, writable file; return False if another process holds the lock.
 
     The system releases the lock when this process ends. It is a record lock: children do not
@@ -330,7 +330,7 @@ def scratch_folder(purpose: str = "") -> Scratch:
             return Scratch(Path(tempfile.mkdtemp(prefix=prefix, dir=_own_home().path)))
 
 
-def without_scratch(text: str) -> str:
+def hide_scratch_paths(text: str) -> str:
     """Return a message without the paths of copies, which stand for the user's files."""
     return _COPY.sub("", text)
 
@@ -362,7 +362,7 @@ def _own_home() -> _Home:
     """Return this process's folder, made on first use after removing abandoned ones."""
     number = os.getpid()
     if number not in _homes:
-        sweep()
+        remove_abandoned_folders()
         _homes[number] = _new_home()
         # Runs in children that multiprocessing ends as well, and after a parent's own children have
         # been ended.
@@ -384,7 +384,7 @@ def _new_home() -> _Home:
         handle = _open_lock(path, os.O_CREAT)
         if handle is None:
             continue
-        if lock_at_once(handle):
+        if try_lock(handle):
             os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
             # Between making and locking, another process may have removed the folder as abandoned.
             with contextlib.suppress(OSError):
@@ -403,10 +403,10 @@ def _remove_home(number: int) -> None:
     if home is not None:
         _remove(home.path, home.lock)
         # Children that were killed on the way left theirs.
-        sweep()
+        remove_abandoned_folders()
 
 
-def sweep() -> None:
+def remove_abandoned_folders() -> None:
     """Remove the folders of this user's processes on this machine that ended without doing so."""
     own_names = {home.path.name for number, home in _homes.items() if number == os.getpid()}
     for path in _candidates():
@@ -419,7 +419,7 @@ def sweep() -> None:
             with contextlib.suppress(OSError):
                 path.rmdir()
             continue
-        if _of_this_machine(handle) and lock_at_once(handle):
+        if _of_this_machine(handle) and try_lock(handle):
             _remove(path, handle)
         else:
             os.close(handle)

@@ -26,7 +26,7 @@ from types import FrameType
 from typing import Any, ParamSpec, TypeVar
 
 from sysid.errors import LogError
-from uqharness.child_process import child_settings, ending, main_not_imported
+from uqharness.child_process import child_settings, describe_exit, main_not_imported
 from uqharness.errors import BadInputError
 from uqharness.parallel import end_with_parent
 
@@ -54,7 +54,7 @@ class ProcessEndedError(BadInputError):
         flight_time = "" if time_s is None else f" after {time_s:.2f} s of the flight"
         self.time_s, self.reason = (
             time_s,
-            f"JSBSim's process ended with {ending(code)}{flight_time}",
+            f"JSBSim's process ended with {describe_exit(code)}{flight_time}",
         )
         super().__init__(
             f"{self.reason}; look for what the aircraft or the run script computes there, such as a"

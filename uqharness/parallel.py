@@ -114,7 +114,7 @@ class _Workers:
     def __call__(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterable[Any]:
         return self._pool.map(function, list(jobs), chunksize=1)
 
-    def share(self, value: Any) -> _InFile:
+    def share(self, value: Any) -> _SharedValue:
         """Write a value to a file once, for jobs that all read it."""
         # Imported here and below: a campaign's workers load this module but not the serialiser.
         from sysid.foreign.typed_files import dump
@@ -122,12 +122,12 @@ class _Workers:
         self._number += 1
         path = self._folder / str(self._number)
         path.write_bytes(dump(value))
-        shared = _InFile(str(path))
+        shared = _SharedValue(str(path))
         weakref.finalize(shared, path.unlink, missing_ok=True)
         return shared
 
 
-class _InFile:
+class _SharedValue:
     """A value in a file, read once by each process and cached while it is among the last few."""
 
     def __init__(self, path: str) -> None:

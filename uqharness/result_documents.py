@@ -198,7 +198,7 @@ class Coverage(Part):
         return self
 
 
-class Width(Part):
+class BoundsWidth(Part):
     """Widths of one coefficient's bounds in bounds.json."""
 
     mean_width: Number = None
@@ -219,7 +219,7 @@ class Filters(Part):
 class Bounds(Part):
     """bounds.json of `uqharness bounds`: diagnostics of the model form."""
 
-    coefficients: dict[str, Width] = Field(default_factory=dict)
+    coefficients: dict[str, BoundsWidth] = Field(default_factory=dict)
     left_out: dict[str, Numbers] = Field(default_factory=dict)
     cutoffs: list[Filters] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
@@ -367,7 +367,7 @@ class Alternative(Part):
         return self
 
 
-class Trial(Part):
+class HoldOutTest(Part):
     """Test of an effect on the hold-out flights."""
 
     gap: str
@@ -378,7 +378,7 @@ class Trial(Part):
     share_std: float | None = None
 
     @model_validator(mode="after")
-    def _check_complete(self) -> Trial:
+    def _check_complete(self) -> HoldOutTest:
         """Require the rms ratio of a gap that is too large for the test."""
         if self.gap == "too far" and "rms_over_that_of_train" not in self.model_fields_set:
             raise ValueError("a gap that is too far needs rms_over_that_of_train")
@@ -399,13 +399,13 @@ class Effect(Part):
     unit: str | None = None
     evidence: Evidence = Evidence()
     alternatives: list[Alternative] = Field(default_factory=list)
-    test: Trial | None = None
+    test: HoldOutTest | None = None
 
 
 class Withdrawn(Effect):
     """An effect that the hold-out flights contradict."""
 
-    test: Trial
+    test: HoldOutTest
 
 
 class Region(Part):
@@ -446,7 +446,7 @@ class RemainingPart(Part):
         return self
 
 
-class GoesWith(Part):
+class StateDependence(Part):
     """The state with which the remaining residual varies."""
 
     state: str
@@ -467,7 +467,7 @@ class NearbyCandidate(Part):
     leaves: float
 
 
-class Place(Part):
+class ResidualLocation(Part):
     """Where the largest remaining residual occurs; null fields have a reason."""
 
     flights: str | None
@@ -480,14 +480,14 @@ class Place(Part):
     to_Hz: Number
     rms_over_noise: Number
     share_of_excess: Number
-    state: GoesWith | None
+    state: StateDependence | None
     channel_on_train: Number
     candidates: list[NearbyCandidate]
     would_tell: str | None
     reason: str | None
 
     @model_validator(mode="after")
-    def _check_complete(self) -> Place:
+    def _check_complete(self) -> ResidualLocation:
         """Require the fields that belong together."""
         timed = (self.flight, self.manoeuvre, self.from_s, self.to_s, self.from_Hz, self.to_Hz)
         if self.reason is None and (self.channel is None or None in timed):
@@ -525,7 +525,7 @@ class Interval(Part):
     coverage_std_after: Number
 
 
-class Reasoned(Part):
+class CompleteOrReason(Part):
     """An object that is complete, or has a reason for being incomplete."""
 
     reason: str | None = None
@@ -539,7 +539,7 @@ class Reasoned(Part):
         return self
 
 
-class Intervals(Reasoned):
+class Intervals(CompleteOrReason):
     """Error bounds evaluated on the hold-out flights."""
 
     reason: str | None
@@ -553,7 +553,7 @@ class Failed(Part):
     failed: int
 
 
-class Mission(Reasoned):
+class Mission(CompleteOrReason):
     """A mission flown with the models before and after refinement."""
 
     folders: Annotated[list[FolderName], Field(max_length=2)] = Field(default_factory=list)
@@ -565,7 +565,7 @@ class Mission(Reasoned):
     after: Failed = Failed(failed=0)
 
 
-class GapShown(Part):
+class ResidualTables(Part):
     """Residuals on one set of flights; `predictions` are one-step prediction errors, if these
     counted.
     """
@@ -581,7 +581,7 @@ class GapShown(Part):
 class Gaps(Part):
     """Residuals by the use of the flights."""
 
-    test: GapShown
+    test: ResidualTables
 
 
 class Curve(Part):
@@ -606,7 +606,7 @@ class Curve(Part):
         return self
 
 
-class Shape(Part):
+class FunctionalForm(Part):
     """A functional form of physics compared with a smooth term."""
 
     form: str
@@ -614,7 +614,7 @@ class Shape(Part):
     leaves: float
 
 
-class Smooth(Part):
+class SmoothTerm(Part):
     """A smooth term proposed as a new effect."""
 
     coefficient: str
@@ -630,9 +630,9 @@ class Smooth(Part):
     channel: str
     channel_on_train: float
     leaves: float
-    shapes: list[Shape]
-    test: Trial
-    gap: dict[str, GapShown]
+    shapes: list[FunctionalForm]
+    test: HoldOutTest
+    gap: dict[str, ResidualTables]
 
 
 class Remaining(Part):
@@ -642,8 +642,8 @@ class Remaining(Part):
     where: list[RemainingPart]
     channels_above_noise: dict[str, float]
     coloured_channels: list[str]
-    place: Place | None = None
-    smooth: Smooth | None = None
+    place: ResidualLocation | None = None
+    smooth: SmoothTerm | None = None
     smooth_reason: str | None = None
 
 
@@ -668,7 +668,7 @@ class Score(Part):
     t: Number = None
 
 
-class Refused(Score):
+class RefusedCandidate(Score):
     """The best candidate that was not accepted."""
 
     why: str
@@ -692,7 +692,7 @@ class Refinement(Part):
     remaining: Remaining
     parameters: dict[str, Identified] = Field(default_factory=dict)
     switch: list[Switch] = Field(default_factory=list)
-    best_refused: Refused | None = None
+    best_refused: RefusedCandidate | None = None
     candidates: Candidates = Candidates()
     notes: list[str] = Field(default_factory=list)
     train: list[str] = Field(default_factory=list)

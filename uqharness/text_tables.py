@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Tabled:
+class TabularResult:
     """A result that notebooks show as a table."""
 
     def to_dataframe(self) -> pd.DataFrame:

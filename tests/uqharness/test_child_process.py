@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness import child_process
-from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, ending, run_module
+from uqharness.child_process import CHILD_ENVIRONMENT, child_settings, describe_exit, run_module
 from uqharness.errors import BadInputError
 
 HOSTILE = (
@@ -151,7 +151,7 @@ def test_how_a_child_ended_is_said_in_words(tmp_path, monkeypatch, code, number,
         module(tmp_path, monkeypatch, f"print('last words', flush=True)\n{code}"), timeout_s=60
     )
     assert (ended.code, ended.answer, ended.output) == (number, {}, "last words")
-    assert ending(ended.code) == words
+    assert describe_exit(ended.code) == words
 
 
 def test_a_child_that_does_not_come_back_is_ended(tmp_path, monkeypatch):

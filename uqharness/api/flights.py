@@ -33,7 +33,7 @@ from uqharness.heartbeat import notebook_line
 from uqharness.plugin import with_card
 from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_twice
 from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,7 @@ AnyAircraft: TypeAlias = str | PathLike[str] | Aircraft
 
 
 @dataclass(frozen=True)
-class Flight(Tabled):
+class Flight(TabularResult):
     """One flight: its record, and how it ended if it was flown here.
 
     Attributes

@@ -24,7 +24,7 @@ from uqharness.differences import (
     fly_matched,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_page, scratch_folder
+from uqharness.files import check_page_path, scratch_folder
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.report import write_html
 from uqharness.report.pages import difference_page
@@ -120,7 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     if args.out is not None:
-        check_page(args.out)
+        check_page_path(args.out)
     if not args.speed_mps and not args.script:
         raise BadInputError(
             "nothing to fly: give --speed-mps V, an airspeed at which A trims (uqharness modes A --speed-mps V shows the trim), or "

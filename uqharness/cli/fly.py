@@ -23,7 +23,7 @@ from uqharness.cli.options import (
     tell_gains,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_out, check_page, scratch_folder
+from uqharness.files import check_output_path, check_page_path, scratch_folder
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     FORMATS,
@@ -162,9 +162,9 @@ def _run(args: argparse.Namespace) -> int:
         raise BadInputError(
             f"--out {args.out}: the format follows the name's ending, {', '.join(FORMATS)}"
         )
-    check_out(args.out)
+    check_output_path(args.out)
     if args.page is not None:
-        check_page(args.page, "--page")
+        check_page_path(args.page, "--page")
     aircraft = (
         find_aircraft(args.aircraft) if args.mission is None else aircraft_with_card(args.aircraft)
     )

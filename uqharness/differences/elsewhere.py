@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M, IN_M, LBF_FT_NM, LBF_N, SLUG_FT2_KGM2, SLUG_KG
-from uqharness.child_process import ending, give_answer, run_module
+from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder, write_json
 from uqharness.flight import FlightSpec, record_mission, seeded_spec
@@ -337,7 +337,9 @@ def fly_elsewhere(
             raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
             message = ended.errors or ended.output or "nothing was said"
-            outcome = "took too long" if ended.code is None else f"ended with {ending(ended.code)}"
+            outcome = (
+                "took too long" if ended.code is None else f"ended with {describe_exit(ended.code)}"
+            )
             raise BadInputError(
                 f"{python}: the flight {outcome}: {message}; an environment is needed that has"
                 " JSBSim 1.3 and what uqharness needs (pip install uqharness, then pip install"

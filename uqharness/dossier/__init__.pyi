@@ -16,4 +16,4 @@ from .match import Match as Match
 from .match import Row as Row
 from .match import SegmentResult as SegmentResult
 from .match import limits as limits
-from .match import prove as prove
+from .match import proof_of_match as proof_of_match

@@ -1,7 +1,7 @@
 """Proof of match: objective tests of a flight simulator applied to flight and model.
 
 The tests and tolerances are those of 14 CFR Part 60, Appendix A, Attachment 2, Table A2A, for
-handling qualities. `prove` finds the tests that each segment contains by its control inputs, and
+handling qualities. `proof_of_match` finds the tests that each segment contains by its control inputs, and
 compares measured and simulated time histories. Phugoid and Dutch roll are compared by period and
 damping, which `fit_mode` estimates from the free response.
 """
@@ -414,7 +414,9 @@ class Match:
         return tuple(j for j in self.results if j.test.entry == entry)
 
 
-def prove(segments: Sequence[History], suffix: str, noise: Mapping[str, float | None]) -> Match:
+def proof_of_match(
+    segments: Sequence[History], suffix: str, noise: Mapping[str, float | None]
+) -> Match:
     """Apply every test of the table to every segment.
 
     Parameters

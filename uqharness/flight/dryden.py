@@ -120,11 +120,11 @@ def lateral(dt_s: float, T_s: float, T_span_s: float) -> Lateral:
     a, c = 1.0 / T_s, 1.0 / T_span_s
     A = ((-a, 0.0, 0.0), (a, -a, 0.0), (to_w[0] * c, to_w[1] * c, -c))
     B = (a, 0.0, 0.0)
-    step, factor = discretised(A, B, dt_s)
+    step, factor = discretise(A, B, dt_s)
     return Lateral(to_w, step, factor, exact.cholesky(_stationary(A, B)), T_span_s)
 
 
-def discretised(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matrix]:
+def discretise(A: Matrix, B: Sequence[float], dt: float) -> tuple[Matrix, Matrix]:
     """Return the transition matrix of x' = A x + B n over a step, and R with R'R its noise
     covariance.
 

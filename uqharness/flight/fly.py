@@ -24,7 +24,7 @@ from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.flight.random_numbers import Split
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
-from uqharness.flight.stepping import first_levels, has_air, stepper
+from uqharness.flight.stepping import first_levels, has_air_system, stepper
 from uqharness.isolation import report_time
 from uqharness.simulator import (
     CHANGEABLE,
@@ -137,7 +137,7 @@ _UNITS: Mapping[str, str] = {"cross_track": "m", "altitude": "m", "speed": "mps"
 LOAD_FACTOR = "load_factor_max"
 
 
-class Recorded:
+class RecordedFlight:
     """Signals of a flight, and how it ended.
 
     Attributes
@@ -194,7 +194,7 @@ def from_start_signals(flies_straight: bool) -> dict[str, Source]:
     return table
 
 
-def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
+def score_commanded(spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
     """Score errors from the commanded path, altitude and airspeed, excursions, loss of control."""
     metrics: dict[str, float] = {}
     undefined: dict[str, str] = {}
@@ -229,7 +229,7 @@ def score_commanded(spec: FlightSpec, recorded: Recorded) -> FlightResult:
     return _result(recorded, metrics, undefined, recorded.signals.get("altitude", np.zeros(0)))
 
 
-def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
+def score_from_start(spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
     """Score deviations of altitude, airspeed and heading from the start, and the load factor.
 
     In a straight flight the path is the line on which scoring starts. Other flights have no path;
@@ -268,7 +268,7 @@ def score_from_start(spec: FlightSpec, recorded: Recorded) -> FlightResult:
     return _result(recorded, metrics, undefined, np.zeros(0))
 
 
-def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
+def _cross_track(recorded: RecordedFlight) -> NDArray[np.float64] | None:
     """Return the distance (n,) [m] from the initial line, + to the right; None without one."""
     if "north_m" not in recorded.signals:
         return None
@@ -285,7 +285,7 @@ def _cross_track(recorded: Recorded) -> NDArray[np.float64] | None:
 
 
 def _result(
-    recorded: Recorded,
+    recorded: RecordedFlight,
     metrics: dict[str, float],
     undefined: dict[str, str],
     altitude: NDArray[np.float64],
@@ -528,7 +528,7 @@ OPTIONAL_SIGNALS: Mapping[str, Source] = MappingProxyType(
 """Signals scored where the aircraft has them."""
 
 
-def score(mission: StagedMission, spec: FlightSpec, recorded: Recorded) -> FlightResult:
+def score(mission: StagedMission, spec: FlightSpec, recorded: RecordedFlight) -> FlightResult:
     """Return the scores of a recorded flight."""
     return (
         score_from_start(spec, recorded)
@@ -579,7 +579,7 @@ def record_mission(
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
-) -> Recorded:
+) -> RecordedFlight:
     """Fly a spec and record signals.
 
     Rows are taken after a step, so that the accelerations of a row include its commands.
@@ -667,7 +667,7 @@ def record_mission(
     except MemoryError:
         status, reason = "crashed", f"JSBSim ran out of memory at {_clock(fdm)}"
     rows = to_signals(np.frombuffer(values).reshape(-1, len(getters)), table)
-    return Recorded(list(table), rows, status, reason, float(fdm.get_sim_time()))
+    return RecordedFlight(list(table), rows, status, reason, float(fdm.get_sim_time()))
 
 
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:
@@ -768,7 +768,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
     _require_transient(fdm, mission, spec)
     # Wind and turbulence go through the air system, where there is one.
-    with_air = has_air(fdm)
+    with_air = has_air_system(fdm)
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
             f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps),"
@@ -844,7 +844,7 @@ def set_wind_without_air(fdm: Any, spec: FlightSpec) -> None:
 
     Initialisation would reset it.
     """
-    if has_air(fdm):
+    if has_air_system(fdm):
         return
     toward = math.radians(spec.wind_from_deg + 180.0)
     fdm["atmosphere/wind-north-fps"] = spec.wind_mps * math.cos(toward) / FT_M

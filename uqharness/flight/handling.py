@@ -378,7 +378,7 @@ class Locus:
     refused: tuple[tuple[float, str], ...]
 
 
-def usual_speeds(
+def default_speeds(
     V_mps: float, low: float | None = None, high: float | None = None
 ) -> tuple[float, ...]:
     """Return evenly spaced speeds [m/s] from ``low`` to ``high``, by default .7 to 1.6 times V."""
@@ -386,7 +386,7 @@ def usual_speeds(
     return tuple(float(v) for v in np.linspace(first, last, STEPS + 1))
 
 
-def point_at(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
+def locus_point(model: LinearModel, category: str, aircraft_class: str) -> LocusPoint:
     """Return modes and levels of a linear model."""
     all_modes = modes(model)
     levels = assess(model, all_modes, category, aircraft_class)
@@ -450,7 +450,7 @@ def root_locus(
             elif V not in points:
                 trim = find_trim(aircraft, replace(condition, V_mps=V))
                 if trim.converged:
-                    points[V] = point_at(linearise(aircraft, trim), category, aircraft_class)
+                    points[V] = locus_point(linearise(aircraft, trim), category, aircraft_class)
                     failed = []
                 else:
                     refused[V] = trim.reason

@@ -50,7 +50,7 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
-class Mixed:
+class CoupledActuator:
     """A second actuator moved by the same output, by ``sign`` times the property ``gain``."""
 
     inject: str
@@ -86,7 +86,7 @@ class Loop:
     lowest_radps: float
     highest_radps: float
     period_s: float  # of the multisine; sets the spacing of the lines
-    mixed: tuple[Mixed, ...] = ()
+    mixed: tuple[CoupledActuator, ...] = ()
 
     @property
     def properties(self) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def _loop(
     lowest: float,
     highest: float,
     period_s: float,
-    *mixed: Mixed,
+    *mixed: CoupledActuator,
 ) -> Loop:
     """Return a loop with the autopilot's property names."""
     return Loop(
@@ -138,7 +138,7 @@ LOOPS: Mapping[str, Loop] = {
         0.2,
         60.0,
         100.0,
-        Mixed("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0),
+        CoupledActuator("ap/inject-rudder-deg", "ap/KFF_RDDRMIX", -1.0),
     ),
     "rudder": _loop("rudder", "deg", 0.5, 0.2, 60.0, 100.0),
     "throttle": _loop("throttle", "pct", 1.5, 0.05, 12.0, 250.0),

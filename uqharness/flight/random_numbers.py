@@ -454,7 +454,7 @@ class Source(Protocol):
         """Return the next ``n`` numbers (n,)."""
 
 
-class Spliced:
+class SplicedSource:
     """Numbers of one source up to a step, of another from there.
 
     Calls take whole steps; the numbers of a call are ``per_step`` rows of one number per step.
@@ -513,7 +513,7 @@ def splice(
     ``first`` has given ``done`` steps already; ``make_source`` makes a source of a bit generator.
     """
     for split in splits:
-        first = Spliced(
+        first = SplicedSource(
             first,
             make_source(np.random.PCG64(split.stream(kind, number))),
             split.frame,

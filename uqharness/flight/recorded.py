@@ -20,7 +20,7 @@ from sysid.record import FlightRecord
 from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_atomically
-from uqharness.flight.fly import Recorded, record_mission
+from uqharness.flight.fly import RecordedFlight, record_mission
 from uqharness.flight.random_numbers import draw_normals
 from uqharness.flight.spec import FlightSpec
 from uqharness.isolation import ProcessEndedError, run_isolated
@@ -48,7 +48,7 @@ _OPTIONAL = {
 
 def recorded_flight(
     aircraft: Aircraft, script: Script, spec: FlightSpec
-) -> tuple[pd.DataFrame, Recorded]:
+) -> tuple[pd.DataFrame, RecordedFlight]:
     """Fly a spec from its start in a worker process and return the flight record.
 
     Parameters
@@ -87,7 +87,7 @@ def recorded_flight(
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
 
 
-def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> Recorded:
+def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> RecordedFlight:
     """Fly and record all signals of a record."""
     with StagedMission(aircraft, script.path) as mission:
         table = {
@@ -141,17 +141,17 @@ def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:
         raise BadInputError(f"wind_from_deg = {spec.wind_from_deg}: an angle in degrees is needed")
     if seed < 0:
         raise BadInputError(f"seed = {seed}: an integer of at least 0 is needed")
-    turbulence, noise = two_seeds(seed)
+    turbulence, noise = turbulence_and_noise_seeds(seed)
     settings = {**properties.SECOND_ORDER, **spec.properties}
     return replace(spec, seed_turbulence=turbulence, seed_noise=noise, properties=settings)
 
 
-def start_position(recorded: Recorded) -> dict[str, float]:
+def start_position(recorded: RecordedFlight) -> dict[str, float]:
     """Return latitude, longitude [deg] and altitude above sea level [m] of the start."""
     return {"lat_deg": 45.0, "lon_deg": 0.0, "alt_m": float(recorded.signals["h_m"][0])}
 
 
-def two_seeds(seed: int) -> tuple[int, int]:
+def turbulence_and_noise_seeds(seed: int) -> tuple[int, int]:
     """Return seeds of turbulence and of noise from one number."""
     turbulence, noise = (
         int(x) for x in np.random.SeedSequence(seed).generate_state(2, np.uint32) % (2**31 - 2)
@@ -160,7 +160,7 @@ def two_seeds(seed: int) -> tuple[int, int]:
 
 
 def to_record(
-    recorded: Recorded,
+    recorded: RecordedFlight,
     aircraft: Aircraft,
     spec: FlightSpec,
     manoeuvre: str,

@@ -309,9 +309,9 @@ def _unbranched(
     moving = [level_blocks(driver, steps, dt_s) for driver, _ in _drivers(spec)]
     names = [columns for _, columns in _drivers(spec)]
     # Without the air system, gusts go through JSBSim's own properties.
-    if gusty and not has_air(fdm):
+    if gusty and not has_air_system(fdm):
         gusts = _rows(_gust_blocks(fdm, spec, dt_s, steps, splits))
-        return _with_turned_gusts(
+        return _with_rotated_gusts(
             fdm, gusts, tuple(chain(*names)), _rows(*moving) if moving else repeat(())
         )
     if gusty:
@@ -430,7 +430,7 @@ def _with_many(fdm: Any, rows: Rows, names: Sequence[str]) -> Callable[[int], No
     return fed
 
 
-def _with_turned_gusts(
+def _with_rotated_gusts(
     fdm: Any, gusts: Rows, names: Sequence[str], levels: Iterable[tuple[float, ...]]
 ) -> Callable[[int], None]:
     """Return a loop that feeds gusts through JSBSim's own properties.
@@ -484,14 +484,14 @@ def _gust_blocks(
     )
 
 
-def has_air(fdm: Any) -> bool:
+def has_air_system(fdm: Any) -> bool:
     """Return whether the aircraft has the air system, by a property that only it creates."""
     return bool(fdm.get_property_manager().hasNode("air/wind-north-fps"))
 
 
 def _airspeed_mps(fdm: Any, spec: FlightSpec) -> float:
     """Return the initial airspeed [m/s]."""
-    if has_air(fdm):
+    if has_air_system(fdm):
         return float(fdm["velocities/vt-fps"]) * FT_M
     # The wind was set after initialisation, and JSBSim's airspeed does not include it yet.
     toward = math.radians(spec.wind_from_deg + 180.0)

@@ -91,7 +91,7 @@ _IDENTIFIED = re.compile(rb"[ \t]*<!-- identified ([^>]*?)-->")
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScaledFunction:
     """A function with its scale and bias.
 
     Attributes
@@ -122,7 +122,7 @@ def coefficient_properties(documents: list[Document]) -> list[str]:
     ]
 
 
-def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[Scaled]]:
+def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, list[ScaledFunction]]:
     """Add the functions ``uq/scaled/<axis>``; return the edit and the scaled functions in order.
 
     The properties are declared by `scale_system`.
@@ -142,7 +142,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
             if not nodes:
                 continue
             rows = [
-                Scaled(
+                ScaledFunction(
                     axis.name,
                     names[id(node)],
                     str(axis.document.path.relative_to(section.folder)),
@@ -160,7 +160,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
     return edit, all_rows
 
 
-def scale_system(rows: list[Scaled]) -> bytes:
+def scale_system(rows: list[ScaledFunction]) -> bytes:
     """Return the system that declares scales (1) and biases (0) with comments."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
@@ -297,7 +297,9 @@ def _constant_factor(documents: Iterable[Document], name: str) -> tuple[Document
     return None
 
 
-def _function(axis: Axis, rows: list[Scaled], at_cg: bool, reference: Reference) -> list[str]:
+def _function(
+    axis: Axis, rows: list[ScaledFunction], at_cg: bool, reference: Reference
+) -> list[str]:
     """Return the lines of the function that adds scales and biases of an axis."""
     slot = SLOT[axis.name]
     lengths = [reference.lengths[slot - 3]] if slot >= 3 else []
@@ -370,7 +372,7 @@ _POSITIVE = {
 
 
 def card_text(
-    name: str, xml: str, facts: AircraftFacts, scaled: Sequence[Scaled], errors: bool
+    name: str, xml: str, facts: AircraftFacts, scaled: Sequence[ScaledFunction], errors: bool
 ) -> str:
     """Return airframe.toml for an aircraft without one.
 
@@ -497,7 +499,7 @@ def _pulses(control: str, throw_deg: float | None) -> list[list[float]]:
     return [[1000, -reach], [1500, 0], [2000, reach]]
 
 
-def scale_entry(row: Scaled) -> dict[str, Any]:
+def scale_entry(row: ScaledFunction) -> dict[str, Any]:
     """Return the entry of a scale in [parameters]."""
     return {"initial": 1.0, "bounds": [-1, 4], "unit": "1", "source": f"factor on {row.function}"}
 

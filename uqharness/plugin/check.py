@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.units import FT_M
-from uqharness.child_process import ending, give_answer, run_module
+from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, engine, find_aircraft, open_mid_envelope, staged
 
@@ -247,7 +247,8 @@ def check_in_child(
     if ended.answer:
         return Verdict(**ended.answer)
     return Verdict(
-        "fails", f"the process ended with {ending(ended.code)}: {ended.errors or 'no message'}"
+        "fails",
+        f"the process ended with {describe_exit(ended.code)}: {ended.errors or 'no message'}",
     )
 
 

@@ -30,7 +30,7 @@ from uqharness.plugin.card import (
     IDLE_SYSTEM,
     IDLE_XML,
     SYSTEM_NAME,
-    Scaled,
+    ScaledFunction,
     add_scales,
     card_text,
     coefficient_properties,
@@ -245,7 +245,7 @@ class Plan:
     section: AeroSection
     files: Mapping[str, bytes]
     changes: Mapping[str, Change]
-    scaled: tuple[Scaled, ...]
+    scaled: tuple[ScaledFunction, ...]
     had_plugin: bool
     notes: tuple[str, ...]
     rows: tuple[tuple[str, str, str], ...]
@@ -288,7 +288,7 @@ def plan(
     notes = _notes(section)
     had_plugin = _has_plugin(section)
     edit = SectionEdit(section, tuple((section.main, insertion) for insertion in mass))
-    scaled: list[Scaled] = []
+    scaled: list[ScaledFunction] = []
     files: dict[str, bytes] = {}
     if had_plugin:
         system = _plugin_system(aircraft, section)
@@ -335,7 +335,7 @@ def plan(
         for name, content in files.items()
     }
     for document in section.documents:
-        if mine := edit.made_in(document):
+        if mine := edit.insertions_into(document):
             name = document.path.relative_to(aircraft.folder).as_posix()
             files[name] = edit.files()[document.path]
             changes[name] = make_change(document.raw, files[name], mine)
@@ -351,7 +351,7 @@ def plan(
 def _add_card(
     aircraft: Aircraft,
     facts: AircraftFacts,
-    scaled: Sequence[Scaled],
+    scaled: Sequence[ScaledFunction],
     edit: SectionEdit,
     files: dict[str, bytes],
     notes: list[str],
@@ -538,7 +538,9 @@ def _system_file(aircraft: Aircraft, name: str) -> str:
     return f"Systems/{name}.xml"
 
 
-def _with_parameters(card: Path, scaled: list[Scaled], notes: list[str]) -> Insertion | None:
+def _with_parameters(
+    card: Path, scaled: list[ScaledFunction], notes: list[str]
+) -> Insertion | None:
     """Return the insertion of scales into [parameters] of a card; None with a note if it fails."""
     raw = card.read_bytes()
     newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"

@@ -48,12 +48,12 @@ from uqharness.xml import (
     attribute,
     call,
     comment,
-    computes,
     declaration,
     declarations,
     declare,
     folder_declares,
     function_lines,
+    has_function,
     insert_after,
     insert_before,
     number,
@@ -225,7 +225,7 @@ _QBAR_S = (property_value("aero/qbar-psf"), property_value("metrics/Sw-sqft"))
 
 
 def _computes(section: AeroSection, name: str) -> bool:
-    return any(computes(document, name) for document in section.documents)
+    return any(has_function(document, name) for document in section.documents)
 
 
 def _per_rate(length: str, section: AeroSection) -> Expression:
@@ -536,7 +536,7 @@ def _author_style(
     # Authors write Cmq, Cm_q or other words; a name in the first style has no underscores.
     compact = any(re.match(rf"{coefficient}[a-zA-Z0-9]", name.rpartition("/")[2]) for name in names)
     name = f"{folder}/{leaf.replace('_', '') if compact else leaf}"
-    if any(computes(document, name) for document in section.documents):
+    if any(has_function(document, name) for document in section.documents):
         name = f"{folder}/{leaf}-effect"
     reference = coefficient_reference(aircraft, section)
     lengths = [] if force else [reference.lengths[slot - 3]]

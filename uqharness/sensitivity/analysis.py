@@ -15,7 +15,7 @@ from uqharness.errors import BadInputError
 from uqharness.sensitivity.measures import anova, corner_pairs, local, pinching, scatter
 from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
 from uqharness.sensitivity.study import METHODS, Evaluations, Study
-from uqharness.text_tables import Tabled
+from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ assert tuple(_FUNCTIONS) == METHODS
 
 
 @dataclass(frozen=True)
-class Sensitivity(Tabled):
+class Sensitivity(TabularResult):
     """Results by output, then by method."""
 
     results: Mapping[str, Mapping[str, MethodResult]]

@@ -68,9 +68,9 @@ class Actuator:
             Integration step [s]. A row's command acts from the step that arrives at the row; the
             servo starts at rest.
         """
-        return self.follow_finely(commands, dt_s, step_s)[0]
+        return self.follow_with_midpoints(commands, dt_s, step_s)[0]
 
-    def follow_finely(
+    def follow_with_midpoints(
         self, commands: FloatArray, dt_s: float, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return positions (n,) at the rows, and (n-1,) half-way between rows, linearly

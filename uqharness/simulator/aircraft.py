@@ -26,7 +26,7 @@ from uqharness.files import PROJECT_ROOT
 from uqharness.simulator import engine
 from uqharness.simulator.card import Card, InputCard, read_card, standard_card
 from uqharness.simulator.physical_checks import (
-    Undefined,
+    UndefinedProperty,
     check_physical,
     ensure_loadable,
     undefined_message,
@@ -225,7 +225,7 @@ def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
         raise BadInputError(f"{aircraft.folder}: {undefined_message(undefined)}")
 
 
-def undefined_properties(aircraft: Aircraft) -> tuple[Undefined, ...]:
+def undefined_properties(aircraft: Aircraft) -> tuple[UndefinedProperty, ...]:
     """Return the properties that the aircraft reads and neither it nor JSBSim defines.
 
     A host such as FlightGear may define them. Raises BadInputError if the aircraft is not loadable.
@@ -272,7 +272,7 @@ def refuse_unknown_operations(path: Path) -> None:
         walk(function)
 
 
-_undefined: dict[str, tuple[Undefined, ...]] = {}
+_undefined: dict[str, tuple[UndefinedProperty, ...]] = {}
 
 
 def content_hash(aircraft: Aircraft) -> str:

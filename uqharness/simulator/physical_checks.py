@@ -26,7 +26,7 @@ from lxml import etree
 from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.regular_files import in_words
 from sysid.units import SLUG_FT2_KGM2
-from uqharness.child_process import ending, give_answer, run_module
+from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.simulator import engine
@@ -221,11 +221,11 @@ TIMEOUT_S = 20.0
 MAX_BYTES = 1_500_000_000
 """Memory limit of the trial load; JSBSim's largest aircraft takes about 20 MB."""
 _VERDICT_FORMAT = 2
-_checked: dict[str, tuple[Undefined, ...]] = {}
+_checked: dict[str, tuple[UndefinedProperty, ...]] = {}
 
 
 @dataclass(frozen=True)
-class Undefined:
+class UndefinedProperty:
     """A property that the model reads and nothing defines.
 
     Attributes
@@ -243,7 +243,7 @@ class Undefined:
     similar: str = ""
 
 
-def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]:
+def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProperty, ...]:
     """Load the model in a child process, unless the result is known.
 
     Parameters
@@ -276,7 +276,7 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[Undefined, ...]
     return _checked[key]
 
 
-def undefined_message(undefined: tuple[Undefined, ...]) -> str:
+def undefined_message(undefined: tuple[UndefinedProperty, ...]) -> str:
     """Return a sentence that names every undefined property, its place, and what to do."""
     names = ", ".join(f"{u.name} ({u.place})" if u.place else u.name for u in undefined)
     one = len(undefined) == 1
@@ -291,7 +291,7 @@ def undefined_message(undefined: tuple[Undefined, ...]) -> str:
     )
 
 
-def _try_in_child(aircraft: NamedFiles) -> tuple[Undefined, ...]:
+def _try_in_child(aircraft: NamedFiles) -> tuple[UndefinedProperty, ...]:
     """Load the model in a child process and return its undefined properties."""
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
@@ -305,11 +305,11 @@ def _try_in_child(aircraft: NamedFiles) -> tuple[Undefined, ...]:
         raise BadInputError(message if str(folder) in message else f"{folder}: {message}")
     if child.code < 0:
         raise BadInputError(
-            f"aircraft {folder}: loading it ends JSBSim's process ({ending(child.code)}); its last"
-            f" words: {child.output or 'no message'}; look there for an unknown element or function"
-            " operation, or a property name with illegal characters"
+            f"aircraft {folder}: loading it ends JSBSim's process ({describe_exit(child.code)});"
+            f" its last words: {child.output or 'no message'}; look there for an unknown element or"
+            " function operation, or a property name with illegal characters"
         )
-    return tuple(Undefined(*row) for row in child.answer.get("undefined", ()))
+    return tuple(UndefinedProperty(*row) for row in child.answer.get("undefined", ()))
 
 
 def _cache_folder() -> Path:
@@ -318,15 +318,17 @@ def _cache_folder() -> Path:
     return Path(base) / "uqharness" / "loadable"
 
 
-def _recall(mark: Path) -> tuple[Undefined, ...] | None:
+def _recall(mark: Path) -> tuple[UndefinedProperty, ...] | None:
     """Return a cached result; None without a valid one."""
     try:
-        return tuple(Undefined(*row) for row in json.loads(mark.read_text(encoding="utf-8")))
+        return tuple(
+            UndefinedProperty(*row) for row in json.loads(mark.read_text(encoding="utf-8"))
+        )
     except (OSError, ValueError, TypeError):
         return None
 
 
-def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
+def _remember(mark: Path, undefined: tuple[UndefinedProperty, ...]) -> None:
     """Cache a result."""
     # Without a writable cache the check is repeated.
     rows = [(u.name, u.place, u.similar) for u in undefined]
@@ -338,7 +340,7 @@ def _remember(mark: Path, undefined: tuple[Undefined, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class _Unread:
+class _AircraftPaths:
     """Places of an aircraft whose card is not read."""
 
     folder: Path
@@ -354,7 +356,9 @@ class _Unread:
 def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
     """Load the aircraft in this process and answer the parent."""
     engine.mirror_messages(sys.stdout.fileno())
-    aircraft = _Unread(Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path))
+    aircraft = _AircraftPaths(
+        Path(folder), Path(folder) / xml, Path(engine_path), Path(systems_path)
+    )
     # A small XML can ask for huge tables.
     with MemoryLimit(MAX_BYTES):
         try:

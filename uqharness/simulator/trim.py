@@ -106,7 +106,7 @@ def thrust_reason(
     return ""
 
 
-def dead_throttle(property_name: str, thrust_N: float, unsettled: str) -> str:
+def dead_throttle_message(property_name: str, thrust_N: float, unsettled: str) -> str:
     """Return a sentence for engines whose thrust does not depend on the throttle.
 
     ``thrust_N`` is the thrust [N] at both ends; ``unsettled`` is added as a remark.
@@ -585,7 +585,7 @@ def _throttle_acts(
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
     exists = fdm.get_property_manager().hasNode
-    return False, dead_throttle(
+    return False, dead_throttle_message(
         card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled
     )
 

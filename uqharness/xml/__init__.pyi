@@ -31,14 +31,14 @@ from .document import append_remark as append_remark
 from .document import apply as apply
 from .document import attribute as attribute
 from .document import comment as comment
-from .document import computes as computes
 from .document import declaration as declaration
 from .document import declarations as declarations
 from .document import declare as declare
-from .document import declared_in as declared_in
+from .document import declared_properties as declared_properties
 from .document import folder_declares as folder_declares
 from .document import folder_documents as folder_documents
 from .document import folder_names as folder_names
+from .document import has_function as has_function
 from .document import in_comment as in_comment
 from .document import insert_after as insert_after
 from .document import insert_before as insert_before

@@ -266,7 +266,7 @@ def read_section(folder: Path, xml: str) -> AeroSection:
         raise BadInputError(
             f"{main.where(main.root)}: no <aerodynamics>, so there are no coefficients to add to"
         )
-    document, node = included(folder, main, outer)
+    document, node = resolve_include(folder, main, outer)
     axis_elements = [Axis(main, child) for child in outer.all("axis")]
     # JSBSim reads axes of both the aircraft's file and the included one.
     if document is not main:
@@ -287,7 +287,7 @@ def read_section(folder: Path, xml: str) -> AeroSection:
     return AeroSection(folder, main, document, node, force, moment, axes, overridden)
 
 
-def included(folder: Path, document: Document, node: Node) -> tuple[Document, Node]:
+def resolve_include(folder: Path, document: Document, node: Node) -> tuple[Document, Node]:
     """Return the file and element that ``node`` stands for.
 
     These are its own, or the root of the file that its ``file`` attribute names.
@@ -413,7 +413,7 @@ def _metrics(section: AeroSection) -> tuple[Document, Node, Node]:
         raise BadInputError(
             f"{section.main.where(section.main.root)}: no <metrics>, which JSBSim requires"
         )
-    document, metrics = included(section.folder, section.main, outer)
+    document, metrics = resolve_include(section.folder, section.main, outer)
     return document, metrics, outer
 
 
@@ -495,10 +495,10 @@ class SectionEdit:
         return {
             document.path: apply(document, mine)
             for document in self.section.documents
-            if (mine := self.made_in(document))
+            if (mine := self.insertions_into(document))
         }
 
-    def made_in(self, document: Document) -> list[Insertion]:
+    def insertions_into(self, document: Document) -> list[Insertion]:
         """Return the insertions into one file, in its order."""
         return merge_insertions(
             [insertion for owner, insertion in self.insertions if owner is document]

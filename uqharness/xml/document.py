@@ -395,7 +395,7 @@ def declaration(document: Document, name: str) -> Node | None:
     return next((node for declared, node in declarations(document) if declared == name), None)
 
 
-def computes(document: Document, name: str) -> bool:
+def has_function(document: Document, name: str) -> bool:
     """Return whether a ``<function>`` of the file has a name."""
     return any(
         node.tag == "function" and attribute(node, "name") == name for node in document.root.walk()
@@ -407,7 +407,7 @@ def folder_declares(folder: Path, name: str) -> bool:
     return any(declaration(document, name) is not None for document in folder_documents(folder))
 
 
-def declared_in(folder: Path, prefix: str) -> tuple[str, ...]:
+def declared_properties(folder: Path, prefix: str) -> tuple[str, ...]:
     """Return the properties with a prefix that files declare and nothing computes, sorted."""
     declared: set[str] = set()
     computed: set[str] = set()

@@ -4,7 +4,7 @@ import json
 
 from tests.helpers import report_folders as folders
 from uqharness.dossier.evidence import factors, read_evidence, simulating_models
-from uqharness.dossier.match import Match, prove
+from uqharness.dossier.match import Match, proof_of_match
 
 NAMES = [
     "Data pedigree",
@@ -63,5 +63,5 @@ def test_flights_of_a_simulation_are_called_that(tmp_path):
 
 
 def test_the_proof_of_match_counts(tmp_path):
-    found = evidence_of(folders.refined(tmp_path / "r"), prove([], "_after", {}))
+    found = evidence_of(folders.refined(tmp_path / "r"), proof_of_match([], "_after", {}))
     assert not any("proof of match" in line for line in found["Validation"])

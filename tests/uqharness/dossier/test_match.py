@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.dossier.match import ABSENT, FAIL, INCONCLUSIVE, PASS, prove
+from uqharness.dossier.match import ABSENT, FAIL, INCONCLUSIVE, PASS, proof_of_match
 from uqharness.replay import History
 
 DEG = math.pi / 180.0
@@ -31,7 +31,7 @@ def segment(control="elevator", seconds=8.0, start=2.0, length=1.0, also=(), num
 
 
 def answers(*segments, noise=None):
-    match = prove(segments, "_model", noise or {})
+    match = proof_of_match(segments, "_model", noise or {})
     return {j.test.entry: j.answer for j in match.results}, match
 
 
@@ -112,7 +112,7 @@ def test_channels_that_are_not_there():
     assert answers(lacking)[1].missing["2.c.10"] == "the results have no az_mps2 of log and model"
     gone = answers(segment(az_mps2=np.nan))[1].results[0]
     assert (gone.answer, gone.reason) == (INCONCLUSIVE, "a channel has no samples")
-    assert prove([], "_model", {}).missing["2.c.10"] == "there is no segment of a flight"
+    assert proof_of_match([], "_model", {}).missing["2.c.10"] == "there is no segment of a flight"
     assert ABSENT == "not in the data"
 
 

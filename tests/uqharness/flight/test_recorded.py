@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.flight.fly import Recorded
-from uqharness.flight.recorded import seeded_spec, start_position, to_record, two_seeds
+from uqharness.flight.fly import RecordedFlight
+from uqharness.flight.recorded import (
+    seeded_spec,
+    start_position,
+    to_record,
+    turbulence_and_noise_seeds,
+)
 from uqharness.flight.spec import FlightSpec
 
 SPEC = FlightSpec(Path("plane"), Path("loiter.xml"), 60.0, seed_noise=5)
@@ -31,7 +36,7 @@ def recorded(*more):
             *(values for _, values in more),
         ]
     )
-    return Recorded([*NAMES, *(name for name, _ in more)], rows, "ok", "", 80.0)
+    return RecordedFlight([*NAMES, *(name for name, _ in more)], rows, "ok", "", 80.0)
 
 
 def aircraft(**noise_std):
@@ -59,9 +64,9 @@ def test_one_seed_makes_two_streams():
     with pytest.raises(BadInputError, match="seed = -1"):
         seeded_spec(SPEC, -1)
     found = seeded_spec(replace(SPEC, properties={"a/b": 1.0}), 7)
-    assert (found.seed_turbulence, found.seed_noise) == two_seeds(7)
+    assert (found.seed_turbulence, found.seed_noise) == turbulence_and_noise_seeds(7)
     assert found.properties["a/b"] == 1.0
-    assert len({seed for k in range(50) for seed in two_seeds(k)}) == 100
+    assert len({seed for k in range(50) for seed in turbulence_and_noise_seeds(k)}) == 100
 
 
 def test_heights_begin_at_zero_and_headings_stay_in_the_circle():

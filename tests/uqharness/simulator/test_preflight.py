@@ -76,7 +76,7 @@ def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tm
     folder = tmp_path / "empty"
     folder.mkdir()
     (folder / "empty.xml").write_text("<fdm_config name='empty' version='2.0'/>")
-    empty = physical_checks._Unread(
+    empty = physical_checks._AircraftPaths(
         folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path
     )
     with pytest.raises(BadInputError, match="empty"):

@@ -30,7 +30,7 @@ from uqharness.flight import (
     ContactPoint,
     FlightSpec,
     contact_points,
-    has_air,
+    has_air_system,
     record_stride,
     set_conditions,
     set_wind_without_air,
@@ -179,7 +179,7 @@ def make_mission(
         return fdm
 
     fdm = opened()
-    air = has_air(fdm)
+    air = has_air_system(fdm)
     values = Values(initial_values(opened, fdm), constant_properties(sources))
     values.setdefault(BEYOND)
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"

@@ -28,7 +28,7 @@ from uqharness.dossier import (
     Step,
     factors,
     limits,
-    prove,
+    proof_of_match,
     simulating_models,
 )
 from uqharness.dossier import Band as Tolerance
@@ -94,7 +94,7 @@ def compared(found: Evidence) -> Compared | None:
             ]
             if segments:
                 return Compared(
-                    step, segments, suffix, model, prove(segments, suffix, _noise(step))
+                    step, segments, suffix, model, proof_of_match(segments, suffix, _noise(step))
                 )
     return None
 
