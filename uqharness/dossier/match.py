@@ -1,9 +1,9 @@
 """Proof of match: objective tests of a flight simulator applied to flight and model.
 
 The tests and tolerances are those of 14 CFR Part 60, Appendix A, Attachment 2, Table A2A, for
-handling qualities. `proof_of_match` finds the tests that each segment contains by its control inputs, and
-compares measured and simulated time histories. Phugoid and Dutch roll are compared by period and
-damping, which `fit_mode` estimates from the free response.
+handling qualities. `proof_of_match` finds the tests that each segment contains by its control
+inputs, and compares measured and simulated time histories. Phugoid and Dutch roll are compared by
+period and damping, which `fit_mode` estimates from the free response.
 """
 
 from __future__ import annotations
