@@ -184,7 +184,7 @@ def faults(folder: Path, include_inner: bool = True) -> list[FileFault]:
         if is_behind_link(folder, name):
             result.append(FileFault(name, "is a link, or lies behind one"))
         elif not (inner / SUMS).is_file():
-            result.append(FileFault(f"{name}/{SUMS}", "it is gone", missing=True))
+            result.append(FileFault(f"{name}/{SUMS}", "it is missing", missing=True))
         elif not _is_sealed(inner):
             result.append(FileFault(f"{name}/{SUMS}", "it is not this program's"))
         elif include_inner:
@@ -280,7 +280,7 @@ def _fault(folder: Path, name: str, digest: str) -> FileFault | None:
     try:
         current = file_sha256(folder / name)
     except FileNotFoundError:
-        return FileFault(name, "it is gone", missing=True)
+        return FileFault(name, "it is missing", missing=True)
     except OSError as error:
         return FileFault(name, f"cannot be read: {error.strerror or error}")
     return (

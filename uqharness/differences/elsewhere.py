@@ -336,7 +336,7 @@ def fly_elsewhere(
             # The child ran and reports an error of the aircraft.
             raise RefusedError(f"{python}: {ended.answer['error']}")
         if not out.is_file():
-            message = ended.errors or ended.output or "nothing was said"
+            message = ended.errors or ended.output or "no output"
             outcome = (
                 "took too long" if ended.code is None else f"ended with {describe_exit(ended.code)}"
             )

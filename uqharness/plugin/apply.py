@@ -168,7 +168,7 @@ def undo(folder: Path, out: Path) -> list[tuple[str, str]]:
             path = copy / name
             if not path.is_file():
                 if change.edited:
-                    raise BadInputError(f"{folder / name}: is gone; undo cannot bring it back")
+                    raise BadInputError(f"{folder / name}: is missing; undo cannot restore it")
                 continue
             # None: the file was added and is removed.
             content = restore(folder / name, change, path.read_bytes())

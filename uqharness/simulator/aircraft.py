@@ -183,7 +183,7 @@ def _other_models(folder: Path) -> str:
         return "so this is not a JSBSim aircraft folder"
     name = Path(models[0]).stem
     return (
-        f"but {' and '.join(models)}: JSBSim wants folder and file of one name; rename the"
+        f"but {' and '.join(models)}: JSBSim requires equal names of folder and file; rename the"
         " folder to "
         f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}"'
         " into it"

@@ -128,11 +128,10 @@ class MassChange:
                 assert self._changed is not None
                 return self._changed
         mismatch = ", ".join(
-            f"{name} stands at {actual[name]:g}, {value:g} was wanted"
-            for name, value in target.items()
+            f"{name} is {actual[name]:g} instead of {value:g}" for name, value in target.items()
         )
         raise BadInputError(
-            f"{self._aircraft.xml}: mass properties cannot be set together as asked: {mismatch}; "
+            f"{self._aircraft.xml}: these mass properties cannot be set together: {mismatch}; "
             "set only independent ones (a mass or a weight, not both)"
         )
 

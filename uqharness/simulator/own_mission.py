@@ -111,7 +111,7 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
         raise BadInputError(
             f"{source}: [start] aircraft '{aircraft.name}' has {trim.reason}; try another V_mps,"
             f" altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m"
-            " H tells)"
+            " H lists trims)"
         )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
     write_bytes(script, _script(aircraft, trim).encode())
@@ -524,7 +524,7 @@ def write_own_mission(
         raise BadInputError(
             f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so"
             " steps cannot be sized by a surface's moment; fly mission steady, or --script with"
-            " commands of your own"
+            " your own commands"
         )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:

@@ -147,7 +147,7 @@ class _Scan:
             raise BadInputError(
                 f'{self.where}:{line}: <{tag} file="{name}"> leads out of the aircraft; a file must'
                 " be named within the aircraft's folder or within the folders engine and systems"
-                " beside it: put it there"
+                " next to it: move it there"
             )
         if max(map(len, name.encode(errors="replace").split(b"/"))) > _MAX_NAME_BYTES:
             raise BadInputError(
